@@ -1,0 +1,1 @@
+"""Information-driven stereo mapping for mobile manipulators with ROS 2."""

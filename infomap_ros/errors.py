@@ -1,0 +1,82 @@
+"""The one exception family of the package.
+
+Every error that the library raises on purpose derives from `InfomapError`, so that a node or a
+script can translate all of them in one place. An error names the thing that is wrong and carries
+the offending values.
+"""
+
+
+class InfomapError(Exception):
+    """Base of all errors raised by infomap_ros."""
+
+
+class ConfigError(InfomapError, ValueError):
+    """A parameter has an impossible value.
+
+    Attributes:
+        parameter: Name of the parameter.
+        value: The value that was refused.
+        expected: What would have been accepted, in words.
+    """
+
+    def __init__(self, parameter: str, value: object, expected: str) -> None:
+        super().__init__(f"parameter '{parameter}' is {value!r}, expected {expected}")
+        self.parameter = parameter
+        self.value = value
+        self.expected = expected
+
+
+class InvalidInputError(InfomapError, ValueError):
+    """An array argument has the wrong shape, type or content.
+
+    Attributes:
+        name: Name of the argument.
+        problem: What is wrong with it, in words.
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"{name}: {problem}")
+        self.name = name
+        self.problem = problem
+
+
+class CalibrationError(InfomapError, ValueError):
+    """Camera calibrations are impossible or do not fit each other or the image."""
+
+
+class MalformedMessageError(InfomapError, ValueError):
+    """A message contradicts itself or holds what its type does not allow.
+
+    Attributes:
+        message_type: ROS type name, for example ``sensor_msgs/msg/Image``.
+        problem: What is wrong with it, in words.
+    """
+
+    def __init__(self, message_type: str, problem: str) -> None:
+        super().__init__(f"malformed {message_type}: {problem}")
+        self.message_type = message_type
+        self.problem = problem
+
+
+class FrameError(InfomapError, LookupError):
+    """A coordinate frame is unknown or two frames that must agree do not."""
+
+
+class PoseUnavailableError(InfomapError, LookupError):
+    """No pose is known at the stamp that asks for one."""
+
+
+class BagError(InfomapError):
+    """A bag cannot be read, is truncated, or lacks the topics that a task needs."""
+
+
+class MapFileError(InfomapError):
+    """A map file is corrupt, truncated, or of an unknown version."""
+
+
+class CapacityError(InfomapError, MemoryError):
+    """An operation would need more memory than the configuration allows."""
+
+
+class RobotModelError(InfomapError, ValueError):
+    """A robot description cannot be used: malformed URDF, unknown joint or frame."""

@@ -1,0 +1,73 @@
+"""Rigid transforms, cameras, simple solids, and data with its stamp and frame."""
+
+from infomap_ros.geometry.camera import (
+    CameraCalibration,
+    PinholeCamera,
+    StereoRig,
+    rig_from_calibrations,
+)
+from infomap_ros.geometry.records import (
+    CameraInfoRecord,
+    ImageRecord,
+    JointStateRecord,
+    OdometryRecord,
+    PointCloudRecord,
+    PoseRecord,
+    Record,
+    TextRecord,
+    TransformRecord,
+)
+from infomap_ros.geometry.solids import (
+    Box,
+    ConvexPolytope,
+    Cylinder,
+    PlacedSolid,
+    Solid,
+    Sphere,
+    points_inside,
+)
+from infomap_ros.geometry.transforms import (
+    check_covariance,
+    check_transform,
+    interpolate_transforms,
+    invert_transform,
+    make_transform,
+    perturb_transform,
+    quaternion_from_transform,
+    skew,
+    transform_from_quaternion,
+    transform_points,
+)
+
+__all__ = [
+    "Box",
+    "CameraCalibration",
+    "CameraInfoRecord",
+    "ConvexPolytope",
+    "Cylinder",
+    "ImageRecord",
+    "JointStateRecord",
+    "OdometryRecord",
+    "PinholeCamera",
+    "PlacedSolid",
+    "PointCloudRecord",
+    "PoseRecord",
+    "Record",
+    "Solid",
+    "Sphere",
+    "StereoRig",
+    "TextRecord",
+    "TransformRecord",
+    "check_covariance",
+    "check_transform",
+    "interpolate_transforms",
+    "invert_transform",
+    "make_transform",
+    "perturb_transform",
+    "points_inside",
+    "quaternion_from_transform",
+    "rig_from_calibrations",
+    "skew",
+    "transform_from_quaternion",
+    "transform_points",
+]

@@ -1,0 +1,165 @@
+"""Rigid transforms as plain 4x4 arrays.
+
+Convention: ``T_a_b`` takes coordinates in frame b to coordinates in frame a,
+``p_a = T_a_b @ p_b``, so that ``T_a_c = T_a_b @ T_b_c``. Quaternions are ``(x, y, z, w)`` as in
+ROS messages.
+
+Covariance of a pose follows ``geometry_msgs/PoseWithCovariance``: order (x, y, z, rotation about
+x, y, z), both expressed in the parent frame. The perturbation model is
+``t_true = t + dt`` and ``R_true = Exp(dtheta) @ R``, hence a point ``p_a = R p_b + t`` moves by
+``dt - skew(R p_b) dtheta``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from infomap_ros.errors import InvalidInputError
+
+FloatArray = NDArray[np.float64]
+
+_ROTATION_TOLERANCE = 1e-4
+_QUATERNION_TOLERANCE = 1e-2
+
+
+def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray:
+    """Return `transform` as a float64 array after checking that it is rigid.
+
+    Args:
+        transform: array-like, shape (4, 4).
+        name: how an error names it.
+
+    Returns:
+        Copy, shape (4, 4), float64.
+
+    Raises:
+        InvalidInputError: wrong shape, not finite, or the rotation part is not a proper rotation
+            within 1e-4.
+    """
+    matrix = np.array(transform, dtype=np.float64)
+    if matrix.shape != (4, 4):
+        raise InvalidInputError(name, f"shape {matrix.shape}, expected (4, 4)")
+    if not np.isfinite(matrix).all():
+        raise InvalidInputError(name, "holds NaN or infinity")
+    if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
+        raise InvalidInputError(name, f"last row is {matrix[3].tolist()}, expected [0, 0, 0, 1]")
+    rotation = matrix[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE):
+        raise InvalidInputError(name, "its rotation part is not orthonormal")
+    if np.linalg.det(rotation) < 0.0:
+        raise InvalidInputError(name, "its rotation part is a reflection")
+    return matrix
+
+
+def check_covariance(covariance: ArrayLike, size: int, name: str = "covariance") -> FloatArray:
+    """Return `covariance` as a symmetric float64 array after checking that it is one.
+
+    Args:
+        covariance: array-like, shape (size, size).
+        size: number of dimensions.
+        name: how an error names it.
+
+    Returns:
+        Symmetrised copy, shape (size, size), float64.
+
+    Raises:
+        InvalidInputError: wrong shape, not finite, not symmetric, or with a negative eigenvalue.
+    """
+    matrix = np.array(covariance, dtype=np.float64)
+    if matrix.shape != (size, size):
+        raise InvalidInputError(name, f"shape {matrix.shape}, expected ({size}, {size})")
+    if not np.isfinite(matrix).all():
+        raise InvalidInputError(name, "holds NaN or infinity")
+    scale = float(np.abs(matrix).max())
+    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-6 * scale):
+        raise InvalidInputError(name, "is not symmetric")
+    symmetric = 0.5 * (matrix + matrix.T)
+    smallest = float(np.linalg.eigvalsh(symmetric)[0])
+    if smallest < -1e-9 * scale:
+        raise InvalidInputError(name, f"has the negative eigenvalue {smallest:.3g}")
+    return symmetric
+
+
+def make_transform(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """Compose a transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def invert_transform(transform: FloatArray) -> FloatArray:
+    """Invert a rigid transform, shape (4, 4): ``T_b_a`` from ``T_a_b``."""
+    rotation = transform[:3, :3].T
+    return make_transform(rotation, -rotation @ transform[:3, 3])
+
+
+def transform_points(transform: FloatArray, points: ArrayLike) -> FloatArray:
+    """Take points, shape (..., 3) [m], through a transform, shape (4, 4)."""
+    coordinates = np.asarray(points, dtype=np.float64)
+    return coordinates @ transform[:3, :3].T + transform[:3, 3]
+
+
+def transform_from_quaternion(quaternion: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """Build a transform from a quaternion (x, y, z, w) and a translation (3,) [m].
+
+    A quaternion within 1 % of unit length is normalised, as messages carry rounded numbers.
+
+    Raises:
+        InvalidInputError: the quaternion or the translation is not finite or has a wrong shape,
+            or the quaternion's norm differs from one by more than 1 %.
+    """
+    numbers = np.array(quaternion, dtype=np.float64)
+    offset = np.array(translation, dtype=np.float64)
+    if numbers.shape != (4,):
+        raise InvalidInputError("quaternion", f"shape {numbers.shape}, expected (4,)")
+    if offset.shape != (3,) or not np.isfinite(offset).all():
+        raise InvalidInputError("translation", f"is {offset.tolist()}, expected 3 finite numbers")
+    norm = float(np.linalg.norm(numbers))
+    if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
+        raise InvalidInputError("quaternion", f"has norm {norm:.6g}, expected 1")
+    return make_transform(Rotation.from_quat(numbers).as_matrix(), offset)
+
+
+def quaternion_from_transform(transform: FloatArray) -> FloatArray:
+    """Rotation of a transform, shape (4, 4), as quaternion (x, y, z, w), shape (4,), w >= 0."""
+    return np.asarray(Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True))
+
+
+def skew(vector: ArrayLike) -> FloatArray:
+    """Cross-product matrix, shape (3, 3): ``skew(a) @ b == np.cross(a, b)``."""
+    x, y, z = np.asarray(vector, dtype=np.float64)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def perturb_transform(transform: FloatArray, perturbation: ArrayLike) -> FloatArray:
+    """Apply a pose error of the convention above.
+
+    Args:
+        transform: ``T_a_b``, shape (4, 4).
+        perturbation: (dx, dy, dz) [m] and rotation vector [rad], both in frame a, shape (6,).
+
+    Returns:
+        Perturbed ``T_a_b``, shape (4, 4).
+    """
+    delta = np.asarray(perturbation, dtype=np.float64)
+    rotation = Rotation.from_rotvec(delta[3:]).as_matrix() @ transform[:3, :3]
+    return make_transform(rotation, transform[:3, 3] + delta[:3])
+
+
+def interpolate_transforms(first: FloatArray, second: FloatArray, fraction: float) -> FloatArray:
+    """Interpolate between two transforms, shape (4, 4).
+
+    Translation linearly, rotation along the shortest arc (slerp).
+
+    Args:
+        first: transform at fraction 0.
+        second: transform at fraction 1.
+        fraction: within [0, 1].
+    """
+    rotations = Rotation.from_matrix(np.stack([first[:3, :3], second[:3, :3]]))
+    rotation = Slerp([0.0, 1.0], rotations)(fraction).as_matrix()
+    translation = (1.0 - fraction) * first[:3, 3] + fraction * second[:3, 3]
+    return make_transform(rotation, translation)

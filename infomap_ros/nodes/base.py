@@ -1,0 +1,179 @@
+"""What all nodes share: guarded inputs, diagnostics, and the main function.
+
+Errors of the library are translated here, once: the data are dropped, the drop is counted with its
+reason, and a throttled warning says what was wrong. Any other exception is a defect and ends the
+process.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+from infomap_ros.errors import (
+    CalibrationError,
+    CapacityError,
+    ConfigError,
+    FrameError,
+    InfomapError,
+    InvalidInputError,
+    MalformedMessageError,
+    MapFileError,
+    PoseUnavailableError,
+    RobotModelError,
+)
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.health import Health
+from infomap_ros.nodes.worker import Worker
+
+DIAGNOSTICS_PERIOD = 1.0  # [s]
+_REASONS: dict[type[InfomapError], str] = {
+    MalformedMessageError: "malformed message",
+    CalibrationError: "calibration",
+    FrameError: "wrong frame",
+    PoseUnavailableError: "no pose at the stamp",
+    CapacityError: "out of capacity",
+    InvalidInputError: "invalid data",
+    RobotModelError: "robot description",
+    MapFileError: "map file",
+}
+
+
+class MonitoredNode(Node):
+    """A node whose inputs are guarded and whose condition is published on /diagnostics.
+
+    Args:
+        name: default node name.
+        node_arguments: passed on to `rclpy.node.Node`, for example context.
+    """
+
+    def __init__(self, name: str, **node_arguments: Any) -> None:
+        super().__init__(name, **node_arguments)
+        self.health = Health()
+        self._workers: list[Worker] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+
+    def listen(
+        self,
+        message_type: type,
+        topic: str,
+        handle: Callable[[Any], None],
+        profile: QoSProfile,
+        *,
+        required: bool = True,
+    ) -> None:
+        """Subscribe; arrivals are counted, errors of the library become counted drops.
+
+        Args:
+            message_type: ROS message class.
+            topic: relative name.
+            handle: called with each message.
+            profile: quality of service, overridable by parameters.
+            required: whether its absence is worth a warning.
+        """
+        name = self.resolve_topic_name(topic)
+        latched = profile.durability == qos.latched().durability
+        self.health.watch(name, required=required, latched=latched)
+
+        def receive(message: Any) -> None:
+            self.health.arrived(name)
+            self.guard(name, lambda: handle(message))
+
+        self.create_subscription(
+            message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
+        )
+
+    def advertise(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
+        """Create a publisher whose quality of service parameters can override."""
+        return self.create_publisher(
+            message_type, topic, profile, qos_overriding_options=qos.overridable()
+        )
+
+    def start_worker(self, capacity: int) -> Worker:
+        """Start a thread for long work; jobs that give way are counted as drops."""
+        worker = Worker(self.get_name(), capacity, lambda: self.drop("too slow"))
+        self._workers.append(worker)
+        return worker
+
+    def guard(self, origin: str, action: Callable[[], None]) -> bool:
+        """Run an action; an error of the library becomes a counted drop.
+
+        Args:
+            origin: topic or task that the data belong to.
+            action: what to do.
+
+        Returns:
+            Whether the action succeeded.
+        """
+        try:
+            action()
+        except InfomapError as error:
+            self.drop(_REASONS.get(type(error), type(error).__name__), f"{origin}: {error}")
+            return False
+        return True
+
+    def drop(self, reason: str, detail: str = "") -> None:
+        """Count data that were not used, and say so at most every five seconds per reason."""
+        if self.health.dropped(reason, detail):
+            self.get_logger().warning(f"dropped ({reason}) {detail}".rstrip())
+
+    def destroy_node(self) -> None:
+        """Stop the workers, then the node."""
+        for worker in self._workers:
+            worker.stop()
+        super().destroy_node()
+
+    def _publish_diagnostics(self) -> None:
+        if not all(worker.alive for worker in self._workers):
+            raise RuntimeError("the worker thread has ended by an error, see above")
+        complaints = self.health.complaints()
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: data",
+            message="; ".join(complaints) or "ok",
+            hardware_id=self.get_fully_qualified_name(),
+            values=[KeyValue(key=k, value=v) for k, v in self.health.values().items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def run_node(factory: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
+    """Initialise ROS, spin one node in one thread until shut down, and clean up.
+
+    Args:
+        factory: makes the node; a ConfigError means that it does not start.
+        arguments: command line, default ``sys.argv``.
+
+    Returns:
+        Exit status: 0, or 2 when a parameter is impossible.
+    """
+    rclpy.init(args=None if arguments is None else list(arguments))
+    node = None
+    try:
+        node = factory()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except ConfigError as error:
+        print(f"fatal: not started: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

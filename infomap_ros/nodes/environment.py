@@ -1,0 +1,51 @@
+"""Environment variables under which the nodes run best: the one place that knows them.
+
+Launch files, `infomap_ros.nodes.demo` and the benchmarks start their processes with
+`process_environment`; a shell gets the same by ``eval "$(python -m infomap_ros.nodes.environment)"``.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Mapping
+
+from infomap_ros.geometry.resources import find_share
+
+_LARGEST_HEAP_BLOCK = 32 * 1024**2  # [bytes], the most that glibc accepts
+_HEAP_KEPT = 256 * 1024**2  # [bytes]
+
+
+def process_environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Environment for a process that runs a node.
+
+    What `base` already sets stays as it is. Added are:
+
+    - ``FASTRTPS_DEFAULT_PROFILES_FILE``: shared memory in which images and clouds fit.
+    - ``MALLOC_MMAP_THRESHOLD_``, ``MALLOC_TRIM_THRESHOLD_``: the C library keeps the memory of a
+      freed message for the next one instead of giving it back and clearing it anew.
+    - ``RMW_IMPLEMENTATION``: the middleware that the profile is for.
+
+    Args:
+        base: default the environment of this process.
+
+    Raises:
+        ResourceError: the profile is not installed.
+    """
+    environment = dict(os.environ if base is None else base)
+    return {**recommended(), **environment}
+
+
+def recommended() -> dict[str, str]:
+    """The variables that `process_environment` adds."""
+    return {
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(find_share("config/fastdds.xml")),
+        "MALLOC_MMAP_THRESHOLD_": str(_LARGEST_HEAP_BLOCK),
+        "MALLOC_TRIM_THRESHOLD_": str(_HEAP_KEPT),
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    }
+
+
+if __name__ == "__main__":
+    for name, value in recommended().items():
+        print(f"export {name}={shlex.quote(value)}")

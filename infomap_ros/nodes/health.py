@@ -1,0 +1,153 @@
+"""What a node knows of its own condition: rates and ages of inputs, dropped data, output rate.
+
+Ages are measured on the monotonic clock of the machine, so that a paused or looping bag does not
+confuse them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+STALE_AFTER = 5.0  # [s]
+WARNING_PERIOD = 5.0  # [s], between two log lines on the same reason
+_WINDOW = 50  # arrivals from which a rate is computed
+
+
+@dataclass
+class Stream:
+    """Arrivals on one topic.
+
+    Attributes:
+        topic: its full name.
+        required: whether the node cannot work without it.
+        latched: sent once; such a topic can be missing, never stale.
+        since: when watching began [s, monotonic].
+        arrivals: times of the last arrivals [s, monotonic].
+        count: number of all arrivals.
+    """
+
+    topic: str
+    required: bool
+    latched: bool
+    since: float
+    arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    count: int = 0
+
+    def rate(self, now: float) -> float:
+        """Mean rate of the last arrivals until now [Hz]; 0 below two arrivals."""
+        if len(self.arrivals) < 2:
+            return 0.0
+        span = max(now - self.arrivals[0], 1e-9)
+        return (len(self.arrivals) - 1) / span
+
+    def age(self, now: float) -> float:
+        """Time since the last arrival, or since watching began [s]."""
+        return now - (self.arrivals[-1] if self.arrivals else self.since)
+
+    def complaint(self, now: float) -> str | None:
+        """What is wrong with this input, in words; None when all is well."""
+        age = self.age(now)
+        if not self.required or age < STALE_AFTER:
+            return None
+        if not self.count:
+            return f"no message on {self.topic} yet ({age:.0f} s)"
+        return None if self.latched else f"no message on {self.topic} for {age:.0f} s"
+
+
+class Health:
+    """Counters of a node, safe to use from its callbacks and its worker.
+
+    Args:
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._streams: dict[str, Stream] = {}
+        self._drops: Counter[str] = Counter()
+        self._last_detail: dict[str, str] = {}
+        self._quiet_until: dict[str, float] = {}
+        self._reported: Counter[str] = Counter()
+        self._outputs = Stream("", required=False, latched=False, since=clock())
+
+    def watch(self, topic: str, *, required: bool, latched: bool = False) -> None:
+        """Expect messages on `topic`."""
+        self._streams[topic] = Stream(topic, required, latched, self._clock())
+
+    def arrived(self, topic: str) -> None:
+        """A message came on `topic`."""
+        with self._lock:
+            stream = self._streams[topic]
+            stream.arrivals.append(self._clock())
+            stream.count += 1
+
+    def produced(self) -> None:
+        """The node has made one of its results."""
+        with self._lock:
+            self._outputs.arrivals.append(self._clock())
+            self._outputs.count += 1
+
+    def dropped(self, reason: str, detail: str = "") -> bool:
+        """Count data that were not used.
+
+        Args:
+            reason: one of a few short names.
+            detail: what exactly was wrong.
+
+        Returns:
+            Whether it is time to log this reason again.
+        """
+        now = self._clock()
+        with self._lock:
+            self._drops[reason] += 1
+            self._last_detail[reason] = detail
+            if now < self._quiet_until.get(reason, now):
+                return False
+            self._quiet_until[reason] = now + WARNING_PERIOD
+        return True
+
+    def drops(self) -> dict[str, int]:
+        """Number of drops by reason."""
+        with self._lock:
+            return dict(self._drops)
+
+    def results(self) -> int:
+        """Number of results so far."""
+        return self._outputs.count
+
+    def missing(self) -> list[str]:
+        """Topics of required inputs on which nothing has come yet."""
+        return [s.topic for s in self._streams.values() if s.required and not s.count]
+
+    def complaints(self) -> list[str]:
+        """What is wrong now: inputs missing or stale, and what was dropped since the last call."""
+        now = self._clock()
+        with self._lock:
+            found = [s.complaint(now) for s in self._streams.values()]
+            recent = self._drops - self._reported
+            self._reported = self._drops.copy()
+        dropped = [f"dropped {count}: {reason}" for reason, count in recent.items()]
+        return [text for text in found if text is not None] + dropped
+
+    def values(self) -> dict[str, str]:
+        """All figures, for a diagnostic message."""
+        now = self._clock()
+        figures = {}
+        with self._lock:
+            for stream in self._streams.values():
+                figures[f"{stream.topic} rate [Hz]"] = f"{stream.rate(now):.2f}"
+                figures[f"{stream.topic} count"] = str(stream.count)
+                age = f"{stream.age(now):.2f}" if stream.count else "never"
+                figures[f"{stream.topic} age [s]"] = age
+            figures["results"] = str(self._outputs.count)
+            figures["results rate [Hz]"] = f"{self._outputs.rate(now):.2f}"
+            for reason, count in self._drops.items():
+                figures[f"dropped: {reason}"] = str(count)
+                if self._last_detail[reason]:
+                    figures[f"last drop: {reason}"] = self._last_detail[reason]
+        return figures

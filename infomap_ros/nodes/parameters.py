@@ -1,0 +1,87 @@
+"""Declare ROS parameters from configuration dataclasses.
+
+Description, unit, range and default come from the configuration class alone. All parameters are
+read-only: a node that runs has the configuration it was started with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from infomap_ros.geometry.config import ParameterInfo, parameters_of
+
+Config = TypeVar("Config")
+
+_LARGEST_INTEGER = 2**63 - 1
+_LARGEST_NUMBER = 1.7976931348623157e308
+
+
+def declare_config(node: Node, config_class: type[Config]) -> Config:
+    """Declare the fields of a configuration as parameters and read them.
+
+    Args:
+        node: the node; parameter overrides given to it apply.
+        config_class: a configuration whose fields are made by `geometry.config.parameter`.
+
+    Returns:
+        The validated configuration.
+
+    Raises:
+        ConfigError: a value has the wrong type or is out of range; it names the parameter.
+    """
+    fields = parameters_of(config_class)
+    values = {name: _given(node, name, default) for name, (default, _) in fields.items()}
+    config = config_class(**values)
+    for name, (default, info) in fields.items():
+        value = list(values[name]) if isinstance(default, tuple) else values[name]
+        node.declare_parameter(name, value, describe(default, info), ignore_override=True)
+    return config
+
+
+def describe(default: Any, info: ParameterInfo) -> ParameterDescriptor:
+    """Descriptor of a parameter: description with unit, choices, range."""
+    unit = f" [{info.unit}]" if info.unit else ""
+    descriptor = ParameterDescriptor(description=info.description + unit, read_only=True)
+    if info.choices:
+        descriptor.additional_constraints = info.expectation()
+    if info.low is None and info.high is None:
+        return descriptor
+    sample = default[0] if isinstance(default, tuple) and default else default
+    if isinstance(sample, int):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-_LARGEST_INTEGER if info.low is None else math.ceil(info.low),
+                to_value=_LARGEST_INTEGER if info.high is None else math.floor(info.high),
+            )
+        ]
+    else:
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-_LARGEST_NUMBER if info.low is None else float(info.low),
+                to_value=_LARGEST_NUMBER if info.high is None else float(info.high),
+            )
+        ]
+    return descriptor
+
+
+def _given(node: Node, name: str, default: Any) -> Any:
+    """What the user gave for a parameter, else its default; whole numbers fit where reals do."""
+    value = list(default) if isinstance(default, tuple) else default
+    peek = ParameterDescriptor(dynamic_typing=True)
+    given = node.declare_parameter(name, value, peek).value
+    node.undeclare_parameter(name)
+    if isinstance(default, tuple):
+        elements = given if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+        return tuple(_as_kind_of(default[0] if default else None, each) for each in elements)
+    return _as_kind_of(default, given)
+
+
+def _as_kind_of(default: Any, value: Any) -> Any:
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    return value

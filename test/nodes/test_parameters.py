@@ -1,0 +1,73 @@
+"""Parameters come from configuration classes and are validated by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.nodes.parameters import declare_config
+
+
+@dataclass(frozen=True)
+class Sample:
+    size: float = parameter(0.05, "Edge length.", unit="m", low=0.001, high=10.0)
+    count: int = parameter(3, "How many.", low=1)
+    mode: str = parameter("fast", "Which.", choices=("fast", "exact"))
+    use: bool = parameter(True, "Whether.")
+    names: tuple[str, ...] = parameter(("a", "b"), "Names.")
+    ranges: tuple[float, ...] = parameter((0.5, 4.0), "Near and far.", unit="m", low=0.0)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def test_defaults_are_those_of_the_class(graph: Any) -> None:
+    assert declare_config(graph.tester, Sample) == Sample()
+
+
+def test_given_values_arrive_and_whole_numbers_fit_reals(graph: Any) -> None:
+    node = graph.add(Node, "node", size=1, count=7, mode="exact", names=["x"], ranges=[1, 2])
+
+    expected = Sample(1.0, 7, "exact", True, ("x",), (1.0, 2.0))
+    assert declare_config(node, Sample) == expected
+    assert node.get_parameter("size").value == 1.0
+
+
+def test_descriptors_tell_description_unit_and_range(graph: Any) -> None:
+    declare_config(graph.tester, Sample)
+
+    size = graph.tester.describe_parameter("size")
+    assert size.description == "Edge length. [m]"
+    assert size.floating_point_range[0].from_value == 0.001
+    assert size.floating_point_range[0].to_value == 10.0
+    assert size.read_only
+    count = graph.tester.describe_parameter("count")
+    assert count.integer_range[0].from_value == 1
+    mode = graph.tester.describe_parameter("mode")
+    assert mode.additional_constraints == "one of fast, exact"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("size", 0.0),
+        ("size", float("nan")),
+        ("size", "big"),
+        ("count", 0),
+        ("count", 2.5),
+        ("mode", "slow"),
+        ("use", 1),
+        ("names", [1, 2]),
+        ("ranges", [-1.0]),
+    ],
+)
+def test_an_impossible_value_is_refused_by_name(graph: Any, name: str, value: Any) -> None:
+    node = graph.add(Node, "node", **{name: value})
+
+    with pytest.raises(ConfigError, match=f"'{name}'"):
+        declare_config(node, Sample)

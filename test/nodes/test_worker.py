@@ -1,0 +1,88 @@
+"""The worker does jobs in order, outside the caller's thread, from a bounded queue."""
+
+from __future__ import annotations
+
+import threading
+
+from infomap_ros.nodes.worker import Worker
+
+
+def blocked_worker(capacity: int) -> tuple[Worker, threading.Event, list[int]]:
+    """A worker that is busy until the event is set; the list counts overflows."""
+    overflows: list[int] = []
+    worker = Worker("test", capacity, lambda: overflows.append(1))
+    started, release = threading.Event(), threading.Event()
+
+    def block() -> None:
+        started.set()
+        release.wait(10.0)
+
+    worker.submit(block)
+    assert started.wait(10.0)
+    return worker, release, overflows
+
+
+def finish(worker: Worker, release: threading.Event) -> None:
+    done = threading.Event()
+    worker.submit_always(done.set)
+    release.set()
+    assert done.wait(10.0)
+    worker.stop()
+
+
+def test_jobs_are_done_in_order_in_another_thread() -> None:
+    worker, release, _ = blocked_worker(10)
+    done: list[tuple[int, int]] = []
+    for number in range(5):
+        worker.submit(lambda number=number: done.append((number, threading.get_ident())))
+
+    finish(worker, release)
+
+    assert [number for number, _ in done] == [0, 1, 2, 3, 4]
+    assert {ident for _, ident in done} != {threading.get_ident()}
+
+
+def test_a_full_queue_gives_up_its_oldest_jobs_and_says_so() -> None:
+    worker, release, overflows = blocked_worker(2)
+    done: list[int] = []
+    for number in range(5):
+        worker.submit(lambda number=number: done.append(number))
+
+    finish(worker, release)
+
+    assert done == [3, 4]
+    assert len(overflows) == 3
+
+
+def test_orders_never_give_way() -> None:
+    worker, release, overflows = blocked_worker(1)
+    done: list[str] = []
+    worker.submit_always(lambda: done.append("save"))
+    worker.submit(lambda: done.append("old"))
+    worker.submit(lambda: done.append("new"))
+
+    finish(worker, release)
+
+    assert done == ["save", "new"]
+    assert len(overflows) == 1
+
+
+def test_clear_forgets_data_but_not_orders() -> None:
+    worker, release, _ = blocked_worker(5)
+    done: list[str] = []
+    worker.submit(lambda: done.append("scan"))
+    worker.submit_always(lambda: done.append("save"))
+
+    assert worker.clear() == 1
+
+    finish(worker, release)
+    assert done == ["save"]
+
+
+def test_stop_ends_the_thread_after_the_job_at_hand() -> None:
+    worker, release, _ = blocked_worker(5)
+    release.set()
+
+    worker.stop()
+
+    assert not worker.alive

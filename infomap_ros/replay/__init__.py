@@ -1,0 +1,1 @@
+"""Bags, and the same records that live topics become."""

@@ -1,0 +1,136 @@
+"""Checked access to the fields of a message, whoever made the object.
+
+rosbags gives dataclasses whose sequences are numpy arrays, rclpy gives objects whose sequences are
+``array.array``, numpy arrays or lists. Both go through `MessageFields`, and whatever does not hold
+what its type promises ends as `MalformedMessageError`.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from numbers import Integral, Real
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import MalformedMessageError
+from infomap_ros.geometry.transforms import FloatArray
+
+_NANOSECONDS = 1_000_000_000
+_BYTE_CONTAINERS = (bytes, bytearray, memoryview, array.array)
+
+
+class MessageFields:
+    """The fields of one message (or of a message inside it).
+
+    Attributes:
+        message_type: ROS type name of the whole message, for errors.
+        path: where inside the message this part is, empty or ending in a dot.
+    """
+
+    def __init__(self, message: object, message_type: str, path: str = "") -> None:
+        self._message = message
+        self.message_type = message_type
+        self.path = path
+
+    def fail(self, problem: str) -> NoReturn:
+        """Raise `MalformedMessageError` for this message."""
+        raise MalformedMessageError(self.message_type, problem)
+
+    def value(self, *names: str) -> Any:
+        """The first field among `names` that exists (ROS 1 and 2 differ in a few names)."""
+        for name in names:
+            if hasattr(self._message, name):
+                return getattr(self._message, name)
+        self.fail(f"has no field {self.path}{names[0]}")
+
+    def child(self, name: str) -> MessageFields:
+        """A message inside this one."""
+        return MessageFields(self.value(name), self.message_type, f"{self.path}{name}.")
+
+    def children(self, name: str) -> list[MessageFields]:
+        """A sequence of messages inside this one."""
+        elements = self.value(name)
+        if not isinstance(elements, (list, tuple)):
+            self.fail(f"{self.path}{name} is not a sequence of messages")
+        return [
+            MessageFields(element, self.message_type, f"{self.path}{name}[{index}].")
+            for index, element in enumerate(elements)
+        ]
+
+    def text(self, name: str) -> str:
+        """A string."""
+        value = self.value(name)
+        if not isinstance(value, str):
+            self.fail(f"{self.path}{name} is {type(value).__name__}, expected a string")
+        return value
+
+    def integer(self, name: str, low: int = 0, high: int = 2**32 - 1) -> int:
+        """A whole number within [low, high]."""
+        value = self.value(name)
+        if not isinstance(value, (Integral, np.bool_)):
+            self.fail(f"{self.path}{name} is {type(value).__name__}, expected a whole number")
+        number = int(value)
+        if not low <= number <= high:
+            self.fail(f"{self.path}{name} is {number}, expected {low} to {high}")
+        return number
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        value = self.value(name)
+        try:
+            number = float(value) if isinstance(value, Real) else math.nan
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            self.fail(f"{self.path}{name} is {value!r}, expected a finite number")
+        return number
+
+    def numbers(self, *names: str, size: int | None = None) -> FloatArray:
+        """A sequence of finite numbers, shape (n,), float64; `size` is n where the type says so."""
+        value = self.value(*names)
+        try:
+            numbers = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise MalformedMessageError(
+                self.message_type, f"{self.path}{names[0]} is not a sequence of numbers"
+            ) from error
+        if numbers.ndim != 1 or (size is not None and len(numbers) != size):
+            expected = "a sequence" if size is None else f"{size} numbers"
+            self.fail(f"{self.path}{names[0]} has shape {numbers.shape}, expected {expected}")
+        if not np.isfinite(numbers).all():
+            self.fail(f"{self.path}{names[0]} holds NaN or infinity")
+        return numbers
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """A sequence of strings."""
+        value = self.value(name)
+        if not isinstance(value, (list, tuple)) or not all(isinstance(v, str) for v in value):
+            self.fail(f"{self.path}{name} is not a sequence of strings")
+        return tuple(value)
+
+    def data(self, name: str = "data") -> NDArray[np.uint8]:
+        """A byte sequence without a copy, shape (n,), uint8."""
+        value = self.value(name)
+        if isinstance(value, np.ndarray):
+            if value.dtype not in (np.uint8, np.int8) or value.ndim != 1:
+                self.fail(f"{self.path}{name} has type {value.dtype}, expected bytes")
+            return np.ascontiguousarray(value).view(np.uint8)
+        if isinstance(value, _BYTE_CONTAINERS):
+            if memoryview(value).itemsize != 1:
+                self.fail(f"{self.path}{name} does not hold bytes")
+            return np.frombuffer(value, dtype=np.uint8)
+        self.fail(f"{self.path}{name} is {type(value).__name__}, expected bytes")
+
+    def stamp(self, name: str = "stamp") -> int:
+        """A time [ns since the epoch of its clock]."""
+        time = self.child(name)
+        seconds = time.integer("sec", high=2**31 - 1)
+        return seconds * _NANOSECONDS + time.integer("nanosec", high=_NANOSECONDS - 1)
+
+    def header(self) -> tuple[int, str]:
+        """Stamp [ns] and frame of the header."""
+        header = self.child("header")
+        return header.stamp(), header.text("frame_id").lstrip("/")

@@ -1,7 +1,8 @@
 """Environment variables under which the nodes run best: the one place that knows them.
 
 Launch files, `infomap_ros.nodes.demo` and the benchmarks start their processes with
-`process_environment`; a shell gets the same by ``eval "$(python -m infomap_ros.nodes.environment)"``.
+`process_environment`; a shell gets the same by
+``eval "$(python -m infomap_ros.nodes.environment)"``.
 """
 
 from __future__ import annotations

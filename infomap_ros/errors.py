@@ -63,7 +63,19 @@ class FrameError(InfomapError, LookupError):
 
 
 class PoseUnavailableError(InfomapError, LookupError):
-    """No pose is known at the stamp that asks for one."""
+    """No pose is known at the stamp that asks for one.
+
+    Attributes:
+        reason: why, in a few fixed words, for counting.
+        may_arrive: True where a pose that is still to come can change that.
+    """
+
+    def __init__(
+        self, message: str, reason: str = "no pose at the stamp", may_arrive: bool = False
+    ) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.may_arrive = may_arrive
 
 
 class BagError(InfomapError):
@@ -80,3 +92,11 @@ class CapacityError(InfomapError, MemoryError):
 
 class RobotModelError(InfomapError, ValueError):
     """A robot description cannot be used: malformed URDF, unknown joint or frame."""
+
+
+class ResourceError(InfomapError, FileNotFoundError):
+    """A file that belongs to the package is not where it should be."""
+
+
+class SimulationError(InfomapError, RuntimeError):
+    """The simulation cannot run: no way to render, or a scene that cannot be built."""

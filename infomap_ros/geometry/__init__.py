@@ -6,6 +6,7 @@ from infomap_ros.geometry.camera import (
     StereoRig,
     rig_from_calibrations,
 )
+from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.records import (
     CameraInfoRecord,
     ImageRecord,
@@ -38,6 +39,7 @@ from infomap_ros.geometry.transforms import (
     transform_from_quaternion,
     transform_points,
 )
+from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 
 __all__ = [
     "Box",
@@ -51,6 +53,8 @@ __all__ = [
     "PinholeCamera",
     "PlacedSolid",
     "PointCloudRecord",
+    "PoseBuffer",
+    "PoseBufferConfig",
     "PoseRecord",
     "Record",
     "Solid",
@@ -58,6 +62,8 @@ __all__ = [
     "StereoRig",
     "TextRecord",
     "TransformRecord",
+    "WaitingQueue",
+    "WaitingQueueConfig",
     "check_covariance",
     "check_transform",
     "interpolate_transforms",

@@ -1,0 +1,159 @@
+"""Poses by time: what was the pose when this image was taken?"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+
+from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.records import PoseRecord
+from infomap_ros.geometry.transforms import FloatArray, interpolate_transforms
+
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class PoseBufferConfig:
+    """Configuration of `PoseBuffer`."""
+
+    max_gap: float = parameter(
+        0.5,
+        "Longest time between two poses across which a pose is interpolated.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    capacity: int = parameter(
+        2000, "Number of poses that are kept; the oldest goes first.", low=2, high=10_000_000
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class PoseBuffer:
+    """Stamped poses of one frame in another, in order of time, and the pose between two of them.
+
+    A pose is interpolated between two neighbours that are at most `max_gap` apart and never
+    extrapolated. The covariance of an interpolated pose is the same weighted mean of the two
+    covariances as the pose itself: whatever the correlation of the two errors, the covariance of
+    their weighted mean is not larger than that (convexity of the square). It is unknown where one
+    of them is. Motion between the two poses that is not uniform adds an error which this does not
+    hold; `max_gap` bounds it.
+
+    Going backwards in time: a pose that is older than the newest by at most `max_gap` is late
+    and is put in its place. One that is older than that says that the clock was set back (a bag
+    starts again), so all that was kept is forgotten first.
+    """
+
+    def __init__(self, config: PoseBufferConfig | None = None) -> None:
+        self.config = config or PoseBufferConfig()
+        self._max_gap = round(self.config.max_gap * _NANOSECONDS)
+        self._stamps: list[int] = []
+        self._poses: list[PoseRecord] = []
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    @property
+    def newest_stamp(self) -> int | None:
+        """Stamp of the newest pose [ns], None while there is none."""
+        return self._stamps[-1] if self._stamps else None
+
+    def clear(self) -> None:
+        """Forget all poses."""
+        self._stamps.clear()
+        self._poses.clear()
+
+    def add(self, pose: PoseRecord) -> bool:
+        """Keep a pose; one with the same stamp as another replaces it.
+
+        Returns:
+            True when time went backwards and everything older was forgotten.
+
+        Raises:
+            FrameError: it is expressed in another frame than the poses before.
+        """
+        jumped = bool(self._stamps) and pose.stamp < self._stamps[-1] - self._max_gap
+        if jumped:
+            self.clear()
+        if self._poses and pose.frame_id != self._poses[-1].frame_id:
+            raise FrameError(
+                f"pose is expressed in frame '{pose.frame_id}', "
+                f"the poses before in '{self._poses[-1].frame_id}'"
+            )
+        self._insert(pose)
+        return jumped
+
+    def _insert(self, pose: PoseRecord) -> None:
+        place = bisect_left(self._stamps, pose.stamp)
+        if place < len(self._stamps) and self._stamps[place] == pose.stamp:
+            self._poses[place] = pose
+            return
+        self._stamps.insert(place, pose.stamp)
+        self._poses.insert(place, pose)
+        if len(self._stamps) > self.config.capacity:
+            del self._stamps[0], self._poses[0]
+
+    def at(self, stamp: int) -> PoseRecord:
+        """The pose at a time.
+
+        Args:
+            stamp: [ns].
+
+        Returns:
+            The pose with that stamp, or the one interpolated between its neighbours.
+
+        Raises:
+            PoseUnavailableError: the stamp is older than the oldest pose, newer than the newest,
+                or between two poses more than `max_gap` apart. Its `reason` says which, and
+                `may_arrive` whether a later pose can change that.
+        """
+        place = bisect_left(self._stamps, stamp)
+        if place < len(self._stamps) and self._stamps[place] == stamp:
+            return self._poses[place]
+        if place == len(self._stamps):
+            raise self._not_yet(stamp)
+        if place == 0:
+            early = (self._stamps[0] - stamp) / _NANOSECONDS
+            raise PoseUnavailableError(
+                f"stamp {stamp} ns is {early:.3f} s before the first pose", "before the first pose"
+            )
+        return self._between(place, stamp)
+
+    def _not_yet(self, stamp: int) -> PoseUnavailableError:
+        if not self._stamps:
+            return PoseUnavailableError("no pose has arrived", "no pose", may_arrive=True)
+        late = (stamp - self._stamps[-1]) / _NANOSECONDS
+        return PoseUnavailableError(
+            f"stamp {stamp} ns is {late:.3f} s after the last pose",
+            "after the last pose",
+            may_arrive=True,
+        )
+
+    def _between(self, place: int, stamp: int) -> PoseRecord:
+        before, after = self._poses[place - 1], self._poses[place]
+        gap = after.stamp - before.stamp
+        if gap > self._max_gap:
+            raise PoseUnavailableError(
+                f"stamp {stamp} ns lies in a gap of {gap / _NANOSECONDS:.3f} s between two poses, "
+                f"more than {self.config.max_gap} s",
+                "gap between poses",
+            )
+        fraction = (stamp - before.stamp) / gap
+        return PoseRecord(
+            stamp,
+            before.frame_id,
+            interpolate_transforms(before.transform, after.transform, fraction),
+            _mean_covariance(before.covariance, after.covariance, fraction),
+            before.child_frame_id,
+        )
+
+
+def _mean_covariance(
+    first: FloatArray | None, second: FloatArray | None, fraction: float
+) -> FloatArray | None:
+    if first is None or second is None:
+        return None
+    return (1.0 - fraction) * first + fraction * second

@@ -93,8 +93,8 @@ class PinholeCamera:
         z = np.asarray(depth, dtype=np.float32)
         if z.shape != (self.height, self.width):
             raise CalibrationError(
-                f"depth image of {z.shape[1]}x{z.shape[0]} px does not fit the calibration "
-                f"for {self.width}x{self.height} px"
+                f"depth image of shape {z.shape} does not fit the calibration for "
+                f"{self.width}x{self.height} px, shape {(self.height, self.width)}"
             )
         x_per_z = ((np.arange(self.width) - self.cx) / self.fx).astype(np.float32)
         y_per_z = ((np.arange(self.height) - self.cy) / self.fy).astype(np.float32)
@@ -150,15 +150,19 @@ class StereoRig:
         """Depth z = fx * baseline / (d + principal_offset) [m]; NaN where that is not positive.
 
         Args:
-            disparity: ``u_left - u_right``, any shape [px].
+            disparity: ``u_left - u_right``, any shape [px]; NaN or infinite = no measurement.
         """
         shifted = np.asarray(disparity, dtype=np.float64) + self.principal_offset
-        return self.left.fx * self.baseline / np.where(shifted > 0.0, shifted, np.nan)
+        measured = (shifted > 0.0) & (shifted < np.inf)
+        return self.left.fx * self.baseline / np.where(measured, shifted, np.nan)
 
     def disparity_from_depth(self, depth: ArrayLike) -> FloatArray:
-        """Inverse of `depth_from_disparity`: disparity [px] for depth [m], any shape."""
+        """Inverse of `depth_from_disparity`: disparity [px] for depth [m], any shape.
+
+        NaN where depth is not positive.
+        """
         z = np.asarray(depth, dtype=np.float64)
-        return self.left.fx * self.baseline / z - self.principal_offset
+        return self.left.fx * self.baseline / np.where(z > 0.0, z, np.nan) - self.principal_offset
 
 
 def _identity() -> FloatArray:
@@ -182,6 +186,9 @@ class CameraCalibration:
         rectification: R, rotation from the raw to the rectified camera frame, shape (3, 3).
         projection: P of the rectified image, shape (3, 4) [px]; for a right camera
             ``P[0, 3] = -fx * baseline``. All zero where the camera is not calibrated.
+
+    Raises:
+        CalibrationError: a matrix has the wrong number of elements or is not finite.
     """
 
     width: int
@@ -195,7 +202,12 @@ class CameraCalibration:
     def __post_init__(self) -> None:
         shapes = {"intrinsics": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
         for name, shape in shapes.items():
-            matrix = np.array(getattr(self, name), dtype=np.float64).reshape(shape)
+            matrix = np.array(getattr(self, name), dtype=np.float64)
+            if matrix.size != shape[0] * shape[1]:
+                raise CalibrationError(
+                    f"camera calibration: {name} has shape {matrix.shape}, expected {shape}"
+                )
+            matrix = matrix.reshape(shape)
             if not np.isfinite(matrix).all():
                 raise CalibrationError(f"camera calibration: {name} holds NaN or infinity")
             object.__setattr__(self, name, matrix)

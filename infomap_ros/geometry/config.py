@@ -87,6 +87,8 @@ def check_config(config: Any) -> None:
     for name, (default, info) in parameters_of(config).items():
         value = getattr(config, name)
         if isinstance(default, tuple):
+            if not isinstance(value, tuple):
+                raise ConfigError(name, value, "a tuple")
             for element in value:
                 _check_value(name, element, default[0] if default else element, info)
         else:

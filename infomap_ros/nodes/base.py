@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -22,7 +22,6 @@ from rclpy.qos import QoSProfile
 from infomap_ros.errors import (
     CalibrationError,
     CapacityError,
-    ConfigError,
     FrameError,
     InfomapError,
     InvalidInputError,
@@ -33,7 +32,10 @@ from infomap_ros.errors import (
 )
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.health import Health
+from infomap_ros.nodes.parameters import declare_config
 from infomap_ros.nodes.worker import Worker
+
+Config = TypeVar("Config")
 
 DIAGNOSTICS_PERIOD = 1.0  # [s]
 _REASONS: dict[type[InfomapError], str] = {
@@ -54,15 +56,31 @@ class MonitoredNode(Node):
     Args:
         name: default node name.
         node_arguments: passed on to `rclpy.node.Node`, for example context.
+
+    Attributes:
+        CONFIGS: configuration classes of the node with the prefix of their parameters.
+
+    Raises:
+        ConfigError: a parameter has an impossible value.
     """
+
+    CONFIGS: ClassVar[tuple[tuple[type, str], ...]] = ()
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
         super().__init__(name, **node_arguments)
         self.health = Health()
+        self._configs: dict[type, Any] = {
+            kind: declare_config(self, kind, prefix) for kind, prefix in self.CONFIGS
+        }
         self._workers: list[Worker] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+
+    def config(self, kind: type[Config]) -> Config:
+        """The validated configuration of one of the classes in `CONFIGS`."""
+        found: Config = self._configs[kind]
+        return found
 
     def listen(
         self,
@@ -106,7 +124,7 @@ class MonitoredNode(Node):
         self._workers.append(worker)
         return worker
 
-    def guard(self, origin: str, action: Callable[[], None]) -> bool:
+    def guard(self, origin: str, action: Callable[[], object]) -> bool:
         """Run an action; an error of the library becomes a counted drop.
 
         Args:
@@ -154,11 +172,11 @@ def run_node(factory: Callable[[], Node], arguments: Sequence[str] | None = None
     """Initialise ROS, spin one node in one thread until shut down, and clean up.
 
     Args:
-        factory: makes the node; a ConfigError means that it does not start.
+        factory: makes the node; an error of the library means that it does not start.
         arguments: command line, default ``sys.argv``.
 
     Returns:
-        Exit status: 0, or 2 when a parameter is impossible.
+        Exit status: 0, or 2 when the node could not start.
     """
     rclpy.init(args=None if arguments is None else list(arguments))
     node = None
@@ -167,7 +185,7 @@ def run_node(factory: Callable[[], Node], arguments: Sequence[str] | None = None
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except ConfigError as error:
+    except InfomapError as error:
         print(f"fatal: not started: {error}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):

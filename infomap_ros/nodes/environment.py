@@ -34,19 +34,21 @@ def process_environment(base: Mapping[str, str] | None = None) -> dict[str, str]
         ResourceError: the profile is not installed.
     """
     environment = dict(os.environ if base is None else base)
-    return {**recommended(), **environment}
+    return {**environment, **additions(environment)}
 
 
-def recommended() -> dict[str, str]:
-    """The variables that `process_environment` adds."""
-    return {
+def additions(base: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The variables that `process_environment` adds to `base`."""
+    present = os.environ if base is None else base
+    wanted = {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(find_share("config/fastdds.xml")),
         "MALLOC_MMAP_THRESHOLD_": str(_LARGEST_HEAP_BLOCK),
         "MALLOC_TRIM_THRESHOLD_": str(_HEAP_KEPT),
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     }
+    return {name: value for name, value in wanted.items() if name not in present}
 
 
 if __name__ == "__main__":
-    for name, value in recommended().items():
+    for name, value in additions().items():
         print(f"export {name}={shlex.quote(value)}")

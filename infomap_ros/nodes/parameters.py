@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import ParameterInfo, parameters_of
 
 Config = TypeVar("Config")
@@ -21,12 +22,13 @@ _LARGEST_INTEGER = 2**63 - 1
 _LARGEST_NUMBER = 1.7976931348623157e308
 
 
-def declare_config(node: Node, config_class: type[Config]) -> Config:
+def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> Config:
     """Declare the fields of a configuration as parameters and read them.
 
     Args:
         node: the node; parameter overrides given to it apply.
         config_class: a configuration whose fields are made by `geometry.config.parameter`.
+        prefix: put before each parameter's name, for example ``poses.``.
 
     Returns:
         The validated configuration.
@@ -35,11 +37,15 @@ def declare_config(node: Node, config_class: type[Config]) -> Config:
         ConfigError: a value has the wrong type or is out of range; it names the parameter.
     """
     fields = parameters_of(config_class)
-    values = {name: _given(node, name, default) for name, (default, _) in fields.items()}
-    config = config_class(**values)
+    values = {name: _given(node, prefix + name, default) for name, (default, _) in fields.items()}
+    try:
+        config = config_class(**values)
+    except ConfigError as error:
+        raise ConfigError(prefix + error.parameter, error.value, error.expected) from error
     for name, (default, info) in fields.items():
         value = list(values[name]) if isinstance(default, tuple) else values[name]
-        node.declare_parameter(name, value, describe(default, info), ignore_override=True)
+        descriptor = describe(default, info)
+        node.declare_parameter(prefix + name, value, descriptor, ignore_override=True)
     return config
 
 

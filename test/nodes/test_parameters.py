@@ -71,3 +71,11 @@ def test_an_impossible_value_is_refused_by_name(graph: Any, name: str, value: An
 
     with pytest.raises(ConfigError, match=f"'{name}'"):
         declare_config(node, Sample)
+
+
+def test_a_prefix_keeps_configurations_apart(graph: Any) -> None:
+    node = graph.add(Node, "node", **{"near__size": 0.5, "far__size": 0.0})
+
+    assert declare_config(node, Sample, "near.").size == 0.5
+    with pytest.raises(ConfigError, match=r"'far\.size'"):
+        declare_config(node, Sample, "far.")

@@ -1,0 +1,170 @@
+"""The voxel map of map_fusion, with its file and its outputs. Used by one thread."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from infomap_ros.errors import MapFileError
+from infomap_ros.geometry import PointCloudRecord, PoseRecord
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_outputs import MapOutputs
+
+
+@dataclass(frozen=True)
+class MapKeeperConfig:
+    """Where the map is kept, and what stands in for what is unknown.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_file: str = parameter(
+        "infomap_map.npz", "File of ~/save and ~/load, relative to the working directory."
+    )
+    resume: bool = parameter(False, "Load map_file at the start, where there is one.")
+    default_position_sigma: float = parameter(
+        0.02,
+        "Standard deviation of the camera's position, along each axis, where camera_pose has no "
+        "covariance.",
+        unit="m",
+        low=0.0,
+        high=100.0,
+    )
+    default_rotation_sigma: float = parameter(
+        0.01,
+        "Standard deviation of the camera's rotation, about each axis, where camera_pose has no "
+        "covariance.",
+        unit="rad",
+        low=0.0,
+        high=3.2,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class MapKeeper:
+    """Integrates scans and keeps map file and outputs up to date.
+
+    Args:
+        node: has the configurations of keeper, outputs and map, and publishes.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._node = node
+        self._config = node.config(MapKeeperConfig)
+        self._outputs = MapOutputs(node)
+        self._path = Path(self._config.map_file).absolute()
+        self._map = VoxelMap(node.config(VoxelMapConfig))
+        self._map.track_changes(True)
+        self._stamp = 0
+        self._assumed = False
+
+    @property
+    def pictures_period(self) -> float:
+        """Shortest time between two pictures of the map [s]."""
+        return self._outputs.pictures_period
+
+    def prepare(self) -> None:
+        """Compile the kernels, and load the map file if the work is to be resumed.
+
+        Raises:
+            MapFileError: the map file cannot be used.
+        """
+        start = time.monotonic()
+        warm_up(self._map.config)
+        self._node.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
+        if self._config.resume and self._path.exists():
+            self._node.get_logger().info(self.load())
+
+    def integrate(self, cloud: PointCloudRecord, pose: PoseRecord) -> None:
+        """Add a scan and publish what it changed.
+
+        Raises:
+            InfomapError: the scan cannot be used; the map is as before.
+        """
+        camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
+        covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
+        self._map.integrate(cloud.points, pose.transform, cloud.covariances, covariance, camera)
+        self._stamp = cloud.stamp
+        self._outputs.publish_changes(self._map, self._stamp)
+
+    def publish_pictures(self) -> None:
+        """Publish voxel_map and projected_map where they are wanted and out of date."""
+        self._outputs.publish_pictures(self._map, self._stamp)
+
+    def save(self) -> str:
+        """Write the map file; returns a sentence.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        try:
+            self._map.save(self._path)
+        except OSError as error:
+            raise MapFileError(f"cannot write {self._path}: {error.strerror}") from error
+        return f"saved {self._map.known_voxels} voxels to {self._path}"
+
+    def load(self) -> str:
+        """Replace the map by that of the map file; returns a sentence.
+
+        Raises:
+            MapFileError: the file cannot be used; the map is as before.
+        """
+        loaded = VoxelMap.load(self._path)
+        sizes = loaded.config.voxel_size, self._map.config.voxel_size
+        if sizes[0] != sizes[1]:
+            raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
+        restored = VoxelMap.from_state(self._map.config, loaded.state())
+        restored.track_changes(True)
+        self._outputs.replace(self._map, restored, self._stamp)
+        self._map = restored
+        return f"loaded {self._map.known_voxels} voxels from {self._path}"
+
+    def reset(self) -> str:
+        """Forget the map; returns a sentence."""
+        count = self._map.known_voxels
+        empty = VoxelMap(self._map.config)
+        empty.track_changes(True)
+        self._outputs.replace(self._map, empty, self._stamp)
+        self._map = empty
+        return f"forgot {count} voxels"
+
+    def _assumed_covariance(self) -> FloatArray:
+        if not self._assumed:
+            self._assumed = True
+            self._node.get_logger().warning(
+                "camera_pose has no covariance: default_position_sigma and "
+                "default_rotation_sigma stand in for it"
+            )
+        sigmas = [self._config.default_position_sigma] * 3
+        sigmas += [self._config.default_rotation_sigma] * 3
+        return np.diag(np.square(sigmas))
+
+
+def warm_up(config: VoxelMapConfig) -> None:
+    """Use every kernel of a map once, so that it is compiled before the first message.
+
+    Args:
+        config: of the map that will be used.
+    """
+    depth = np.full((24, 32), min(1.0, 0.5 * config.max_range))
+    v, u = np.mgrid[0:24, 0:32]
+    slopes = np.stack([(u - 15.5) / 30.0, (v - 11.5) / 30.0, np.ones_like(depth)], axis=-1)
+    points = (slopes * depth[..., None]).astype(np.float32)
+    covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (24, 32, 3, 3))
+    trial = VoxelMap(config)
+    trial.track_changes(True)
+    camera = fit_pinhole_camera(points)
+    trial.integrate(points, np.eye(4), covariances, 1e-6 * np.eye(6), camera)
+    trial.integrate(points.reshape(-1, 3)[::16], np.eye(4))
+    trial.take_changes()
+    trial.voxels(), trial.gaussians()

@@ -1,0 +1,123 @@
+"""Guarded inputs, counted drops and diagnostics, over DDS."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import String
+
+from infomap_ros.errors import CalibrationError, ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode, run_node
+
+
+@dataclass(frozen=True)
+class EchoConfig:
+    prefix: str = parameter(">", "What comes first.", choices=(">", "<"))
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class EchoNode(MonitoredNode):
+    """Echoes what it hears; refuses the word ``bad``."""
+
+    CONFIGS = ((EchoConfig, ""),)
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("echo", **node_arguments)
+        self.heard: list[str] = []
+        self.listen(String, "words", self._on_word, qos.stream())
+        self.listen(String, "silence", self._on_word, qos.sensor_data())
+
+    def _on_word(self, message: String) -> None:
+        if message.data == "bad":
+            raise CalibrationError("bad word")
+        self.heard.append(self.config(EchoConfig).prefix + message.data)
+        self.health.produced()
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+def test_an_error_of_the_library_is_a_counted_drop_and_the_node_goes_on(graph: Any) -> None:
+    node = graph.add(EchoNode)
+    words = graph.publisher(String, "words")
+    graph.connect(words)
+
+    for word in ("one", "bad", "two"):
+        words.publish(String(data=word))
+
+    graph.spin_until(lambda: len(node.heard) == 2, "two words")
+    assert node.heard == [">one", ">two"]
+    assert node.health.drops() == {"calibration": 1}
+
+
+def test_diagnostics_tell_drops_rates_and_ages(graph: Any) -> None:
+    node = graph.add(EchoNode)
+    words = graph.publisher(String, "words")
+    arrays = graph.collect(DiagnosticArray, "/diagnostics")
+    graph.connect(words)
+    words.publish(String(data="bad"))
+    graph.spin_until(lambda: node.health.drops(), "a drop")
+
+    def found() -> list[DiagnosticStatus]:
+        name = node.get_fully_qualified_name()
+        statuses = [s for array in arrays for s in array.status if s.hardware_id == name]
+        return [s for s in statuses if "dropped: calibration" in values_of(s)]
+
+    graph.spin_until(found, "diagnostics with the drop")
+    status = found()[0]
+    values = values_of(status)
+    assert status.level == DiagnosticStatus.WARN
+    assert "dropped 1: calibration" in status.message
+    assert "bad word" in values["last drop: calibration"]
+    assert values[f"{graph.namespace}/words count"] == "1"
+    assert values[f"{graph.namespace}/silence age [s]"] == "never"
+
+
+def test_an_input_without_messages_is_named_in_diagnostics(graph: Any) -> None:
+    node = graph.add(EchoNode)
+    arrays = graph.collect(DiagnosticArray, "/diagnostics")
+
+    def complaints() -> str:
+        return " ".join(s.message for array in arrays for s in array.status)
+
+    graph.spin_until(lambda: f"{graph.namespace}/silence yet" in complaints(), "a complaint")
+    assert node.health.missing() == [f"{graph.namespace}/words", f"{graph.namespace}/silence"]
+
+
+def test_an_impossible_parameter_keeps_the_node_from_starting(graph: Any) -> None:
+    with pytest.raises(ConfigError, match="'prefix'"):
+        graph.add(EchoNode, prefix="?")
+
+
+def test_a_node_that_cannot_start_ends_with_one_line(capfd: pytest.CaptureFixture) -> None:
+    def refuse() -> Any:
+        raise ConfigError("rate", -1.0, "a positive number")
+
+    assert run_node(refuse, []) == 2
+    assert "parameter 'rate' is -1.0" in capfd.readouterr().err
+
+
+def test_a_defect_in_the_worker_ends_the_node(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    worker = graph.add(EchoNode).start_worker(1)
+    worker.submit(lambda: 1 / 0)
+
+    with pytest.raises(RuntimeError, match="worker"):
+        graph.spin_until(lambda: False, "the end", timeout=10.0)
+
+
+def test_quality_of_service_can_be_overridden(graph: Any) -> None:
+    topic = f"{graph.namespace}/silence"
+    graph.add(EchoNode, **{f"qos_overrides.{topic}.subscription.reliability": "reliable"})
+
+    (info,) = graph.tester.get_subscriptions_info_by_topic(topic)
+    assert info.qos_profile.reliability == qos.stream().reliability

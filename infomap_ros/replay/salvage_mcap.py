@@ -1,8 +1,8 @@
 """Reads an MCAP file from its beginning, without the index at its end.
 
 Layout from https://mcap.dev/spec: magic, then records of opcode (1 byte), length (8 bytes, little
-endian) and content. Chunks hold schemas, channels and messages, compressed. Schemas and channels are
-there again after the last chunk, which helps where a chunk is damaged.
+endian) and content. Chunks hold schemas, channels and messages, compressed. Schemas and channels
+are there again after the last chunk, which helps where a chunk is damaged.
 """
 
 from __future__ import annotations

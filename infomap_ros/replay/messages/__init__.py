@@ -61,6 +61,7 @@ from infomap_ros.replay.messages.products import (
     encode_disparity,
     encode_occupancy_grid,
 )
+from infomap_ros.replay.messages.raw import header_stamp
 from infomap_ros.replay.messages.types import (
     MessageTypes,
     RosbagsMessageTypes,
@@ -151,6 +152,7 @@ __all__ = [
     "encode_pose",
     "encode_text",
     "encode_transforms",
+    "header_stamp",
     "make_header",
     "make_time",
     "message_type_of",

@@ -1,0 +1,177 @@
+"""Compiled distance from points to a body; the public form is `body.body_mask`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SPHERE, BOX, CYLINDER, POLYTOPE = range(4)
+
+
+class SolidArrays(NamedTuple):
+    """Solids as plain arrays.
+
+    Attributes:
+        kinds: SPHERE, BOX, CYLINDER or POLYTOPE, shape (S,).
+        sizes: radius; half edges; radius and half length [m], shape (S, 3).
+        plane_starts: solid i has the planes [starts[i], starts[i + 1]), shape (S + 1,).
+        planes: outward unit normal and offset [m] of polytopes, shape (P, 4).
+        centres: origins of the solids [m], shape (S, 3).
+        rotations: from each solid's frame to that of the points, shape (S, 3, 3).
+        radii: of the bounding spheres [m], shape (S,).
+        middle: centre of a sphere that holds all bounding spheres [m], shape (3,).
+        reach: its radius [m].
+    """
+
+    kinds: NDArray[np.int64]
+    sizes: NDArray[np.float64]
+    plane_starts: NDArray[np.int64]
+    planes: NDArray[np.float64]
+    centres: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    reach: float
+
+
+@njit(cache=True, nogil=True)
+def mark(
+    solids: Any,
+    points: Any,
+    covariances: Any,
+    columns: Any,
+    margin: float,
+    sigmas: float,
+    unknown_variance: float,
+    mask: Any,
+) -> None:
+    """Mark points, shape (N, 3), that may lie on a solid.
+
+    Args:
+        solids: a `SolidArrays`.
+        points: shape (N, 3) [m].
+        covariances: shape (N, k), or (1, k) for all points [m^2].
+        columns: columns of xx, yy, zz, xy, xz, yz in `covariances`.
+        margin: growth of the solids [m].
+        sigmas: further growth, in standard deviations along the direction from the solid.
+        unknown_variance: along each axis, where a covariance is not finite [m^2].
+        mask: shape (N,), set where a point is marked.
+    """
+    local, normal, c = np.empty(3), np.empty(3), np.empty(6)
+    shared = len(covariances) == 1
+    for i in range(len(points)):
+        offset = _distance(points[i], solids.middle)
+        if math.isnan(offset):
+            continue
+        spread = _load_covariance(covariances[0 if shared else i], columns, unknown_variance, c)
+        growth = margin + sigmas * spread
+        if offset > solids.reach + growth:
+            continue
+        for s in range(len(solids.kinds)):
+            if _distance(points[i], solids.centres[s]) > solids.radii[s] + growth:
+                continue
+            _into_solid(points[i], solids.centres[s], solids.rotations[s], local)
+            if _touches(solids, s, local, c, margin, sigmas, normal):
+                mask[i] = True
+                break
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _distance(a: Any, b: Any) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _load_covariance(row: Any, columns: Any, unknown_variance: float, c: Any) -> float:
+    """Fill c = (xx, yy, zz, xy, xz, yz); returns a bound of the standard deviation [m]."""
+    total = 0.0
+    for k in range(6):
+        c[k] = row[columns[k]]
+        total += abs(c[k])
+    if not math.isfinite(total) or min(c[0], c[1], c[2]) < 0.0:
+        c[:3] = unknown_variance
+        c[3:] = 0.0
+    return math.sqrt(c[0] + c[1] + c[2])
+
+
+@njit(cache=True, nogil=True)
+def _into_solid(point: Any, centre: Any, rotation: Any, local: Any) -> None:
+    for j in range(3):
+        local[j] = 0.0
+        for k in range(3):
+            local[j] += rotation[k, j] * (point[k] - centre[k])
+
+
+@njit(cache=True, nogil=True)
+def _touches(
+    solids: Any, s: int, p: Any, c: Any, margin: float, sigmas: float, normal: Any
+) -> bool:
+    """Whether a point, in the solid's frame, is within the grown solid."""
+    kind, size, rotation = solids.kinds[s], solids.sizes[s], solids.rotations[s]
+    if kind == POLYTOPE:
+        for k in range(solids.plane_starts[s], solids.plane_starts[s + 1]):
+            plane = solids.planes[k]
+            distance = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
+            if distance > margin and distance > margin + sigmas * _sigma(plane, rotation, c):
+                return False
+        return True
+    if kind == SPHERE:
+        distance = _from_sphere(p, size, normal)
+    elif kind == BOX:
+        distance = _from_box(p, size, normal)
+    else:
+        distance = _from_cylinder(p, size, normal)
+    return bool(distance <= margin or distance <= margin + sigmas * _sigma(normal, rotation, c))
+
+
+@njit(cache=True, nogil=True)
+def _sigma(normal: Any, rotation: Any, c: Any) -> float:
+    """Standard deviation along a direction given in the solid's frame [m]."""
+    x = rotation[0, 0] * normal[0] + rotation[0, 1] * normal[1] + rotation[0, 2] * normal[2]
+    y = rotation[1, 0] * normal[0] + rotation[1, 1] * normal[1] + rotation[1, 2] * normal[2]
+    z = rotation[2, 0] * normal[0] + rotation[2, 1] * normal[1] + rotation[2, 2] * normal[2]
+    variance = c[0] * x * x + c[1] * y * y + c[2] * z * z
+    variance += 2.0 * (c[3] * x * y + c[4] * x * z + c[5] * y * z)
+    return math.sqrt(max(variance, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _from_sphere(p: Any, size: Any, normal: Any) -> float:
+    """Distance to a sphere, negative inside; outside, `normal` becomes its direction."""
+    radius = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    if radius > size[0]:
+        for k in range(3):
+            normal[k] = p[k] / radius
+    return float(radius - size[0])
+
+
+@njit(cache=True, nogil=True)
+def _from_box(p: Any, size: Any, normal: Any) -> float:
+    """Distance to a box, zero inside; outside, `normal` becomes its direction."""
+    square = 0.0
+    for k in range(3):
+        normal[k] = math.copysign(max(abs(p[k]) - size[k], 0.0), p[k])
+        square += normal[k] * normal[k]
+    distance = math.sqrt(square)
+    if distance > 0.0:
+        for k in range(3):
+            normal[k] /= distance
+    return distance
+
+
+@njit(cache=True, nogil=True)
+def _from_cylinder(p: Any, size: Any, normal: Any) -> float:
+    """Distance to a cylinder along z, zero inside; outside, `normal` becomes its direction."""
+    radius = math.sqrt(p[0] * p[0] + p[1] * p[1])
+    radial, axial = max(radius - size[0], 0.0), max(abs(p[2]) - size[1], 0.0)
+    distance = math.sqrt(radial * radial + axial * axial)
+    if distance > 0.0:
+        share = radial / (distance * radius) if radial > 0.0 else 0.0
+        normal[0], normal[1] = p[0] * share, p[1] * share
+        normal[2] = math.copysign(axial, p[2]) / distance
+    return distance

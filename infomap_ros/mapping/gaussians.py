@@ -1,0 +1,179 @@
+"""One Gaussian per surface voxel, in information form.
+
+A row holds the information matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and the information vector
+[1/m] of the surface point relative to the voxel's centre, float32. Merging two estimates is a sum
+(eq. 4 of Sujan and Dubowsky 2005, https://doi.org/10.1177/0278364905052391, in its symmetric form
+``C = (C1^-1 + C2^-1)^-1``), so the order of measurements does not matter.
+
+Voxels are found through an open-addressing table whose size need not be a power of two; it stays
+between 57 and 85 % full, and a voxel costs 40 bytes and its share of the table.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.errors import CapacityError
+from infomap_ros.mapping.blocks import grown
+from infomap_ros.mapping.keys import BLOCK_VOXELS, table_slot
+
+INFORMATION_SIZE = 9
+_MAX_LOAD = 0.85
+_MAX_BLOCKS = 2**32 // BLOCK_VOXELS
+
+
+class GaussianArrays(NamedTuple):
+    """The arrays of the Gaussians, as the kernels take them.
+
+    Attributes:
+        table: hash table, row or -1, int32.
+        owner: block slot * 512 + local voxel index of each row, uint32.
+        information: shape (n, 9), float32.
+        counts: used rows, int64, shape (1,).
+    """
+
+    table: NDArray[np.int32]
+    owner: NDArray[np.uint32]
+    information: NDArray[np.float32]
+    counts: NDArray[np.int64]
+
+
+def empty_gaussians() -> GaussianArrays:
+    """Arrays of a map without surface."""
+    return GaussianArrays(
+        np.full(512, -1, np.int32),
+        np.empty(256, np.uint32),
+        np.empty((256, INFORMATION_SIZE), np.float32),
+        np.zeros(1, np.int64),
+    )
+
+
+def with_gaussian_room(arrays: GaussianArrays, more: int, blocks: int) -> GaussianArrays:
+    """Arrays with room for `more` voxels, for a map of so many blocks.
+
+    Raises:
+        CapacityError: the map has more blocks than an owner can number.
+    """
+    if blocks > _MAX_BLOCKS:
+        raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
+    needed = int(arrays.counts[0]) + more
+    return arrays._replace(
+        owner=grown(arrays.owner, needed), information=grown(arrays.information, needed)
+    )
+
+
+def with_table_room(arrays: GaussianArrays) -> GaussianArrays:
+    """Arrays whose table is at most 85 % full, and not much emptier than that."""
+    count = int(arrays.counts[0])
+    if count + 1 <= _MAX_LOAD * len(arrays.table):
+        return arrays
+    size = max(512, int(1.5 * count / _MAX_LOAD))
+    table = np.full(size, -1, np.int32)
+    _rehash(table, arrays.owner, count)
+    return arrays._replace(table=table)
+
+
+def gaussian_bytes(arrays: GaussianArrays) -> int:
+    """Memory in use by the Gaussians [bytes]; the hash table counts in full."""
+    return int(arrays.table.nbytes + arrays.counts[0] * (4 + 4 * INFORMATION_SIZE))
+
+
+@njit(cache=True, nogil=True)
+def _rehash(table: Any, owner: Any, count: int) -> None:
+    for row in range(count):
+        place = table_slot(np.int64(owner[row]), len(table))
+        while table[place] >= 0:
+            place += 1
+            if place == len(table):
+                place = 0
+        table[place] = row
+
+
+@njit(cache=True, nogil=True)
+def find_gaussian(gaussians: Any, owner: int) -> int:
+    """Row of a voxel's Gaussian, or -1."""
+    place = table_slot(owner, len(gaussians.table))
+    while True:
+        row = gaussians.table[place]
+        if row < 0 or gaussians.owner[row] == owner:
+            return row
+        place += 1
+        if place == len(gaussians.table):
+            place = 0
+
+
+@njit(cache=True, nogil=True)
+def merge_gaussian(gaussians: Any, owner: int, information: Any) -> bool:
+    """Add an estimate, shape (9,), to a voxel's Gaussian.
+
+    Returns:
+        False, with nothing changed, when the voxel is new and the table is full.
+    """
+    place = table_slot(owner, len(gaussians.table))
+    while True:
+        row = gaussians.table[place]
+        if row < 0:
+            count = gaussians.counts[0]
+            if count + 1 > _MAX_LOAD * len(gaussians.table):
+                return False
+            gaussians.counts[0] = count + 1
+            gaussians.table[place] = count
+            gaussians.owner[count] = owner
+            for i in range(INFORMATION_SIZE):
+                gaussians.information[count, i] = information[i]
+            return True
+        if gaussians.owner[row] == owner:
+            for i in range(INFORMATION_SIZE):
+                gaussians.information[row, i] += information[i]
+            return True
+        place += 1
+        if place == len(gaussians.table):
+            place = 0
+
+
+@njit(cache=True, nogil=True)
+def invert_symmetric(a: Any, out: Any) -> bool:
+    """Invert a symmetric positive definite 3x3 matrix given as (xx, xy, xz, yy, yz, zz).
+
+    Returns:
+        False, with `out` undefined, when the matrix is not positive definite.
+    """
+    xx, xy, xz, yy, yz, zz = a[0], a[1], a[2], a[3], a[4], a[5]
+    minor = xx * yy - xy * xy
+    c0 = yy * zz - yz * yz
+    c1 = xz * yz - xy * zz
+    c2 = xy * yz - xz * yy
+    determinant = xx * c0 + xy * c1 + xz * c2
+    if not (xx > 0.0 and minor > 0.0 and determinant > 0.0):
+        return False
+    scale = 1.0 / determinant
+    out[0] = c0 * scale
+    out[1] = c1 * scale
+    out[2] = c2 * scale
+    out[3] = (xx * zz - xz * xz) * scale
+    out[4] = (xy * xz - xx * yz) * scale
+    out[5] = minor * scale
+    return True
+
+
+@njit(cache=True, nogil=True)
+def solve_mean(information: Any, covariance: Any, mean: Any) -> bool:
+    """Covariance (6,) and mean (3,) relative to the voxel's centre from a row, shape (9,).
+
+    Returns:
+        False when the information is not positive definite.
+    """
+    matrix = np.empty(6)
+    for i in range(6):
+        matrix[i] = information[i]
+    if not invert_symmetric(matrix, covariance):
+        return False
+    x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
+    mean[0] = covariance[0] * x + covariance[1] * y + covariance[2] * z
+    mean[1] = covariance[1] * x + covariance[3] * y + covariance[4] * z
+    mean[2] = covariance[2] * x + covariance[4] * y + covariance[5] * z
+    return True

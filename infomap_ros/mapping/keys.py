@@ -1,0 +1,48 @@
+"""Packed voxel and block coordinates, and their hashing.
+
+Three 21-bit coordinates share one int64. A block is a cube of 8 x 8 x 8 voxels; the local index
+of a voxel in its block is ``x + 8 y + 64 z``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+BLOCK_BITS = 3
+BLOCK_SIDE = 1 << BLOCK_BITS
+BLOCK_VOXELS = BLOCK_SIDE**3
+COORDINATE_LIMIT = 1 << 20
+"""Voxel indices lie in [-COORDINATE_LIMIT, COORDINATE_LIMIT)."""
+
+_MASK = (1 << 21) - 1
+_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+
+
+@njit(cache=True, nogil=True)
+def pack(x: int, y: int, z: int) -> int:
+    """Pack three coordinates within the limit into one key."""
+    limit = COORDINATE_LIMIT
+    return ((x + limit) << 42) | ((y + limit) << 21) | (z + limit)
+
+
+@njit(cache=True, nogil=True)
+def unpack(key: int) -> tuple[int, int, int]:
+    """Inverse of `pack`."""
+    limit = COORDINATE_LIMIT
+    return (key >> 42) - limit, ((key >> 21) & _MASK) - limit, (key & _MASK) - limit
+
+
+@njit(cache=True, nogil=True)
+def table_slot(key: int, size: int) -> Any:
+    """First slot of `key` in an open-addressing table of any `size` (multiply-shift)."""
+    mixed = (np.uint64(key) * _MULTIPLIER) >> np.uint64(32)
+    return np.int64((mixed * np.uint64(size)) >> np.uint64(32))
+
+
+@njit(cache=True, nogil=True)
+def local_index(x: int, y: int, z: int) -> int:
+    """Index of a voxel within its block, from its voxel coordinates."""
+    return (x & 7) | ((y & 7) << 3) | ((z & 7) << 6)

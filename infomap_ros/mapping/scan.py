@@ -1,0 +1,325 @@
+"""One scan, gathered by voxel before it meets the map.
+
+The points of one scan share the error of the sensor's pose. They are therefore averaged per voxel
+first, and count as one observation of that voxel.
+
+A point informs every voxel that it may belong to: those which the segment from ``-k sigma`` to
+``+k sigma`` along the surface normal crosses, sigma being the standard deviation along the normal
+of point and pose together. Were each point given to the one voxel in which noise put it, the noise
+would select itself: voxels beside the surface would collect only the outliers, agreeing with each
+other, and report them as certain.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.mapping.keys import COORDINATE_LIMIT, pack, table_slot, unpack
+
+POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
+"""Columns of `ScanRows.sums`: number of points, sums of their offset from the voxel's centre [m],
+of their covariance in the sensor frame (xx, xy, xz, yy, yz, zz) [m^2], of their unit normals in
+the map frame, and the number of points that lie in the voxel itself."""
+
+SUM_COLUMNS = 16
+
+GROUP_SIZE = 13
+
+
+class ScanRows(NamedTuple):
+    """Scratch storage of a scan: one row per voxel.
+
+    Attributes:
+        table: hash table, row or -1, int32.
+        keys: packed voxel index of each row, int64.
+        sums: shape (n, 16), float32; columns above.
+        used: number of rows, int64, shape (1,).
+    """
+
+    table: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    sums: NDArray[np.float32]
+    used: NDArray[np.int64]
+
+
+class Sensor(NamedTuple):
+    """Where the sensor is and how well that is known, for the kernels.
+
+    Attributes:
+        rotation: R of T_map_sensor, row by row.
+        position: t of T_map_sensor [m].
+        inverse_size: 1 / voxel size [1/m].
+        size: voxel size [m].
+        max_range: [m].
+        sigmas: association distance in standard deviations.
+        limit: limit of the association distance [voxels].
+    """
+
+    rotation: tuple[float, ...]
+    position: tuple[float, ...]
+    inverse_size: float
+    size: float
+    max_range: float
+    sigmas: float
+    limit: float
+
+
+def empty_rows(capacity: int = 1 << 15) -> ScanRows:
+    """Scratch storage with room for `capacity` voxels."""
+    return ScanRows(
+        np.full(2 * capacity, -1, np.int32),
+        np.empty(capacity, np.int64),
+        np.empty((capacity, SUM_COLUMNS), np.float32),
+        np.zeros(1, np.int64),
+    )
+
+
+def clear_rows(rows: ScanRows) -> None:
+    """Forget the rows, keep the storage."""
+    rows.table.fill(-1)
+    rows.used[0] = 0
+
+
+@njit(cache=True, nogil=True)
+def row_of(rows: Any, key: int) -> Any:
+    """Row of a voxel, made if need be; -1 when the storage is full."""
+    place = table_slot(key, len(rows.table))
+    while True:
+        row = rows.table[place]
+        if row < 0:
+            break
+        if rows.keys[row] == key:
+            return np.int64(row)
+        place += 1
+        if place == len(rows.table):
+            place = 0
+    count = rows.used[0]
+    if count == len(rows.keys):
+        return np.int64(-1)
+    rows.used[0] = count + 1
+    rows.table[place] = count
+    rows.keys[count] = key
+    for i in range(SUM_COLUMNS):
+        rows.sums[count, i] = 0.0
+    return count
+
+
+@njit(cache=True, nogil=True)
+def axis_start(position: float, direction: float, cell: int) -> tuple[int, float, float]:
+    """Step, parameter of the first crossing and its increment along one axis of a traversal."""
+    if direction > 0.0:
+        return 1, (cell + 1 - position) / direction, 1.0 / direction
+    if direction < 0.0:
+        return -1, (cell - position) / direction, -1.0 / direction
+    return 0, np.inf, np.inf
+
+
+@njit(cache=True, nogil=True)
+def variance_along(covariances: Any, row: int, columns: Any, x: float, y: float, z: float) -> float:
+    """Variance of a point along a direction; covariance in any layout named by `columns`."""
+    xx, xy, xz = (
+        covariances[row, columns[0]],
+        covariances[row, columns[1]],
+        covariances[row, columns[2]],
+    )
+    yy, yz, zz = (
+        covariances[row, columns[3]],
+        covariances[row, columns[4]],
+        covariances[row, columns[5]],
+    )
+    return xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
+
+
+@njit(cache=True, nogil=True)
+def rotated(r: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Rotate a vector by a rotation given row by row."""
+    return (
+        r[0] * x + r[1] * y + r[2] * z,
+        r[3] * x + r[4] * y + r[5] * z,
+        r[6] * x + r[7] * y + r[8] * z,
+    )
+
+
+@njit(cache=True, nogil=True)
+def pose_variance_along(pose_covariance: Any, arm: Any, direction: Any) -> float:
+    """Variance that the pose's error gives a point along a direction, both in the map frame.
+
+    Args:
+        pose_covariance: shape (6, 6).
+        arm: point relative to the sensor's position [m].
+        direction: unit vector.
+    """
+    v = (
+        direction[0],
+        direction[1],
+        direction[2],
+        arm[1] * direction[2] - arm[2] * direction[1],
+        arm[2] * direction[0] - arm[0] * direction[2],
+        arm[0] * direction[1] - arm[1] * direction[0],
+    )
+    total = 0.0
+    for i in range(6):
+        for j in range(6):
+            total += v[i] * pose_covariance[i, j] * v[j]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def set_reach(
+    sensor: Any,
+    pose_covariance: Any,
+    x: float,
+    y: float,
+    z: float,
+    covariances: Any,
+    row: int,
+    columns: Any,
+    direction: Any,
+    reach: Any,
+    axis: Any,
+) -> None:
+    """Association segment of a point.
+
+    Args:
+        sensor: a `Sensor`.
+        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
+        x: of the point, sensor frame [m], likewise y and z.
+        y: see x.
+        z: see x.
+        covariances: of the points, sensor frame.
+        row: of the point in `covariances`.
+        columns: layout of `covariances`.
+        direction: unit vector of the segment, sensor frame, shape (3,).
+        reach: receives half the segment in the map frame, shape (3,) [voxels].
+        axis: receives the direction in the map frame, shape (3,).
+    """
+    r = sensor.rotation
+    axis[0], axis[1], axis[2] = rotated(r, direction[0], direction[1], direction[2])
+    arm = rotated(r, x, y, z)
+    variance = variance_along(covariances, row, columns, direction[0], direction[1], direction[2])
+    variance += pose_variance_along(pose_covariance, arm, axis)
+    length = sensor.sigmas * np.sqrt(max(variance, 0.0)) * sensor.inverse_size
+    length = min(length, sensor.limit)
+    for i in range(3):
+        reach[i] = axis[i] * length
+
+
+@njit(cache=True, nogil=True)
+def voxel_position(sensor: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Map position of a point of the sensor frame [m], in voxels."""
+    t, inverse = sensor.position, sensor.inverse_size
+    mx, my, mz = rotated(sensor.rotation, x, y, z)
+    return (mx + t[0]) * inverse, (my + t[1]) * inverse, (mz + t[2]) * inverse
+
+
+@njit(cache=True, nogil=True)
+def within_limit(x: float, y: float, z: float) -> bool:
+    """Whether a position, in voxels, and its surroundings can be packed into keys."""
+    return max(abs(x), max(abs(y), abs(z))) < COORDINATE_LIMIT - 128.0
+
+
+@njit(cache=True, nogil=True)
+def start_group(group: Any, i: float, j: float, k: float) -> None:
+    """Begin the group of voxel (i, j, k).
+
+    A group are consecutive points that lie in one voxel and share one normal and reach. It holds
+    the number of points, the voxel (3), the sums of the points' offsets from the voxel's centre
+    [voxels] (3) and of their covariances [m^2] (6).
+    """
+    group[1], group[2], group[3] = i, j, k
+    for n in range(4, GROUP_SIZE):
+        group[n] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def flush_group(rows: Any, sensor: Any, reach: Any, axis: Any, group: Any) -> bool:
+    """Give a group to every voxel it may belong to; False when the storage is full."""
+    count = group[0]
+    if count == 0.0:
+        return True
+    group[0] = 0.0
+    i, j, k = int(group[1]), int(group[2]), int(group[3])
+    ox, oy, oz = group[4] / count, group[5] / count, group[6] / count
+    if (
+        abs(ox) + abs(reach[0]) < 0.5
+        and abs(oy) + abs(reach[1]) < 0.5
+        and abs(oz) + abs(reach[2]) < 0.5
+    ):
+        return _add_group(rows, sensor.size, i, j, k, 0, 0, 0, axis, group, count)
+    px, py, pz = ox + 0.5, oy + 0.5, oz + 0.5
+    x, y, z = px - reach[0], py - reach[1], pz - reach[2]
+    di, dj, dk = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    step_x, next_x, delta_x = axis_start(x, 2.0 * reach[0], di)
+    step_y, next_y, delta_y = axis_start(y, 2.0 * reach[1], dj)
+    step_z, next_z, delta_z = axis_start(z, 2.0 * reach[2], dk)
+    while True:
+        if not _add_group(rows, sensor.size, i, j, k, di, dj, dk, axis, group, count):
+            return False
+        leave = min(next_x, min(next_y, next_z))
+        if leave > 1.0:
+            return True
+        if next_x == leave:
+            di += step_x
+            next_x += delta_x
+        elif next_y == leave:
+            dj += step_y
+            next_y += delta_y
+        else:
+            dk += step_z
+            next_z += delta_z
+
+
+@njit(cache=True, nogil=True)
+def _add_group(
+    rows: Any,
+    size: float,
+    i: int,
+    j: int,
+    k: int,
+    di: int,
+    dj: int,
+    dk: int,
+    axis: Any,
+    group: Any,
+    count: float,
+) -> bool:
+    """Add a group of voxel (i, j, k) to the row of voxel (i + di, j + dj, k + dk)."""
+    row = row_of(rows, pack(i + di, j + dj, k + dk))
+    if row < 0:
+        return False
+    sums = rows.sums
+    sums[row, 0] += count
+    sums[row, 1] += (group[4] - di * count) * size
+    sums[row, 2] += (group[5] - dj * count) * size
+    sums[row, 3] += (group[6] - dk * count) * size
+    for n in range(6):
+        sums[row, 4 + n] += group[7 + n]
+    sums[row, 10] += axis[0] * count
+    sums[row, 11] += axis[1] * count
+    sums[row, 12] += axis[2] * count
+    if di == 0 and dj == 0 and dk == 0:
+        sums[row, 13] += count
+    return True
+
+
+@njit(cache=True, nogil=True)
+def merge_rows(source: Any, target: Any) -> bool:
+    """Add the rows of one scan part to another; False when the target's storage is full."""
+    for row in range(source.used[0]):
+        place = row_of(target, source.keys[row])
+        if place < 0:
+            return False
+        for i in range(SUM_COLUMNS):
+            target.sums[place, i] += source.sums[row, i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def row_centre(key: int, size: float, centre: Any) -> None:
+    """Centre of a voxel [m] from its key."""
+    x, y, z = unpack(key)
+    centre[0], centre[1], centre[2] = (x + 0.5) * size, (y + 0.5) * size, (z + 0.5) * size

@@ -1,0 +1,139 @@
+"""Writing a scan into the map: evidence into blocks, observations into Gaussians.
+
+Each voxel changes at most once per scan: by its hit where the scan saw a surface in it, else by a
+miss where the scan saw through it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from infomap_ros.mapping.block_kernels import (
+    add_quanta,
+    add_quanta_to_all,
+    find_or_add_block,
+    make_room,
+    mark_dirty,
+)
+from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN
+from infomap_ros.mapping.gaussians import merge_gaussian
+from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
+
+_ONE = np.uint64(1)
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@njit(cache=True, nogil=True)
+def enter_rows(
+    blocks: Any, rows: Any, hits: Any, hit_row: Any, hit_bits: Any, owners: Any, down: int, up: int
+) -> int:
+    """Make the blocks of a scan's rows and add the hits.
+
+    Args:
+        blocks: a `BlockArrays` with room for a block and a plane per row.
+        rows: a `ScanRows`.
+        hits: evidence of each row [quanta].
+        hit_row: per block the row of `hit_bits` or -1, all -1 before.
+        hit_bits: receives a bit per voxel with a hit, uint64, shape (rows, 8), zero before.
+        owners: receives the voxel of each row as the Gaussians number it, int64.
+        down: largest decrease of a voxel in this scan [quanta].
+        up: largest increase of a voxel in this scan [quanta].
+
+    Returns:
+        Number of blocks with a hit.
+    """
+    hit_blocks = 0
+    last_key, slot = np.int64(-1), np.int64(-1)
+    for row in range(rows.used[0]):
+        x, y, z = unpack(rows.keys[row])
+        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        if key != last_key:
+            slot = np.int64(find_or_add_block(blocks, key))
+            last_key = key
+        local = local_index(x, y, z)
+        owners[row] = slot * BLOCK_VOXELS + local
+        if hits[row] == 0:
+            continue
+        if hit_row[slot] < 0:
+            hit_row[slot] = hit_blocks
+            hit_blocks += 1
+            make_room(blocks, slot, down, up)
+        hit_bits[hit_row[slot], local >> 6] |= _ONE << np.uint64(local & 63)
+        add_quanta(blocks, slot, local, hits[row])
+    return hit_blocks
+
+
+@njit(cache=True, nogil=True)
+def merge_rows_into_map(
+    blocks: Any, gaussians: Any, owners: Any, information: Any, first: int, last: int
+) -> int:
+    """Merge the observations of rows [first, last) into the Gaussians.
+
+    Returns:
+        First row that was not merged because the table is full, or `last`.
+    """
+    for row in range(first, last):
+        if information[row, 0] > 0.0:
+            if not merge_gaussian(gaussians, owners[row], information[row]):
+                return row
+            mark_dirty(blocks, owners[row] >> 9, owners[row] & 511)
+    return last
+
+
+@njit(cache=True, nogil=True)
+def free_voxels(
+    blocks: Any, coordinates: Any, bits: Any, count: int, hit_row: Any, hit_bits: Any, miss: int
+) -> None:
+    """Add a miss to every voxel that the scan sees through and does not hit.
+
+    Args:
+        blocks: a `BlockArrays` with room for `count` blocks and planes.
+        coordinates: of the blocks, shape (n, 3).
+        bits: free voxels of each block, uint64, shape (n, 8).
+        count: number of blocks.
+        hit_row: per block the row of `hit_bits` or -1.
+        hit_bits: voxels with a hit.
+        miss: evidence of a miss [quanta].
+    """
+    for i in range(count):
+        anything, everything = np.uint64(0), _ALL
+        for word in range(8):
+            anything |= bits[i, word]
+        if anything == 0:
+            continue
+        key = pack(coordinates[i, 0], coordinates[i, 1], coordinates[i, 2])
+        slot = find_or_add_block(blocks, key)
+        if hit_row[slot] >= 0:
+            anything = np.uint64(0)
+            for word in range(8):
+                bits[i, word] &= ~hit_bits[hit_row[slot], word]
+                anything |= bits[i, word]
+        for word in range(8):
+            everything &= bits[i, word]
+        if everything == _ALL:
+            add_quanta_to_all(blocks, slot, miss)
+        elif anything:
+            make_room(blocks, slot, -miss, 0)
+            _free_some(blocks, slot, bits[i], miss)
+
+
+@njit(cache=True, nogil=True)
+def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
+    if blocks.kind[slot] == NARROW and len(blocks.dirty) == 0:
+        plane = blocks.narrow[blocks.plane[slot]]
+        origin = np.int8(-blocks.base[slot])
+        step = np.int8(miss)
+        for word in range(8):
+            pattern = bits[word]
+            for i in range(64):
+                delta = plane[word * 64 + i]
+                old = origin if delta == NARROW_UNKNOWN else delta
+                is_free = (pattern >> np.uint64(i)) & _ONE
+                plane[word * 64 + i] = np.int8(old + step) if is_free else delta
+        return
+    for local in range(BLOCK_VOXELS):
+        if (bits[local >> 6] >> np.uint64(local & 63)) & _ONE:
+            add_quanta(blocks, slot, local, miss)

@@ -1,0 +1,313 @@
+"""The probabilistic voxel map."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import queries, traversal
+from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
+from infomap_ros.mapping.integration import IntegrationReport, MapStorage, ScanIntegrator
+from infomap_ros.mapping.keys import BLOCK_SIDE
+from infomap_ros.mapping.scan_input import checked_scan
+from infomap_ros.mapping.state import storage_from_state, storage_state
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelChanges:
+    """Voxels that changed since they were last asked for; absolute values, not differences.
+
+    Attributes:
+        indices: voxel indices, shape (K, 3), int32.
+        log_odds: occupancy evidence in units of LOG_ODDS_QUANTUM, clipped to +-
+            SHARED_LOG_ODDS_LIMIT, shape (K,), int8.
+        has_gaussian: whether the voxel holds a surface, shape (K,), bool.
+        means: of the surface point, shape (K, 3) [m]; NaN where there is none.
+        covariances: shape (K, 3, 3) [m^2]; NaN where there is none.
+    """
+
+    indices: NDArray[np.int32]
+    log_odds: NDArray[np.int8]
+    has_gaussian: NDArray[np.bool_]
+    means: FloatArray
+    covariances: FloatArray
+
+
+class VoxelMap:
+    """Sparse, unbounded map: occupancy everywhere it was looked, a Gaussian where a surface is.
+
+    Voxel (i, j, k) is the cube from ``(i, j, k) * voxel_size`` to ``(i + 1, j + 1, k + 1) *
+    voxel_size`` in the map frame [m]. Scans may come in any order: occupancy is the same to the
+    bit, Gaussians within rounding.
+    """
+
+    def __init__(self, config: VoxelMapConfig | None = None) -> None:
+        self.config = config or VoxelMapConfig()
+        self._storage = MapStorage()
+        self._integrator = ScanIntegrator(self.config)
+
+    def integrate(
+        self,
+        points: ArrayLike,
+        T_map_sensor: ArrayLike,
+        covariances: ArrayLike | None = None,
+        pose_covariance: ArrayLike | None = None,
+        camera: PinholeCamera | None = None,
+        error_correlation: float | None = None,
+    ) -> IntegrationReport:
+        """Add one scan.
+
+        Args:
+            points: shape (N, 3), or organised (H, W, 3), sensor frame [m]; NaN = no measurement.
+            T_map_sensor: pose of the sensor (with a camera: of its optical frame), shape (4, 4).
+            covariances: shape (..., 3, 3), or (..., 6) as (xx, xy, xz, yy, yz, zz), of the points
+                in the sensor frame [m^2]. Without it every point has ``default_sigma``.
+            pose_covariance: shape (6, 6), of the pose, convention of `geometry.transforms`.
+            camera: the camera whose pixels the points are. Free space is then found by projecting
+                voxels into the image; without it by traversing the rays.
+            error_correlation: of the range errors of neighbouring points, in [0, 1]; replaces the
+                configuration's value.
+
+        Returns:
+            What became of the points.
+
+        Raises:
+            InvalidInputError: an argument has a wrong shape or impossible content.
+            CapacityError: the map would exceed ``memory_limit``.
+            In both cases the map is as it was before.
+        """
+        config = self.config
+        correlation = config.error_correlation if error_correlation is None else error_correlation
+        if not 0.0 <= correlation <= 1.0:
+            raise InvalidInputError("error_correlation", f"is {correlation}, expected 0 to 1")
+        scan = checked_scan(
+            points, T_map_sensor, covariances, pose_covariance, camera, config.default_sigma
+        )
+        return self._integrator.integrate(self._storage, scan, correlation)
+
+    def log_odds(self, points: ArrayLike) -> FloatArray:
+        """Occupancy evidence at points, shape (N, 3) [m] -> (N,) [nats], 0 where unknown."""
+        return np.asarray(self._quanta(points)[1] * LOG_ODDS_QUANTUM, dtype=np.float64)
+
+    def probability(self, points: ArrayLike) -> FloatArray:
+        """Probability of occupancy at points, shape (N, 3) [m] -> (N,), 0.5 where unknown."""
+        evidence = np.clip(self.log_odds(points), -700.0, 700.0)
+        return np.asarray(1.0 / (1.0 + np.exp(-evidence)))
+
+    def is_known(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the voxels at points, shape (N, 3) [m], were ever observed, shape (N,)."""
+        return self._quanta(points)[0]
+
+    def gaussians(self) -> tuple[NDArray[np.int32], FloatArray, FloatArray]:
+        """Surface voxels.
+
+        Returns:
+            Voxel indices (K, 3), means (K, 3) [m] and covariances (K, 3, 3) [m^2] in the map
+            frame. The covariance says where the surface lies along its normal, and across it that
+            the point may be anywhere in the voxel.
+        """
+        count = self.surface_voxels
+        indices = np.empty((count, 3), np.int32)
+        means, covariances = np.empty((count, 3)), np.empty((count, 3, 3))
+        blocks, gaussians = self._storage.blocks, self._storage.gaussians
+        queries.list_surface(blocks, gaussians, self.config.voxel_size, indices, means, covariances)
+        return indices, means, covariances
+
+    def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """All known voxels: indices (K, 3) and log-odds (K,) [nats]."""
+        count = self.known_voxels
+        indices, quanta = np.empty((count, 3), np.int32), np.empty(count, np.int32)
+        queries.list_known(self._storage.blocks, indices, quanta)
+        return indices, quanta.astype(np.float32) * np.float32(LOG_ODDS_QUANTUM)
+
+    def cast_rays(
+        self, origins: ArrayLike, directions: ArrayLike, max_range: float
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Cast rays until they meet an occupied voxel (p > 0.5).
+
+        Args:
+            origins: shape (N, 3) or (3,) for all rays, map frame [m].
+            directions: shape (N, 3), of any length but zero.
+            max_range: [m].
+
+        Returns:
+            Distance at which each ray enters the first occupied voxel, `max_range` where it meets
+            none, shape (N,) [m]; and whether it met one, shape (N,).
+
+        Raises:
+            InvalidInputError: shapes do not fit, values are not finite, a direction is zero, or a
+                ray leaves the coordinate limits.
+        """
+        rays = _points(directions, "directions")
+        starts = np.ascontiguousarray(np.broadcast_to(np.asarray(origins, float), rays.shape))
+        lengths = np.linalg.norm(rays, axis=1, keepdims=True)
+        if not (np.isfinite(starts).all() and np.isfinite(rays).all() and (lengths > 0.0).all()):
+            raise InvalidInputError("rays", "hold NaN, infinity or a direction of length zero")
+        reach = np.abs(starts).max(initial=0.0) + max_range
+        if not (max_range > 0.0 and reach * (1.0 / self.config.voxel_size) < 1e6):
+            raise InvalidInputError(
+                "max_range", f"is {max_range} m, expected a positive range within the map's limits"
+            )
+        distances, hits = np.empty(len(rays)), np.empty(len(rays), np.bool_)
+        traversal.cast_rays(
+            self._storage.blocks,
+            starts,
+            rays / lengths,
+            float(max_range),
+            1.0 / self.config.voxel_size,
+            distances,
+            hits,
+        )
+        return distances, hits
+
+    def entropy_bits(self, region: ArrayLike | None = None) -> float:
+        """Sum of the voxels' entropies [bits] (eq. 5 of Sujan and Dubowsky 2005, per voxel).
+
+        Args:
+            region: box (low, high), shape (2, 3), map frame [m]: the voxels with their centre in
+                it, an unknown one counting 1 bit. Without it all known voxels.
+
+        Raises:
+            InvalidInputError: the region is not a box.
+        """
+        if region is None:
+            low, high = np.full(3, -(2**40)), np.full(3, 2**40)
+            return float(
+                queries.total_entropy(self._storage.blocks, LOG_ODDS_QUANTUM, low, high)[0]
+            )
+        box = np.asarray(region, dtype=np.float64)
+        if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
+            raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
+        low, high = np.ceil(box / self.config.voxel_size - 0.5).astype(np.int64)
+        known_bits, known = queries.total_entropy(self._storage.blocks, LOG_ODDS_QUANTUM, low, high)
+        return float(known_bits) + float(np.prod((high - low).astype(float))) - float(known)
+
+    def memory_bytes(self) -> int:
+        """Memory in use by the map [bytes]; scratch memory of `integrate` not included."""
+        return self._storage.memory_bytes()
+
+    @property
+    def known_voxels(self) -> int:
+        """Number of voxels that were ever observed."""
+        return int(queries.count_known(self._storage.blocks))
+
+    @property
+    def surface_voxels(self) -> int:
+        """Number of voxels that `gaussians` returns."""
+        nothing = np.empty((0, 3), np.int32), np.empty((0, 3)), np.empty((0, 3, 3))
+        blocks, gaussians = self._storage.blocks, self._storage.gaussians
+        return int(queries.list_surface(blocks, gaussians, self.config.voxel_size, *nothing))
+
+    def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+        """Smallest and largest voxel index of the blocks in use, shape (3,) each; None if empty."""
+        count = int(self._storage.blocks.counts[BLOCK_COUNT])
+        if count == 0:
+            return None
+        coordinates = np.empty((count, 3), np.int64)
+        traversal.unpack_all(self._storage.blocks.keys, count, coordinates)
+        low = coordinates.min(axis=0) * BLOCK_SIDE
+        return low, (coordinates.max(axis=0) + 1) * BLOCK_SIDE - 1
+
+    def track_changes(self, enabled: bool) -> None:
+        """Keep one more bit per voxel, so that `take_changes` knows what changed from now on."""
+        blocks = self._storage.blocks
+        rows = len(blocks.keys) if enabled else 0
+        self._storage.blocks = blocks._replace(dirty=np.zeros((rows, 8), np.uint64))
+
+    def take_changes(self, limit: int = 1 << 20) -> VoxelChanges:
+        """Up to `limit` voxels that changed and were not yet taken; others stay for the next call.
+
+        A voxel has changed when its clipped evidence or its Gaussian has.
+
+        Raises:
+            InvalidInputError: changes are not tracked.
+        """
+        blocks = self._storage.blocks
+        if len(blocks.dirty) == 0:
+            raise InvalidInputError("take_changes", "changes are not tracked")
+        count = int(blocks.counts[BLOCK_COUNT])
+        room = min(limit, int(np.bitwise_count(blocks.dirty[:count]).sum()))
+        indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
+        has_gaussian = np.empty(room, np.bool_)
+        means, covariances = np.full((room, 3), np.nan), np.full((room, 3, 3), np.nan)
+        queries.take_dirty(
+            blocks,
+            self._storage.gaussians,
+            self.config.voxel_size,
+            room,
+            indices,
+            quanta,
+            has_gaussian,
+            means,
+            covariances,
+        )
+        return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        tracked = len(self._storage.blocks.dirty) > 0
+        self._storage = MapStorage()
+        if tracked:
+            self.track_changes(True)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The whole map as named arrays, for a map file."""
+        return storage_state(self._storage)
+
+    @classmethod
+    def from_state(cls, config: VoxelMapConfig, state: Mapping[str, NDArray[Any]]) -> VoxelMap:
+        """Rebuild a map from `state`.
+
+        Raises:
+            MapFileError: the arrays contradict each other.
+        """
+        restored = cls(config)
+        restored._storage = storage_from_state(state)
+        return restored
+
+    def save(self, path: str | Path) -> None:
+        """Write the map to one file, atomically: a reader sees the old file or the new one."""
+        from infomap_ros.mapping.map_file import write_map_file
+
+        write_map_file(Path(path), dataclasses.asdict(self.config), self.state())
+
+    @classmethod
+    def load(cls, path: str | Path) -> VoxelMap:
+        """Read a map that `save` wrote.
+
+        Raises:
+            MapFileError: the file is missing, truncated, corrupt, or of an unknown version.
+        """
+        from infomap_ros.mapping.map_file import read_map_file
+
+        parameters, state = read_map_file(Path(path))
+        try:
+            config = VoxelMapConfig(**parameters)
+        except (TypeError, ConfigError) as error:
+            raise MapFileError(f"{path}: its configuration is not valid: {error}") from error
+        return cls.from_state(config, state)
+
+    def _quanta(self, points: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+        places = _points(points, "points")
+        known, quanta = np.empty(len(places), np.bool_), np.empty(len(places), np.int32)
+        queries.quanta_at_points(
+            self._storage.blocks, places, 1.0 / self.config.voxel_size, known, quanta
+        )
+        return known, quanta
+
+
+def _points(points: ArrayLike, name: str) -> FloatArray:
+    places = np.ascontiguousarray(points, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise InvalidInputError(name, f"shape {places.shape}, expected (N, 3)")
+    return places

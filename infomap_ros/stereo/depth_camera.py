@@ -1,0 +1,226 @@
+"""A depth camera in place of the stereo pair.
+
+Noise along the ray is ``sigma_z = base + linear z + quadratic z^2``. For structured light the
+quadratic part dominates, as for stereo; Nguyen, Izadi and Lovell (2012, DOI
+10.1109/3DIMPVT.2012.84) measured ``0.0012 + 0.0019 (z - 0.4)^2`` m for a Kinect, and about 0.8 px
+across the ray, with a term that grows hyperbolically towards grazing incidence; the quadratic
+growth is derived by Khoshelham and Elberink (2012, DOI 10.3390/s120201437). For time of flight
+use a small quadratic part. The defaults are Nguyen's, and his grazing term is applied with the
+slope of the depth image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.stereo.assembly import assemble
+from infomap_ros.stereo.images import check_image, check_size
+from infomap_ros.stereo.range_cloud import RangeCloud
+
+_MILLIMETRE = np.float32(1e-3)
+
+
+@dataclass(frozen=True)
+class DepthCameraConfig:
+    """Noise model and filters of `DepthCameraSensor`.
+
+    Raises:
+        ConfigError: a value is out of range, or two values contradict each other.
+    """
+
+    min_depth: float = parameter(0.4, "Nearer depths are dropped.", unit="m", low=0.0)
+    max_depth: float = parameter(8.0, "Farther depths are dropped.", unit="m", low=0.01)
+    sigma_base: float = parameter(
+        0.0012, "Depth noise at sigma_depth.", unit="m", low=1e-5, high=1.0
+    )
+    sigma_linear: float = parameter(
+        0.0, "Growth of the depth noise with (z - sigma_depth).", low=0.0, high=1.0
+    )
+    sigma_quadratic: float = parameter(
+        0.0019,
+        "Growth of the depth noise with (z - sigma_depth)^2.",
+        unit="1/m",
+        low=0.0,
+        high=1.0,
+    )
+    sigma_depth: float = parameter(
+        0.4, "Depth at which the noise is smallest.", unit="m", low=0.0, high=10.0
+    )
+    sigma_grazing: float = parameter(
+        0.0001,
+        "Depth noise that surfaces seen at an angle add: this times z^-1/2 [m^1/2], times "
+        "(angle / (pi/2 - angle))^2 between ray and surface normal.",
+        low=0.0,
+        high=1.0,
+    )
+    quantisation: float = parameter(
+        0.001,
+        "Step of the depth values; its rounding error is added.",
+        unit="m",
+        low=0.0,
+        high=0.1,
+    )
+    pixel_sigma: float = parameter(
+        0.8, "Standard deviation of the ray across the image.", unit="px", low=0.001, high=10.0
+    )
+    max_grazing_angle: float = parameter(
+        1.4,
+        "Surfaces seen at a larger angle from their normal are dropped.",
+        unit="rad",
+        low=0.1,
+        high=1.55,
+    )
+    edge_window: int = parameter(
+        3,
+        "Pixels with a depth jump within this window are dropped; odd, 1 keeps all.",
+        unit="px",
+        low=1,
+        high=31,
+    )
+    edge_threshold: float = parameter(
+        0.05,
+        "Depth range within edge_window that counts as a jump, as a share of the depth.",
+        low=0.001,
+        high=1.0,
+    )
+    error_correlation: float = parameter(
+        0.3,
+        "Mean correlation of the depth errors of two pixels of one surface patch.",
+        low=0.0,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.edge_window % 2 == 0:
+            raise ConfigError("edge_window", self.edge_window, "an odd number")
+        if self.max_depth <= self.min_depth:
+            raise ConfigError("max_depth", self.max_depth, f"more than min_depth {self.min_depth}")
+
+
+class DepthCameraSensor:
+    """Turns depth images into clouds with covariances.
+
+    Attributes:
+        camera: the undistorted camera of the depth image.
+        config: parameters.
+    """
+
+    def __init__(self, camera: PinholeCamera, config: DepthCameraConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or DepthCameraConfig()
+
+    def measure(self, depth: ArrayLike, color: ArrayLike | None = None) -> RangeCloud:
+        """Convert a depth image.
+
+        Args:
+            depth: z of every pixel, shape (H, W): float32 or float64 [m], NaN, 0 or infinity
+                where not measured; or uint16 [mm], 0 where not measured.
+            color: image registered to the depth image, shape (H, W) or (H, W, 3) RGB, uint8.
+
+        Returns:
+            Organised cloud in the camera's optical frame; `disparity` is None.
+
+        Raises:
+            InvalidInputError: wrong type or shape.
+            CalibrationError: an image does not have the camera's size.
+        """
+        metres = self._metres(depth)
+        if color is None:
+            image = np.full(metres.shape, 255, np.uint8)
+        else:
+            image = check_image(color, self.camera, "colour image")
+        kept, variance = self._noise(metres)
+        return RangeCloud(
+            camera=self.camera,
+            packed=assemble(self.camera, kept, variance, self.config.pixel_sigma, image),
+            range_image=kept,
+            error_correlation=self.config.error_correlation,
+            colors=image if image.ndim == 3 else None,
+        )
+
+    def _metres(self, depth: ArrayLike) -> NDArray[np.float32]:
+        """Depth in m, shape (H, W), 0 where there is none or it is out of range."""
+        values = np.asarray(depth)
+        if values.ndim != 2:
+            raise InvalidInputError("depth image", f"shape {values.shape}, expected (H, W)")
+        check_size(values.shape, self.camera, "depth image")
+        if values.dtype == np.uint16:
+            metres = values * _MILLIMETRE
+        elif values.dtype in (np.float32, np.float64):
+            metres = values.astype(np.float32)
+        else:
+            raise InvalidInputError(
+                "depth image", f"dtype {values.dtype}, expected float32 [m] or uint16 [mm]"
+            )
+        good = (metres >= self.config.min_depth) & (metres <= self.config.max_depth)
+        return np.where(good, metres, np.float32(0.0)).astype(np.float32)
+
+    def _noise(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth with edges dropped (NaN) and its variance [m^2], both shape (H, W)."""
+        config, camera = self.config, self.camera
+        window = np.ones((config.edge_window, config.edge_window), np.uint8)
+        low, high = cv2.erode(depth, window), cv2.dilate(depth, window)
+        smooth = cv2.blur(depth, (3, 3))
+        kept, variance = np.empty_like(depth), np.empty_like(depth)
+        _depth_noise(
+            depth,
+            smooth,
+            (low > 0.0) & (high - low < config.edge_threshold * depth),
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            (config.sigma_base, config.sigma_linear, config.sigma_quadratic, config.sigma_depth),
+            (config.sigma_grazing, config.max_grazing_angle, config.quantisation**2 / 12.0),
+            kept,
+            variance,
+        )
+        return kept, variance
+
+
+@njit(nogil=True, cache=True)
+def _depth_noise(  # type: ignore[no-untyped-def]
+    depth, smooth, keep, camera, polynomial, limits, kept, variance
+):
+    base, linear, quadratic, origin = polynomial
+    grazing, largest_angle, rounding = limits
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            kept[v, u] = np.nan
+            variance[v, u] = np.nan
+            inside = 0 < v < height - 1 and 0 < u < width - 1
+            if not (inside and keep[v, u]):
+                continue
+            angle = _incidence(smooth, u, v, camera)
+            if angle > largest_angle:
+                continue
+            z = depth[v, u]
+            beyond = max(z - origin, 0.0)
+            ratio = angle / (0.5 * np.pi - angle)
+            sigma = base + linear * beyond + quadratic * beyond * beyond
+            sigma += grazing / np.sqrt(z) * ratio * ratio
+            kept[v, u] = z
+            variance[v, u] = sigma * sigma + rounding
+
+
+@njit(nogil=True, cache=True)
+def _incidence(smooth, u, v, camera):  # type: ignore[no-untyped-def]
+    """Angle between the ray of a pixel and the surface normal [rad], from the depth's slope."""
+    fx, fy, cx, cy = camera
+    z = smooth[v, u]
+    z_u = 0.5 * (smooth[v, u + 1] - smooth[v, u - 1])
+    z_v = 0.5 * (smooth[v + 1, u] - smooth[v - 1, u])
+    a, b = (u - cx) / fx, (v - cy) / fy
+    # Normal of the surface z (a, b, 1): cross product of its derivatives along u and v.
+    n_x, n_y = z_u * fx, z_v * fy
+    n_z = -(z + z_u * (u - cx) + z_v * (v - cy))
+    along = a * n_x + b * n_y + n_z
+    length = np.sqrt((n_x * n_x + n_y * n_y + n_z * n_z) * (a * a + b * b + 1.0))
+    return np.arccos(min(abs(along) / length, 1.0))

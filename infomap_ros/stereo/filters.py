@@ -1,0 +1,89 @@
+"""Which matches are kept: consistency, speckles, edges."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.matching import SUBPIXELS
+
+
+def drop_inconsistent(
+    disparity: NDArray[np.int16], invalid: int, tolerance: int
+) -> NDArray[np.int16]:
+    """Left-right check: drop pixels whose place in the right image a nearer pixel hides.
+
+    Args:
+        disparity: shape (H, W) [1/16 px].
+        invalid: value of pixels without a match.
+        tolerance: largest difference of disparity to the nearest claimant [px].
+
+    Returns:
+        Copy, shape (H, W) [1/16 px], with `invalid` where the check failed or where the match
+        lies outside the right image.
+    """
+    checked = np.empty_like(disparity)
+    _check_rows(disparity, invalid, tolerance * SUBPIXELS, checked)
+    return checked
+
+
+@njit(nogil=True, cache=True)
+def _check_rows(disparity, invalid, tolerance, checked):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    claim = np.empty(width, np.int16)
+    for v in range(height):
+        claim[:] = invalid
+        for u in range(width):
+            d = disparity[v, u]
+            if d > invalid:
+                target = u - ((d + 8) >> 4)
+                if 0 <= target < width and d > claim[target]:
+                    claim[target] = d
+        for u in range(width):
+            d = disparity[v, u]
+            checked[v, u] = invalid
+            if d > invalid:
+                target = u - ((d + 8) >> 4)
+                if 0 <= target < width and d >= claim[target] - tolerance:
+                    checked[v, u] = d
+
+
+def drop_speckles(disparity: NDArray[np.int16], invalid: int, config: StereoConfig) -> None:
+    """Set patches of fewer than speckle_size pixels to `invalid`, in place.
+
+    Args:
+        disparity: shape (H, W) [1/16 px].
+        invalid: value of pixels without a match.
+        config: speckle_size and speckle_range.
+    """
+    if config.speckle_size > 0:
+        step = round(config.speckle_range * SUBPIXELS)
+        cv2.filterSpeckles(disparity, invalid, config.speckle_size, step)
+
+
+def edge_free(
+    disparity: NDArray[np.int16], invalid: int, config: StereoConfig
+) -> NDArray[np.bool_]:
+    """Pixels with neither a jump of disparity nor a hole within edge_window.
+
+    Semi-global matching smears the foreground over the background by about half a block at
+    depth edges; such pixels carry the error of a whole jump and no sigma can describe them.
+
+    Args:
+        disparity: shape (H, W) [1/16 px].
+        invalid: value of pixels without a match.
+        config: edge_window and edge_threshold.
+
+    Returns:
+        shape (H, W), bool; False too within the window of the image border.
+    """
+    window = np.ones((config.edge_window, config.edge_window), np.uint8)
+    low, high = cv2.erode(disparity, window), cv2.dilate(disparity, window)
+    keep = (low > invalid) & (high - low < config.edge_threshold * SUBPIXELS)
+    rim = config.edge_window // 2 + 1
+    keep[:rim] = keep[-rim:] = False
+    keep[:, :rim] = keep[:, -rim:] = False
+    return np.asarray(keep)

@@ -1,0 +1,132 @@
+"""Noise models: what a disparity is worth, and the 3-D Gaussian of a range point.
+
+Disparity model. The standard deviation of a disparity is a power law of what the match rests
+on: photometric residual, gradient, and width of the texture (see `sigma_from_quality`). With
+``D = d + principal_offset`` (zero at infinity), ``z = f B / D`` and ``r = sigma_d / D`` the range
+statistics are taken to second order, because a first-order covariance is biased and too small at
+long range (Sibley, Matthies, Sukhatme 2005, DOI 10.1109/IROS.2005.1545270):
+
+    E[f B / (D + e)] = z (1 + r^2 + ...),  so z_hat = (f B / D) (1 - r^2)
+    Var[z_hat] = z^2 r^2 (1 + 2 r^2 + ...)
+
+Pixels with r above max_relative_sigma are dropped, which bounds what is left of the bias to
+3 r^4 of the depth.
+
+Printed model. Equations (1)-(3) of Sujan and Dubowsky 2005: standard deviations
+``S T_{x,y,z} L^n`` along the camera axes, L the distance to the point, with constant
+correlations. S is an intrinsic constant of the camera; here it is a disparity error over
+``f B``, so that one number serves any rig. Equation (3) is the rotation ``R C R^T`` that takes
+the covariance to another frame (the printed transposes depend on the sign of theta).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.geometry import StereoRig
+from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.quality import MatchQuality
+
+# Added to the squared residual, gradient and curvature so that the power law stays finite:
+# quantisation and read noise of an 8-bit image [grey levels^2].
+_RESIDUAL_NOISE = 0.1
+_GRADIENT_NOISE = 0.1
+_CURVATURE_NOISE = 0.5
+
+
+def quality_logarithms(quality: MatchQuality) -> NDArray[np.float32]:
+    """Logarithms of residual, gradient and texture width, shape (3, H, W), float32.
+
+    The texture width is the rms first over the rms second derivative [px]: wider texture, as in
+    a blurred or enlarged image, locates a match less well.
+    """
+    residual = cv2.log(quality.residual + np.float32(_RESIDUAL_NOISE))
+    gradient = cv2.log(quality.gradient + np.float32(_GRADIENT_NOISE))
+    curvature = cv2.log(quality.curvature + np.float32(_CURVATURE_NOISE))
+    return np.asarray([0.5 * residual, 0.5 * gradient, 0.5 * (gradient - curvature)], np.float32)
+
+
+def sigma_from_quality(quality: MatchQuality, config: StereoConfig) -> NDArray[np.float32]:
+    """Standard deviation of refined disparities, shape (H, W), float32 [px].
+
+    ``sigma = scale * residual^a * gradient^b * width^c``, at least sigma_floor, with the rms
+    photometric residual and gradient of the window in grey levels and the width in px.
+    """
+    residual, gradient, width = quality_logarithms(quality)
+    exponent = config.sigma_residual_power * residual
+    exponent += config.sigma_gradient_power * gradient
+    exponent += config.sigma_texture_power * width
+    sigma = cv2.exp(exponent) * np.float32(config.sigma_scale)
+    return np.asarray(np.maximum(sigma, np.float32(config.sigma_floor)), dtype=np.float32)
+
+
+class StereoRange(NamedTuple):
+    """Range image with its noise, all of shape (H, W), float32, NaN where dropped.
+
+    Attributes:
+        depth: z without the second-order bias [m].
+        variance: variance of depth [m^2].
+        disparity: [px].
+        disparity_sigma: standard deviation of disparity [px].
+    """
+
+    depth: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    disparity: NDArray[np.float32]
+    disparity_sigma: NDArray[np.float32]
+
+
+def range_from_disparity(
+    rig: StereoRig,
+    config: StereoConfig,
+    keep: NDArray[np.bool_],
+    disparity: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+) -> StereoRange:
+    """Depth and its variance to second order (see the module's head).
+
+    Args:
+        rig: rectified pair.
+        config: min_depth, max_depth and max_relative_sigma.
+        keep: pixels to convert, shape (H, W).
+        disparity: shape (H, W) [px].
+        sigma: standard deviation of disparity, shape (H, W) [px].
+    """
+    result = StereoRange(*(np.empty(disparity.shape, np.float32) for _ in range(4)))
+    limits = (config.min_depth, config.max_depth, config.max_relative_sigma)
+    _convert(
+        keep,
+        disparity,
+        sigma,
+        np.float32(rig.left.fx * rig.baseline),
+        np.float32(rig.principal_offset),
+        tuple(np.float32(limit) for limit in limits),
+        *result,
+    )
+    return result
+
+
+@njit(nogil=True, cache=True)
+def _convert(  # type: ignore[no-untyped-def]
+    keep, disparity, sigma, focal_baseline, offset, limits, depth, variance, kept, kept_sigma
+):
+    nearest, farthest, largest_ratio = limits
+    nan = np.float32(np.nan)
+    height, width = disparity.shape
+    for v in range(height):
+        for u in range(width):
+            shifted = disparity[v, u] + offset
+            ratio = sigma[v, u] / shifted
+            square = ratio * ratio
+            z = focal_baseline / shifted * (np.float32(1.0) - square)
+            good = keep[v, u] and shifted > 0.0 and ratio <= largest_ratio
+            good = good and nearest <= z <= farthest
+            depth[v, u] = z if good else nan
+            variance[v, u] = z * z * square * (np.float32(1.0) + np.float32(2.0) * square)
+            kept[v, u] = disparity[v, u] if good else nan
+            kept_sigma[v, u] = sigma[v, u] if good else nan

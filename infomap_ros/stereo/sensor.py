@@ -1,0 +1,128 @@
+"""The stereo range sensor: a rectified pair in, points with honest covariances out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.geometry import StereoRig
+from infomap_ros.stereo.assembly import assemble, assemble_printed
+from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.filters import drop_inconsistent, drop_speckles, edge_free
+from infomap_ros.stereo.images import check_image, grey
+from infomap_ros.stereo.matching import DisparityMatcher, DisparityRange, disparity_range
+from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
+from infomap_ros.stereo.quality import MatchQuality, refine
+from infomap_ros.stereo.range_cloud import RangeCloud
+
+
+class StereoRangeSensor:
+    """Measures range with a rectified stereo pair.
+
+    Attributes:
+        rig: the pair.
+        config: parameters.
+        search: disparities that are searched.
+    """
+
+    def __init__(self, rig: StereoRig, config: StereoConfig | None = None) -> None:
+        """Prepare the matcher.
+
+        Args:
+            rig: rectified pair.
+            config: parameters; defaults where None.
+
+        Raises:
+            CalibrationError: the image is too narrow for a search.
+        """
+        self.rig = rig
+        self.config = config or StereoConfig()
+        self.search: DisparityRange = disparity_range(rig, self.config)
+        self._matcher = DisparityMatcher(self.search, self.config)
+
+    @property
+    def depth_limits(self) -> tuple[float, float]:
+        """Nearest and farthest depth that the searched disparities reach [m]."""
+        nearest = float(self.rig.depth_from_disparity(self.search.maximum))
+        return max(nearest, self.config.min_depth), self.config.max_depth
+
+    def measure(self, left: ArrayLike, right: ArrayLike) -> RangeCloud:
+        """Measure the range of every pixel of the left image that can be trusted.
+
+        Args:
+            left: rectified image, shape (H, W) or (H, W, 3) RGB, uint8.
+            right: rectified image, shape (H, W) or (H, W, 3) RGB, uint8.
+
+        Returns:
+            Organised cloud in the optical frame of the left camera.
+
+        Raises:
+            InvalidInputError: an image has the wrong type or number of channels.
+            CalibrationError: an image does not have its camera's size.
+        """
+        left_image = check_image(left, self.rig.left, "left image")
+        right_image = check_image(right, self.rig.right, "right image")
+        left_grey, right_grey = grey(left_image), grey(right_image)
+        disparity = self._matcher.match(left_grey, right_grey)
+        return self.measure_matched(left_image, left_grey, right_grey, disparity)
+
+    def measure_matched(
+        self,
+        left_image: NDArray[np.uint8],
+        left_grey: NDArray[np.uint8],
+        right_grey: NDArray[np.uint8],
+        disparity: NDArray[np.int16],
+    ) -> RangeCloud:
+        """All of `measure` that comes after the matcher.
+
+        Args:
+            left_image: checked image for the colours, shape (H, W) or (H, W, 3).
+            left_grey: shape (H, W).
+            right_grey: shape (H, W).
+            disparity: the matcher's, shape (H, W) [1/16 px].
+        """
+        keep, quality = self.assess(left_grey, right_grey, disparity)
+        sigma = sigma_from_quality(quality, self.config)
+        ranges = range_from_disparity(self.rig, self.config, keep, quality.disparity, sigma)
+        return RangeCloud(
+            camera=self.rig.left,
+            packed=self._assemble(ranges, left_image),
+            range_image=ranges.depth,
+            error_correlation=self.config.error_correlation,
+            disparity=ranges.disparity,
+            disparity_sigma=ranges.disparity_sigma,
+            colors=left_image if left_image.ndim == 3 else None,
+        )
+
+    def assess(
+        self,
+        left: NDArray[np.uint8],
+        right: NDArray[np.uint8],
+        disparity: NDArray[np.int16],
+    ) -> tuple[NDArray[np.bool_], MatchQuality]:
+        """Filter and refine the matcher's disparities.
+
+        Args:
+            left: grey image, shape (H, W).
+            right: grey image, shape (H, W).
+            disparity: the matcher's, shape (H, W) [1/16 px].
+
+        Returns:
+            Which pixels are kept, shape (H, W), and the quality of every match.
+        """
+        config, invalid = self.config, self._matcher.invalid
+        checked = drop_inconsistent(disparity, invalid, config.left_right_tolerance)
+        drop_speckles(checked, invalid, config)
+        quality = refine(
+            left, right, checked, invalid, config.refinement_window, config.smoothing_window
+        )
+        keep = edge_free(checked, invalid, config)
+        keep &= quality.gradient >= config.min_texture**2
+        return keep, quality
+
+    def _assemble(self, ranges: StereoRange, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        camera = self.rig.left
+        if self.config.noise_model == "printed":
+            focal_baseline = camera.fx * self.rig.baseline
+            return assemble_printed(camera, focal_baseline, ranges.depth, self.config, image)
+        return assemble(camera, ranges.depth, ranges.variance, self.config.pixel_sigma, image)

@@ -10,7 +10,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "infomap_ros"
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link to this file
 
 
 def share(folder: str) -> list[tuple[str, list[str]]]:
@@ -35,7 +35,7 @@ setup(
     maintainer="infomap_ros maintainers",
     maintainer_email="maintainers@infomap-ros.example.org",
     license="Apache-2.0",
-    python_requires=">=3.11",
+    python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"]},
     zip_safe=False,
@@ -47,14 +47,19 @@ setup(
         *share("bags"),
     ],
     install_requires=[
+        "apsw>=3.46",
+        "backports.zstd>=1.0",
+        "coal>=3.0",
+        "lz4>=4.0",
         "matplotlib>=3.6",
         "mujoco>=3.2",
         "numba>=0.58",
         "numpy>=1.26,<3",
         "opencv-python-headless>=4.6",
+        "pin>=3.0",
         "PyYAML>=6.0",
         "rich>=13.7",
-        "rosbags>=0.10",
+        "rosbags>=0.11",
         "scipy>=1.11",
         "typer>=0.9",
     ],
@@ -87,7 +92,7 @@ setup(
             "hypothesis>=6.98",
             "pyoctomap>=1.2",
             "pytest>=7.4",
-            "setuptools>=65,<80",
+            "setuptools>=71,<80",
         ],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],
     },

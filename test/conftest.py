@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -24,3 +25,15 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real data absent: no folder {folder} (set INFOMAP_DATA)")
     return folder
+
+
+@pytest.fixture
+def package_copy(tmp_path: Path) -> Path:
+    """A copy of what an installation is made from, outside the repository."""
+    copy = tmp_path / "src" / "infomap_ros"
+    leave_out = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
+    for folder in ("infomap_ros", "resource", "config", "launch", "bags"):
+        shutil.copytree(REPOSITORY / folder, copy / folder, ignore=leave_out)
+    for name in ("package.xml", "setup.py", "setup.cfg", "README.md", "LICENSE"):
+        shutil.copy(REPOSITORY / name, copy / name)
+    return copy

@@ -1,0 +1,252 @@
+"""Records a bag in simulation: stereo images, calibrations, joints, odometry, poses and truth.
+
+Run as ``python -m infomap_ros.simulation.recorder OUT`` to record a bag with the default
+configuration.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import (
+    CameraInfoRecord,
+    ImageRecord,
+    JointStateRecord,
+    OdometryRecord,
+    PoseRecord,
+    Record,
+    TextRecord,
+    TransformRecord,
+    perturb_transform,
+)
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.replay.writer import BagWriter
+from infomap_ros.simulation.builder import World
+from infomap_ros.simulation.chassis import Chassis
+from infomap_ros.simulation.image_sensor import ImageSensor, ImageSensorConfig
+from infomap_ros.simulation.odometry import Odometry, OdometryConfig
+from infomap_ros.simulation.rendering import Renderer
+from infomap_ros.simulation.robot import (
+    LEFT_OPTICAL_FRAME,
+    RIGHT_OPTICAL_FRAME,
+    RobotState,
+    fixed_frames,
+    read_description,
+    stereo_baseline,
+)
+from infomap_ros.simulation.scenes import SceneConfig, rover_rocks
+from infomap_ros.simulation.stereo_camera import StereoCamera, StereoCameraConfig
+from infomap_ros.simulation.survey import Survey
+
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """Parameters of a recording; the parts have their own."""
+
+    pairs: int = parameter(34, "Number of stereo pairs", low=2, high=100000)
+    rate: float = parameter(2.0, "Stereo pairs per second", unit="Hz", low=0.1, high=60.0)
+    state_rate: float = parameter(
+        20.0, "Joint states and odometry per second", unit="Hz", low=0.1, high=1000.0
+    )
+    seed: int = parameter(11, "Seed of all noise of the recording", low=0)
+    baseline: float = parameter(
+        0.0, "Stereo baseline; 0 = as in the robot description", unit="m", low=0.0, high=2.0
+    )
+    position_noise: float = parameter(
+        0.003, "Standard deviation of camera_pose, each axis", unit="m", low=0.0, high=1.0
+    )
+    rotation_noise: float = parameter(
+        0.0026, "Standard deviation of camera_pose, each axis", unit="rad", low=0.0, high=0.5
+    )
+    joint_noise: float = parameter(
+        0.0005, "Standard deviation of the joint angles", unit="rad", low=0.0, high=0.1
+    )
+    gain_mismatch: float = parameter(
+        0.02, "Sensitivity of the right sensor over the left, minus 1", low=-0.5, high=0.5
+    )
+    start: float = parameter(
+        1_000_000_000.0, "Stamp of the first message", unit="s", low=1.0, high=4e9
+    )
+    description: str = parameter(
+        "config/rover.urdf", "Robot description, below the package's share folder"
+    )
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
+    sensor: ImageSensorConfig = field(default_factory=ImageSensorConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+        if 0.0 < self.baseline < 0.01:
+            raise ConfigError("baseline", self.baseline, "0, or at least 0.01 m")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last pair [s]."""
+        return (self.pairs - 1) / self.rate
+
+
+class Recorder:
+    """Drives the rover through its survey and yields what its topics would carry.
+
+    Args:
+        config: the parameters.
+    """
+
+    def __init__(self, config: RecorderConfig | None = None) -> None:
+        self.config = config = config or RecorderConfig()
+        self.description = read_description(find_share(config.description), config.baseline or None)
+        self.world: World = rover_rocks(config.scene, self.description)
+        self.camera = StereoCamera(config.camera, stereo_baseline(self.description))
+        self._data = self.world.new_data()
+        self._robot = RobotState(self.world.model, self._data)
+        self._chassis = Chassis(self.world.model, self._data, self._robot)
+        self._survey = Survey(config.duration)
+        self._wheels = {f"{wheel}_joint": 0.0 for wheel in self._chassis.wheels}
+        noise = np.random.SeedSequence(config.seed).spawn(3)
+        self._rng, sensor_rng, odometry_rng = (np.random.default_rng(seed) for seed in noise)
+        self._sensor = ImageSensor(config.sensor, sensor_rng)
+        self._odometry = Odometry(config.odometry, odometry_rng)
+        self._base: FloatArray | None = None
+        self._time = 0.0
+
+    def fixed_frames(self) -> list[TransformRecord]:
+        """What ``/tf_static`` carries."""
+        return fixed_frames(self.description, self._stamp(0.0))
+
+    def records(self) -> Iterator[tuple[str, Record]]:
+        """Topic and record of all other topics, in order of time. Runs once."""
+        yield "/robot_description", TextRecord(self._stamp(0.0), "", self.description)
+        with self.camera.renderer(self.world.model) as renderer:
+            for time, is_image in _schedule(self.config):
+                duration = time - self._time
+                self._move(time)
+                yield from self._state_records(time, duration)
+                if is_image:
+                    yield from self._pose_records(time)
+                    yield from self._image_records(time, renderer)
+
+    def _stamp(self, time: float) -> int:
+        return round((self.config.start + time) * 1e6) * 1000
+
+    def _move(self, time: float) -> None:
+        state = self._survey.at(time)
+        base = self._chassis.rest(self.world.terrain, state.x, state.y, state.heading)
+        if self._base is not None:
+            for joint, turn in self._chassis.wheel_turn(self._base, base).items():
+                self._wheels[joint] += turn
+        self._base, self._time = base, time
+        self._robot.place(base, {**state.joints, **self._wheels})
+
+    def _state_records(self, time: float, duration: float) -> Iterator[tuple[str, Record]]:
+        state, stamp = self._survey.at(time), self._stamp(time)
+        angles = {**state.joints, **self._wheels}
+        positions = np.array(list(angles.values()))
+        noisy = positions + self._rng.normal(0.0, self.config.joint_noise, len(positions))
+        yield "/joint_states", JointStateRecord(stamp, "", tuple(angles), noisy)
+        assert self._base is not None
+        estimate = self._odometry.step(self._base, duration)
+        yield (
+            "/odom",
+            OdometryRecord(
+                stamp,
+                "odom",
+                estimate.transform,
+                estimate.covariance,
+                "base_link",
+                estimate.twist,
+                estimate.twist_covariance,
+            ),
+        )
+
+    def _pose_records(self, time: float) -> Iterator[tuple[str, Record]]:
+        truth, stamp = self._robot.frame(LEFT_OPTICAL_FRAME), self._stamp(time)
+        sigma = np.repeat([self.config.position_noise, self.config.rotation_noise], 3)
+        measured = perturb_transform(truth, self._rng.normal(0.0, sigma))
+        covariance = np.diag(sigma**2) if sigma.all() else None
+        yield "/camera_pose", PoseRecord(stamp, "map", measured, covariance)
+        yield "/ground_truth/camera_pose", PoseRecord(stamp, "map", truth)
+
+    def _image_records(self, time: float, renderer: Renderer) -> Iterator[tuple[str, Record]]:
+        stamp = self._stamp(time)
+        poses = [self._robot.frame(name) for name in (LEFT_OPTICAL_FRAME, RIGHT_OPTICAL_FRAME)]
+        lights = self.camera.capture(renderer, self._data, poses[0], poses[1])
+        self._sensor.adjust(lights[0])
+        sides = (
+            ("/left", LEFT_OPTICAL_FRAME, self.camera.left, 1.0),
+            ("/right", RIGHT_OPTICAL_FRAME, self.camera.right, 1.0 + self.config.gain_mismatch),
+        )
+        for (topic, frame, calibration, gain), light in zip(sides, lights, strict=True):
+            pixels = self._sensor.expose(light, gain)
+            yield f"{topic}/camera_info", CameraInfoRecord(stamp, frame, calibration)
+            yield f"{topic}/image_raw", ImageRecord(stamp, frame, pixels, "mono8")
+
+
+def record_bag(path: Path | str, config: RecorderConfig | None = None) -> Path:
+    """Record the survey as a rosbag2 (mcap, zstd).
+
+    Args:
+        path: folder to write; a bag that is there is replaced.
+        config: the parameters.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BagError: the folder cannot be written.
+        SimulationError: this machine cannot draw images.
+    """
+    recorder = Recorder(config)
+    with BagWriter(path, overwrite=True) as writer:
+        writer.write_transforms("/tf_static", recorder.fixed_frames())
+        for topic, record in recorder.records():
+            writer.write(topic, record)
+    return Path(path)
+
+
+def _schedule(config: RecorderConfig) -> list[tuple[float, bool]]:
+    """Times [s] from the start at which something is recorded, and whether images are."""
+    images = np.arange(config.pairs) / config.rate
+    states = np.arange(0.0, config.duration, 1.0 / config.state_rate)
+    far = np.abs(states[:, None] - images[None, :]).min(axis=1) > 1e-4
+    times = [(float(t), True) for t in images] + [(float(t), False) for t in states[far]]
+    return sorted(times)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Record a bag from the command line."""
+    defaults = RecorderConfig()
+    parser = argparse.ArgumentParser(description="Record a stereo bag in simulation.")
+    parser.add_argument("out", type=Path, help="folder of the bag")
+    parser.add_argument("--pairs", type=int, default=defaults.pairs)
+    parser.add_argument("--rate", type=float, default=defaults.rate, help="pairs per second [Hz]")
+    parser.add_argument("--seed", type=int, default=defaults.seed, help="seed of the noise")
+    parser.add_argument("--world-seed", type=int, default=defaults.scene.seed)
+    parser.add_argument("--width", type=int, default=defaults.camera.width, help="[px]")
+    parser.add_argument("--height", type=int, default=defaults.camera.height, help="[px]")
+    given = parser.parse_args(arguments)
+    record_bag(
+        given.out,
+        RecorderConfig(
+            pairs=given.pairs,
+            rate=given.rate,
+            seed=given.seed,
+            scene=SceneConfig(seed=given.world_seed),
+            camera=StereoCameraConfig(width=given.width, height=given.height),
+        ),
+    )
+
+
+if __name__ == "__main__":
+    main()

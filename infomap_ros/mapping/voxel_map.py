@@ -19,6 +19,7 @@ from infomap_ros.mapping.blocks import BLOCK_COUNT
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport, MapStorage, ScanIntegrator
 from infomap_ros.mapping.keys import BLOCK_SIDE
+from infomap_ros.mapping.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scan_input import checked_scan
 from infomap_ros.mapping.state import storage_from_state, storage_state
 
@@ -277,8 +278,6 @@ class VoxelMap:
 
     def save(self, path: str | Path) -> None:
         """Write the map to one file, atomically: a reader sees the old file or the new one."""
-        from infomap_ros.mapping.map_file import write_map_file
-
         write_map_file(Path(path), dataclasses.asdict(self.config), self.state())
 
     @classmethod
@@ -288,8 +287,6 @@ class VoxelMap:
         Raises:
             MapFileError: the file is missing, truncated, corrupt, or of an unknown version.
         """
-        from infomap_ros.mapping.map_file import read_map_file
-
         parameters, state = read_map_file(Path(path))
         try:
             config = VoxelMapConfig(**parameters)

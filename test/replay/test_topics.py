@@ -31,7 +31,8 @@ def camera(namespace: str, *images: str, kind: str = IMAGE) -> dict[str, str]:
             "/left/image_raw", "/right/image_raw", False,
         ),
         (
-            camera("/left", "image_raw", "image_rect") | camera("/right", "image_raw", "image_rect"),
+            camera("/left", "image_raw", "image_rect")
+            | camera("/right", "image_raw", "image_rect"),
             "/left/image_rect", "/right/image_rect", True,
         ),
         (
@@ -67,7 +68,7 @@ def test_given_topics_win():
 
 def test_word_that_only_contains_left_is_no_side():
     topics = camera("/leftover", "image_raw") | camera("/rightover", "image_raw")
-    with pytest.raises(BagError, match="no stereo pair.*/leftover/image_raw"):
+    with pytest.raises(BagError, match=r"no stereo pair.*/leftover/image_raw"):
         find_stereo_topics(topics)
 
 
@@ -97,7 +98,7 @@ def test_depth_camera_of_the_design():
 
 
 def test_no_depth_camera_says_what_there_is():
-    with pytest.raises(BagError, match="no depth camera.*/left/image_raw"):
+    with pytest.raises(BagError, match=r"no depth camera.*/left/image_raw"):
         find_depth_topics(camera("/left", "image_raw"))
 
 

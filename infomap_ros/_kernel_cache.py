@@ -1,7 +1,7 @@
 """Where compiled kernels are kept.
 
 numba notices a change of the file that holds a kernel, not of the kernels which that one calls. The
-cache therefore lies in a folder named after the state of all source files of the rooms with kernels:
+cache therefore lies in a folder named after the state of the sources of all rooms with kernels:
 ``__pycache__/kernels-<digest>`` of the package, or where that is not writable (a system-wide or
 read-only installation) ``$XDG_CACHE_HOME/infomap_ros`` or ``~/.cache/infomap_ros``, and where there
 is no home either, a folder of the user below the temporary folder. ``NUMBA_CACHE_DIR`` overrides

@@ -1,6 +1,6 @@
 """Gathering an organised scan: normals from the image, and how far each pixel sees.
 
-The image is walked in tiles of 4 x 4 pixels. A tile shares one surface normal and one association
+The image is walked in tiles of 8 x 8 pixels. A tile shares one surface normal and one association
 reach, taken at its centre; every pixel adds its own point and covariance. Along the way each 2 x 2
 cell learns the depths up to which it is certainly empty: the ground level of the pyramid that
 `infomap_ros.mapping.free_space` asks.
@@ -15,16 +15,15 @@ from numba import njit
 
 from infomap_ros.mapping.scan import (
     GROUP_SIZE,
-    flush_group,
+    add_group,
     rotated,
     set_reach,
-    start_group,
     variance_along,
     voxel_position,
     within_limit,
 )
 
-TILE = 4
+TILE = 8
 _LARGEST_WINDOW = 24
 
 
@@ -97,7 +96,7 @@ def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
     for v in range(v0, min(v0 + TILE, height)):
         for u in range(u0, min(u0 + TILE, width)):
             if _usable(points, v, u):
-                distance = (v - v0 - 1.6) ** 2 + (u - u0 - 1.7) ** 2
+                distance = (v - v0 - 3.6) ** 2 + (u - u0 - 3.7) ** 2
                 if distance < best:
                     best, best_v, best_u = distance, v, u
     return best_v, best_u
@@ -128,8 +127,8 @@ def gather_organised(
         covariances: shape (H * W, k), or (1, k) for one covariance for all [m^2].
         columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
         focal: focal length [px].
-        first_row: multiple of 4.
-        last_row: multiple of 4 or H.
+        first_row: multiple of 8.
+        last_row: multiple of 8 or H.
         lower: depth up to which all measured pixels of a 2 x 2 cell see through, shape
             (ceil(H/2), ceil(W/2)); inf where the cell has no measurement.
         upper: the same for the farthest-seeing pixel; -inf where there is none.
@@ -141,7 +140,7 @@ def gather_organised(
     """
     width = points.shape[1]
     reach, axis, normal = np.zeros(3), np.zeros(3), np.zeros(3)
-    group = np.zeros(GROUP_SIZE)
+    groups = np.zeros((TILE * TILE + 1, GROUP_SIZE))
     shared = len(covariances) == 1
     for v0 in range(first_row, last_row, TILE):
         for u0 in range(0, width, TILE):
@@ -168,23 +167,14 @@ def gather_organised(
                     axis,
                 )
                 margin = _depth_margin(sensor, pose_covariance, along, dx, dy, dz)
-            if not _gather_tile(
-                rows,
-                sensor,
-                points,
-                covariances,
-                columns,
-                v0,
-                u0,
-                margin,
-                reach,
-                axis,
-                group,
-                lower,
-                upper,
-                tallies,
-            ):
-                return False
+            _gather_tile(
+                sensor, points, covariances, columns, v0, u0, margin, groups, lower, upper, tallies
+            )
+            slot = 0
+            while groups[slot, 0] > 0.0:
+                if not add_group(rows, sensor, reach, axis, groups, slot):
+                    return False
+                slot += 1
     return True
 
 
@@ -198,8 +188,28 @@ def _depth_margin(sensor: Any, c: Any, variance: float, dx: float, dy: float, dz
 
 
 @njit(cache=True, nogil=True)
+def _slot_of(groups: Any, last: int, i: float, j: float, k: float) -> Any:
+    """Slot of the group of voxel (i, j, k); the first free slot if there is none yet.
+
+    Args:
+        groups: of the tile, a free slot has no points.
+        last: slot of the pixel before, tried first.
+        i: voxel, likewise j and k.
+        j: see i.
+        k: see i.
+    """
+    if groups[last, 1] == i and groups[last, 2] == j and groups[last, 3] == k:
+        return last
+    slot = 0
+    while groups[slot, 0] > 0.0:
+        if groups[slot, 1] == i and groups[slot, 2] == j and groups[slot, 3] == k:
+            return slot
+        slot += 1
+    return slot
+
+
+@njit(cache=True, nogil=True)
 def _gather_tile(
-    rows: Any,
     sensor: Any,
     points: Any,
     covariances: Any,
@@ -207,19 +217,17 @@ def _gather_tile(
     v0: int,
     u0: int,
     margin: float,
-    reach: Any,
-    axis: Any,
-    group: Any,
+    groups: Any,
     lower: Any,
     upper: Any,
     tallies: Any,
-) -> bool:
-    """Gather one tile; see `gather_organised`."""
+) -> None:
+    """Sort the points of one tile into `groups`; see `gather_organised`."""
     height, width = points.shape[0], points.shape[1]
     c0, c1, c2, c3, c4, c5 = columns
     squared_range = sensor.max_range**2
     stride = 0 if len(covariances) == 1 else 1
-    group[0] = 0.0
+    last = 0
     for v in range(v0, min(v0 + TILE, height)):
         for u in range(u0, min(u0 + TILE, width)):
             cell_v, cell_u = v >> 1, u >> 1
@@ -236,11 +244,7 @@ def _gather_tile(
                 tallies[1] += 1
             else:
                 row = stride * (v * width + u)
-                xx, yy, zz = (
-                    covariances[row, c0],
-                    covariances[row, c3],
-                    covariances[row, c5],
-                )
+                xx, yy, zz = covariances[row, c0], covariances[row, c3], covariances[row, c5]
                 if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
                     tallies[3] += 1
                     continue
@@ -250,20 +254,18 @@ def _gather_tile(
                     continue
                 tallies[0] += 1
                 i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
-                if group[0] == 0.0 or i != group[1] or j != group[2] or k != group[3]:
-                    if not flush_group(rows, sensor, reach, axis, group):
-                        return False
-                    start_group(group, i, j, k)
-                group[0] += 1.0
-                group[4] += mx - i - 0.5
-                group[5] += my - j - 0.5
-                group[6] += mz - k - 0.5
-                group[7] += xx
-                group[8] += covariances[row, c1]
-                group[9] += covariances[row, c2]
-                group[10] += yy
-                group[11] += covariances[row, c4]
-                group[12] += zz
+                last = _slot_of(groups, last, i, j, k)
+                if groups[last, 0] == 0.0:
+                    groups[last, 1], groups[last, 2], groups[last, 3] = i, j, k
+                groups[last, 0] += 1.0
+                groups[last, 4] += mx - i - 0.5
+                groups[last, 5] += my - j - 0.5
+                groups[last, 6] += mz - k - 0.5
+                groups[last, 7] += xx
+                groups[last, 8] += covariances[row, c1]
+                groups[last, 9] += covariances[row, c2]
+                groups[last, 10] += yy
+                groups[last, 11] += covariances[row, c4]
+                groups[last, 12] += zz
             lower[cell_v, cell_u] = min(lower[cell_v, cell_u], depth)
             upper[cell_v, cell_u] = max(upper[cell_v, cell_u], depth)
-    return flush_group(rows, sensor, reach, axis, group)

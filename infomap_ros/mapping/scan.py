@@ -223,85 +223,73 @@ def within_limit(x: float, y: float, z: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def start_group(group: Any, i: float, j: float, k: float) -> None:
-    """Begin the group of voxel (i, j, k).
+def add_group(rows: Any, sensor: Any, reach: Any, axis: Any, groups: Any, slot: int) -> bool:
+    """Give a group to every voxel it may belong to, and clear its slot.
 
-    A group are consecutive points that lie in one voxel and share one normal and reach. It holds
-    the number of points, the voxel (3), the sums of the points' offsets from the voxel's centre
-    [voxels] (3) and of their covariances [m^2] (6).
+    Args:
+        rows: a `ScanRows`.
+        sensor: a `Sensor`.
+        reach: half the association segment, map frame [voxels].
+        axis: unit normal, map frame.
+        groups: points that lie in one voxel and share one normal and reach, one group per slot:
+            number of points, voxel (3), sums of the points' offsets from the voxel's centre
+            [voxels] (3) and of their covariances in the sensor frame [m^2] (6).
+        slot: of the group.
+
+    Returns:
+        False when the storage of the rows is full.
     """
-    group[1], group[2], group[3] = i, j, k
-    for n in range(4, GROUP_SIZE):
-        group[n] = 0.0
+    count = groups[slot, 0]
+    ox, oy, oz = groups[slot, 4] / count, groups[slot, 5] / count, groups[slot, 6] / count
+    rx, ry, rz = reach[0], reach[1], reach[2]
+    stored = True
+    if abs(ox) + abs(rx) < 0.5 and abs(oy) + abs(ry) < 0.5 and abs(oz) + abs(rz) < 0.5:
+        stored = _add_to_row(rows, sensor.size, 0, 0, 0, axis, groups, slot)
+    else:
+        x, y, z = ox + 0.5 - rx, oy + 0.5 - ry, oz + 0.5 - rz
+        i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+        step_x, next_x, delta_x = axis_start(x, 2.0 * rx, i)
+        step_y, next_y, delta_y = axis_start(y, 2.0 * ry, j)
+        step_z, next_z, delta_z = axis_start(z, 2.0 * rz, k)
+        leave = 0.0
+        while leave <= 1.0 and stored:
+            stored = _add_to_row(rows, sensor.size, i, j, k, axis, groups, slot)
+            leave = min(next_x, min(next_y, next_z))
+            if next_x == leave:
+                i += step_x
+                next_x += delta_x
+            elif next_y == leave:
+                j += step_y
+                next_y += delta_y
+            else:
+                k += step_z
+                next_z += delta_z
+    for n in range(GROUP_SIZE):
+        groups[slot, n] = 0.0
+    return stored
 
 
 @njit(cache=True, nogil=True)
-def flush_group(rows: Any, sensor: Any, reach: Any, axis: Any, group: Any) -> bool:
-    """Give a group to every voxel it may belong to; False when the storage is full."""
-    count = group[0]
-    if count == 0.0:
-        return True
-    group[0] = 0.0
-    i, j, k = int(group[1]), int(group[2]), int(group[3])
-    ox, oy, oz = group[4] / count, group[5] / count, group[6] / count
-    if (
-        abs(ox) + abs(reach[0]) < 0.5
-        and abs(oy) + abs(reach[1]) < 0.5
-        and abs(oz) + abs(reach[2]) < 0.5
-    ):
-        return _add_group(rows, sensor.size, i, j, k, 0, 0, 0, axis, group, count)
-    px, py, pz = ox + 0.5, oy + 0.5, oz + 0.5
-    x, y, z = px - reach[0], py - reach[1], pz - reach[2]
-    di, dj, dk = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    step_x, next_x, delta_x = axis_start(x, 2.0 * reach[0], di)
-    step_y, next_y, delta_y = axis_start(y, 2.0 * reach[1], dj)
-    step_z, next_z, delta_z = axis_start(z, 2.0 * reach[2], dk)
-    while True:
-        if not _add_group(rows, sensor.size, i, j, k, di, dj, dk, axis, group, count):
-            return False
-        leave = min(next_x, min(next_y, next_z))
-        if leave > 1.0:
-            return True
-        if next_x == leave:
-            di += step_x
-            next_x += delta_x
-        elif next_y == leave:
-            dj += step_y
-            next_y += delta_y
-        else:
-            dk += step_z
-            next_z += delta_z
-
-
-@njit(cache=True, nogil=True)
-def _add_group(
-    rows: Any,
-    size: float,
-    i: int,
-    j: int,
-    k: int,
-    di: int,
-    dj: int,
-    dk: int,
-    axis: Any,
-    group: Any,
-    count: float,
+def _add_to_row(
+    rows: Any, size: float, i: int, j: int, k: int, axis: Any, groups: Any, slot: int
 ) -> bool:
-    """Add a group of voxel (i, j, k) to the row of voxel (i + di, j + dj, k + dk)."""
-    row = row_of(rows, pack(i + di, j + dj, k + dk))
+    """Add a group to the row of the voxel that lies (i, j, k) from its own."""
+    count = groups[slot, 0]
+    x, y, z = int(groups[slot, 1]) + i, int(groups[slot, 2]) + j, int(groups[slot, 3]) + k
+    row = row_of(rows, pack(x, y, z))
     if row < 0:
         return False
     sums = rows.sums
     sums[row, 0] += count
-    sums[row, 1] += (group[4] - di * count) * size
-    sums[row, 2] += (group[5] - dj * count) * size
-    sums[row, 3] += (group[6] - dk * count) * size
+    sums[row, 1] += (groups[slot, 4] - i * count) * size
+    sums[row, 2] += (groups[slot, 5] - j * count) * size
+    sums[row, 3] += (groups[slot, 6] - k * count) * size
     for n in range(6):
-        sums[row, 4 + n] += group[7 + n]
+        sums[row, 4 + n] += groups[slot, 7 + n]
     sums[row, 10] += axis[0] * count
     sums[row, 11] += axis[1] * count
     sums[row, 12] += axis[2] * count
-    if di == 0 and dj == 0 and dk == 0:
+    if i == 0 and j == 0 and k == 0:
         sums[row, 13] += count
     return True
 

@@ -17,12 +17,11 @@ from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack, table_slot, 
 from infomap_ros.mapping.scan import (
     GROUP_SIZE,
     INSIDE,
+    add_group,
     axis_start,
-    flush_group,
     row_centre,
     row_of,
     set_reach,
-    start_group,
     voxel_position,
     within_limit,
 )
@@ -58,7 +57,7 @@ def gather_cloud(
         False when the scratch storage is full.
     """
     reach, axis, direction = np.zeros(3), np.zeros(3), np.zeros(3)
-    group = np.zeros(GROUP_SIZE)
+    group = np.zeros((1, GROUP_SIZE))
     shared = len(covariances) == 1
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -80,18 +79,18 @@ def gather_cloud(
         if not within_limit(mx, my, mz):
             tallies[2] += 1
             continue
-        start_group(group, np.floor(mx), np.floor(my), np.floor(mz))
-        group[0] = 1.0
-        group[4], group[5], group[6] = mx - group[1] - 0.5, my - group[2] - 0.5, mz - group[3] - 0.5
+        group[0, 0] = 1.0
+        group[0, 1], group[0, 2], group[0, 3] = np.floor(mx), np.floor(my), np.floor(mz)
+        group[0, 4], group[0, 5] = mx - group[0, 1] - 0.5, my - group[0, 2] - 0.5
+        group[0, 6] = mz - group[0, 3] - 0.5
         for n in range(6):
-            group[7 + n] = covariances[row, columns[n]]
-        if not (
-            min(group[7], group[10], group[12]) > 0.0 and group[7] + group[10] + group[12] < np.inf
-        ):
+            group[0, 7 + n] = covariances[row, columns[n]]
+        xx, yy, zz = group[0, 7], group[0, 10], group[0, 12]
+        if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
             tallies[3] += 1
             continue
         tallies[0] += 1
-        if not flush_group(rows, sensor, reach, axis, group):
+        if not add_group(rows, sensor, reach, axis, group, 0):
             return False
     return True
 

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import PinholeCamera
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.range_cloud import PACKED_FIELDS
 
@@ -17,6 +18,7 @@ def assemble(
     variance: NDArray[np.float32],
     pixel_sigma: float,
     image: NDArray[np.uint8],
+    bands: RowBands,
 ) -> NDArray[np.float32]:
     """Points and covariances from depth noise along the ray and pixel noise across it.
 
@@ -29,14 +31,22 @@ def assemble(
         variance: of depth, shape (H, W) [m^2].
         pixel_sigma: standard deviation of the ray across the image [px].
         image: colours, shape (H, W, 3) RGB, or grey, shape (H, W).
+        bands: threads to work in.
 
     Returns:
         Channels `PACKED_FIELDS`, shape (H, W, 10), float32; the point and the covariance are NaN
         where depth is.
     """
-    packed = _with_colours(image)
-    across = ((pixel_sigma / camera.fx) ** 2, (pixel_sigma / camera.fy) ** 2)
-    _assemble_rays(*_rays(camera), depth, variance, np.array(across, np.float32), packed)
+    x_per_z, y_per_z = _rays(camera)
+    across = np.array([pixel_sigma / camera.fx, pixel_sigma / camera.fy], np.float32) ** 2
+    packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
+
+    def work(first: int, end: int) -> None:
+        _pack_colours(image[first:end], packed[first:end])
+        planes = (array[first:end] for array in (depth, variance))
+        _assemble_rays(x_per_z, y_per_z[first:end], *planes, across, packed[first:end])
+
+    bands.run(work)
     return packed
 
 
@@ -46,6 +56,7 @@ def assemble_printed(
     depth: NDArray[np.float32],
     config: StereoConfig,
     image: NDArray[np.uint8],
+    bands: RowBands,
 ) -> NDArray[np.float32]:
     """Points with the covariance of eqs. (1) and (2): ``rho_ij sigma_i sigma_j``.
 
@@ -55,11 +66,11 @@ def assemble_printed(
         depth: z, shape (H, W) [m]; NaN where invalid.
         config: printed_s, printed_t, printed_n and printed_rho.
         image: as for `assemble`.
+        bands: threads to work in.
 
     Returns:
         As `assemble`.
     """
-    packed = _with_colours(image)
     per_axis = np.array(config.printed_t) * config.printed_s / focal_baseline
     rho = np.array(
         [
@@ -69,15 +80,21 @@ def assemble_printed(
         ]
     )
     unit = (rho * np.outer(per_axis, per_axis))[np.triu_indices(3)].astype(np.float32)
-    _assemble_printed(*_rays(camera), depth, unit, np.float32(config.printed_n), packed)
+    x_per_z, y_per_z = _rays(camera)
+    packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
+
+    def work(first: int, end: int) -> None:
+        _pack_colours(image[first:end], packed[first:end])
+        rows = (array[first:end] for array in (y_per_z, depth, packed))
+        _assemble_printed(x_per_z, *rows, unit, np.float32(config.printed_n))
+
+    bands.run(work)
     return packed
 
 
-def _with_colours(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    packed = np.empty((*image.shape[:2], len(PACKED_FIELDS)), np.float32)
+def _pack_colours(image: NDArray[np.uint8], packed: NDArray[np.float32]) -> None:
     colours = image if image.ndim == 3 else image[..., None]
-    _pack_colours(colours, packed.view(np.uint32))
-    return packed
+    _colour_kernel(colours, packed.view(np.uint32))
 
 
 def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -86,8 +103,8 @@ def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float3
     return x_per_z.astype(np.float32), y_per_z.astype(np.float32)
 
 
-@njit(nogil=True, cache=True)
-def _pack_colours(colours, packed):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True, error_model="numpy")
+def _colour_kernel(colours, packed):  # type: ignore[no-untyped-def]
     height, width, channels = colours.shape
     green, blue = (1, 2) if channels == 3 else (0, 0)
     for v in range(height):
@@ -99,7 +116,7 @@ def _pack_colours(colours, packed):  # type: ignore[no-untyped-def]
             )
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _assemble_rays(x_per_z, y_per_z, depth, variance, across, packed):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for v in range(height):
@@ -119,8 +136,8 @@ def _assemble_rays(x_per_z, y_per_z, depth, variance, across, packed):  # type: 
             packed[v, u, 9] = along
 
 
-@njit(nogil=True, cache=True)
-def _assemble_printed(x_per_z, y_per_z, depth, unit, exponent, packed):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True, error_model="numpy")
+def _assemble_printed(x_per_z, y_per_z, depth, packed, unit, exponent):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for v in range(height):
         b = y_per_z[v]

@@ -177,6 +177,7 @@ class StereoConfig:
         low=0.01,
         high=0.3,
     )
+    threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
     error_correlation: float = parameter(
         0.3,
         "Mean correlation of the disparity errors of two pixels of one surface patch.",

@@ -22,6 +22,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.stereo.assembly import assemble
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.images import check_image, check_size
 from infomap_ros.stereo.range_cloud import RangeCloud
 
@@ -117,6 +118,7 @@ class DepthCameraSensor:
     def __init__(self, camera: PinholeCamera, config: DepthCameraConfig | None = None) -> None:
         self.camera = camera
         self.config = config or DepthCameraConfig()
+        self._bands = RowBands(camera.height)
 
     def measure(self, depth: ArrayLike, color: ArrayLike | None = None) -> RangeCloud:
         """Convert a depth image.
@@ -141,7 +143,9 @@ class DepthCameraSensor:
         kept, variance = self._noise(metres)
         return RangeCloud(
             camera=self.camera,
-            packed=assemble(self.camera, kept, variance, self.config.pixel_sigma, image),
+            packed=assemble(
+                self.camera, kept, variance, self.config.pixel_sigma, image, self._bands
+            ),
             range_image=kept,
             error_correlation=self.config.error_correlation,
             colors=image if image.ndim == 3 else None,
@@ -184,7 +188,7 @@ class DepthCameraSensor:
         return kept, variance
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _depth_noise(  # type: ignore[no-untyped-def]
     depth, smooth, keep, camera, polynomial, limits, kept, variance
 ):
@@ -210,7 +214,7 @@ def _depth_noise(  # type: ignore[no-untyped-def]
             variance[v, u] = sigma * sigma + rounding
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _incidence(smooth, u, v, camera):  # type: ignore[no-untyped-def]
     """Angle between the ray of a pixel and the surface normal [rad], from the depth's slope."""
     fx, fy, cx, cy = camera

@@ -7,12 +7,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.matching import SUBPIXELS
 
 
 def drop_inconsistent(
-    disparity: NDArray[np.int16], invalid: int, tolerance: int
+    disparity: NDArray[np.int16], invalid: int, tolerance: int, bands: RowBands
 ) -> NDArray[np.int16]:
     """Left-right check: drop pixels whose place in the right image a nearer pixel hides.
 
@@ -20,17 +21,23 @@ def drop_inconsistent(
         disparity: shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
         tolerance: largest difference of disparity to the nearest claimant [px].
+        bands: threads to work in.
 
     Returns:
         Copy, shape (H, W) [1/16 px], with `invalid` where the check failed or where the match
         lies outside the right image.
     """
     checked = np.empty_like(disparity)
-    _check_rows(disparity, invalid, tolerance * SUBPIXELS, checked)
+    step = tolerance * SUBPIXELS
+
+    def work(first: int, end: int) -> None:
+        _check_rows(disparity[first:end], invalid, step, checked[first:end])
+
+    bands.run(work)
     return checked
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _check_rows(disparity, invalid, tolerance, checked):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     claim = np.empty(width, np.int16)

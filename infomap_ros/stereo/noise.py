@@ -23,12 +23,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import StereoRig
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.quality import MatchQuality
 
@@ -39,30 +39,68 @@ _GRADIENT_NOISE = 0.1
 _CURVATURE_NOISE = 0.5
 
 
-def quality_logarithms(quality: MatchQuality) -> NDArray[np.float32]:
-    """Logarithms of residual, gradient and texture width, shape (3, H, W), float32.
+def quality_logarithms(quality: MatchQuality) -> NDArray[np.float64]:
+    """Natural logarithms of residual, gradient and texture width, shape (3, H, W).
 
-    The texture width is the rms first over the rms second derivative [px]: wider texture, as in
-    a blurred or enlarged image, locates a match less well.
+    All three are rms values over the window. The texture width is the rms first over the rms
+    second derivative [px]: wider texture, as in a blurred or enlarged image, locates a match
+    less well.
     """
-    residual = cv2.log(quality.residual + np.float32(_RESIDUAL_NOISE))
-    gradient = cv2.log(quality.gradient + np.float32(_GRADIENT_NOISE))
-    curvature = cv2.log(quality.curvature + np.float32(_CURVATURE_NOISE))
-    return np.asarray([0.5 * residual, 0.5 * gradient, 0.5 * (gradient - curvature)], np.float32)
+    residual = 0.5 * np.log(quality.residual + _RESIDUAL_NOISE, dtype=np.float64)
+    gradient = 0.5 * np.log(quality.gradient + _GRADIENT_NOISE, dtype=np.float64)
+    curvature = 0.5 * np.log(quality.curvature + _CURVATURE_NOISE, dtype=np.float64)
+    return np.stack([residual, gradient, gradient - curvature])
 
 
 def sigma_from_quality(quality: MatchQuality, config: StereoConfig) -> NDArray[np.float32]:
     """Standard deviation of refined disparities, shape (H, W), float32 [px].
 
     ``sigma = scale * residual^a * gradient^b * width^c``, at least sigma_floor, with the rms
-    photometric residual and gradient of the window in grey levels and the width in px.
+    photometric residual and gradient of the window in grey levels and the width in px, see
+    `quality_logarithms`. Within 1 % (the logarithms are approximated).
     """
-    residual, gradient, width = quality_logarithms(quality)
-    exponent = config.sigma_residual_power * residual
-    exponent += config.sigma_gradient_power * gradient
-    exponent += config.sigma_texture_power * width
-    sigma = cv2.exp(exponent) * np.float32(config.sigma_scale)
-    return np.asarray(np.maximum(sigma, np.float32(config.sigma_floor)), dtype=np.float32)
+    a, b, c = (
+        config.sigma_residual_power,
+        config.sigma_gradient_power,
+        config.sigma_texture_power,
+    )
+    powers = np.array([0.5 * a, 0.5 * (b + c), -0.5 * c], np.float32)
+    sigma = np.empty(quality.disparity.shape, np.float32)
+    planes = [plane.ravel() for plane in quality[1:]]
+    scale, floor = np.float32(config.sigma_scale), np.float32(config.sigma_floor)
+    _sigma_kernel(*planes, powers, scale, floor, sigma.ravel())
+    return sigma
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _sigma_kernel(  # type: ignore[no-untyped-def]
+    residual, gradient, curvature, powers, scale, floor, sigma
+):
+    power_r, power_g, power_c = powers[0], powers[1], powers[2]
+    for i in range(sigma.size):
+        exponent = power_r * _log2(residual[i] + np.float32(_RESIDUAL_NOISE))
+        exponent += power_g * _log2(gradient[i] + np.float32(_GRADIENT_NOISE))
+        exponent += power_c * _log2(curvature[i] + np.float32(_CURVATURE_NOISE))
+        sigma[i] = max(scale * _exp2(exponent), floor)
+
+
+@njit(nogil=True, cache=True, inline="always", error_model="numpy")
+def _log2(x):  # type: ignore[no-untyped-def]
+    """Base-2 logarithm of a positive float32 within 0.005: exponent bits plus a parabola."""
+    bits = np.float32(x).view(np.int32)
+    mantissa = np.int32((bits & 0x7FFFFF) | 0x3F800000).view(np.float32)
+    curve = (np.float32(-0.34484843) * mantissa + np.float32(2.02466578)) * mantissa
+    return np.float32((bits >> 23) - 127) + curve + np.float32(-1.67487759)
+
+
+@njit(nogil=True, cache=True, inline="always", error_model="numpy")
+def _exp2(x):  # type: ignore[no-untyped-def]
+    """Two to the power of a float32 between -120 and 120, within 0.3 %."""
+    whole = np.floor(x)
+    f = np.float32(x) - np.float32(whole)
+    bits = np.int32((np.int32(whole) + 127) << 23)
+    curve = (np.float32(0.33718944) * f + np.float32(0.65763628)) * f + np.float32(1.0017247)
+    return bits.view(np.float32) * curve
 
 
 class StereoRange(NamedTuple):
@@ -87,6 +125,7 @@ def range_from_disparity(
     keep: NDArray[np.bool_],
     disparity: NDArray[np.float32],
     sigma: NDArray[np.float32],
+    bands: RowBands,
 ) -> StereoRange:
     """Depth and its variance to second order (see the module's head).
 
@@ -96,26 +135,26 @@ def range_from_disparity(
         keep: pixels to convert, shape (H, W).
         disparity: shape (H, W) [px].
         sigma: standard deviation of disparity, shape (H, W) [px].
+        bands: threads to work in.
     """
     result = StereoRange(*(np.empty(disparity.shape, np.float32) for _ in range(4)))
+    focal_baseline, offset = rig.left.fx * rig.baseline, rig.principal_offset
     limits = (config.min_depth, config.max_depth, config.max_relative_sigma)
-    _convert(
-        keep,
-        disparity,
-        sigma,
-        np.float32(rig.left.fx * rig.baseline),
-        np.float32(rig.principal_offset),
-        tuple(np.float32(limit) for limit in limits),
-        *result,
-    )
+    numbers = np.array([focal_baseline, offset, *limits], np.float32)
+
+    def work(first: int, end: int) -> None:
+        inputs = (plane[first:end] for plane in (keep, disparity, sigma))
+        _convert(*inputs, numbers, *(plane[first:end] for plane in result))
+
+    bands.run(work)
     return result
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _convert(  # type: ignore[no-untyped-def]
-    keep, disparity, sigma, focal_baseline, offset, limits, depth, variance, kept, kept_sigma
+    keep, disparity, sigma, numbers, depth, variance, kept, kept_sigma
 ):
-    nearest, farthest, largest_ratio = limits
+    focal_baseline, offset, nearest, farthest, largest_ratio = numbers
     nan = np.float32(np.nan)
     height, width = disparity.shape
     for v in range(height):

@@ -15,11 +15,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.matching import SUBPIXELS
 
-#: Keeps the step small where the gradient is at the level of image noise [grey levels^2].
+# Keeps the step small where the gradient is at the level of image noise [grey levels^2].
 _GRADIENT_NOISE = 5.0
+# Largest correction of a disparity [px]; the matcher is right to the whole pixel or wrong.
 _LARGEST_STEP = 0.5
+# Window sums: count, g, e, gg, ge, ee, hh with gradient g, difference e, second derivative h.
+_CHANNELS = 7
 
 
 class MatchQuality(NamedTuple):
@@ -46,6 +50,7 @@ def refine(
     invalid: int,
     window: int,
     smoothing: int,
+    bands: RowBands,
 ) -> MatchQuality:
     """Refine a disparity image and measure the quality of its matches.
 
@@ -54,72 +59,138 @@ def refine(
         right: grey image, shape (H, W).
         disparity: of the left pixels, shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
-        window: side of the photometric window [px].
+        window: side of the photometric window, odd [px].
         smoothing: side of the window over which refined disparities are averaged [px]. Right
             where `filters.edge_free` holds for a window at least as large.
+        bands: threads to work in.
     """
-    height, width = disparity.shape
-    samples = np.empty((height, width, 7), np.float32)
-    _sample(left, right, disparity, invalid, samples)
-    sums = cv2.boxFilter(samples, -1, (window, window), borderType=cv2.BORDER_CONSTANT)
-    planes = [np.empty((height, width), np.float32) for _ in range(4)]
+    planes = [np.empty(disparity.shape, np.float32) for _ in range(4)]
     quality = MatchQuality(*planes)
-    _solve(sums, disparity, *quality)
+
+    def work(first: int, end: int) -> None:
+        _refine_rows(left, right, disparity, invalid, window // 2, first, end, *quality)
+
+    bands.run(work)
     if smoothing > 1:
         smooth = cv2.blur(quality.disparity, (smoothing, smoothing))
         quality = quality._replace(disparity=np.asarray(smooth, dtype=np.float32))
     return quality
 
 
-@njit(nogil=True, cache=True)
-def _sample(left, right, disparity, invalid, samples):  # type: ignore[no-untyped-def]
-    """Products of gradient and difference at the matched place: 1, g, e, gg, ge, ee, hh."""
+@njit(nogil=True, cache=True, error_model="numpy")
+def _refine_rows(  # type: ignore[no-untyped-def]
+    left, right, disparity, invalid, reach, first, end, refined, residual, gradient, curvature
+):
+    """Slide a window down the image: the samples of its rows are kept in a ring."""
     height, width = disparity.shape
-    for v in range(height):
-        for u in range(width):
-            d = disparity[v, u]
-            place = np.float32(u) - np.float32(d) / np.float32(SUBPIXELS)
-            first = int(np.floor(place))
-            if d <= invalid or u < 1 or u > width - 2 or first < 1 or first > width - 3:
-                samples[v, u, :] = 0.0
-                continue
-            t = place - np.float32(first)
-            r0, r1 = np.float32(right[v, first - 1]), np.float32(right[v, first])
-            r2, r3 = np.float32(right[v, first + 1]), np.float32(right[v, first + 2])
-            l0, l1, l2 = (
-                np.float32(left[v, u - 1]),
-                np.float32(left[v, u]),
-                np.float32(left[v, u + 1]),
-            )
-            slope = (r2 - r0) + t * ((r3 - r1) - (r2 - r0))
-            g = np.float32(0.25) * (slope + (l2 - l0))
-            e = l1 - (r1 + t * (r2 - r1))
-            h = l0 - np.float32(2.0) * l1 + l2
-            samples[v, u, 0] = 1.0
-            samples[v, u, 1] = g
-            samples[v, u, 2] = e
-            samples[v, u, 3] = g * g
-            samples[v, u, 4] = g * e
-            samples[v, u, 5] = e * e
-            samples[v, u, 6] = h * h
+    rows = 2 * reach + 1
+    ring = np.zeros((rows, _CHANNELS, width), np.float32)
+    samples = np.zeros((_CHANNELS, width), np.float32)
+    columns = np.zeros((_CHANNELS, width), np.float64)
+    padded = np.zeros(width + 2 * reach, np.float32)
+    sums = np.zeros((_CHANNELS, width), np.float32)
+    for v in range(first - reach, end + reach):
+        if 0 <= v < height:
+            _sample_row(left[v], right[v], disparity[v], invalid, samples)
+        else:
+            samples[:] = 0.0
+        oldest = ring[v % rows]
+        for c in range(_CHANNELS):
+            _slide(columns[c], oldest[c], samples[c])
+        out = v - reach
+        if out >= first:
+            _sum_columns(columns, reach, padded, sums)
+            _solve_row(sums, disparity[out], refined[out])
+            _residual_row(sums, residual[out])
+            _mean_row(sums[0], sums[3], gradient[out])
+            _mean_row(sums[0], sums[6], curvature[out])
 
 
-@njit(nogil=True, cache=True)
-def _solve(sums, disparity, refined, residual, gradient, curvature):  # type: ignore[no-untyped-def]
-    """One Gauss-Newton step of every pixel, with the mean brightness difference removed."""
-    height, width = disparity.shape
-    for v in range(height):
-        for u in range(width):
-            count = max(sums[v, u, 0], np.float32(1e-3))
-            share = np.float32(1.0) / count
-            mean_g, mean_e = sums[v, u, 1] * share, sums[v, u, 2] * share
-            gg = sums[v, u, 3] * share
-            ge = sums[v, u, 4] * share - mean_g * mean_e
-            ee = sums[v, u, 5] * share - mean_e * mean_e
-            spread = max(gg - mean_g * mean_g, np.float32(0.0)) + np.float32(_GRADIENT_NOISE)
-            step = -ge / spread
-            step = min(max(step, np.float32(-_LARGEST_STEP)), np.float32(_LARGEST_STEP))
-            refined[v, u] = np.float32(disparity[v, u]) / np.float32(SUBPIXELS) + step
-            residual[v, u] = max(ee - ge * ge / spread, np.float32(0.0))
-            gradient[v, u] = gg
-            curvature[v, u] = sums[v, u, 6] * share
+@njit(nogil=True, cache=True, error_model="numpy")
+def _sample_row(left, right, disparity, invalid, samples):  # type: ignore[no-untyped-def]
+    """Gradient and photometric difference of every match in a row, and their products."""
+    width = disparity.size
+    for u in range(width):
+        d = disparity[u]
+        place = np.float32(u) - np.float32(d) * np.float32(1.0 / SUBPIXELS)
+        first = int(np.floor(place))
+        if d <= invalid or u < 1 or u > width - 2 or first < 1 or first > width - 3:
+            for c in range(_CHANNELS):
+                samples[c, u] = 0.0
+            continue
+        t = place - np.float32(first)
+        r0, r1 = np.float32(right[first - 1]), np.float32(right[first])
+        r2, r3 = np.float32(right[first + 1]), np.float32(right[first + 2])
+        l0, l1, l2 = np.float32(left[u - 1]), np.float32(left[u]), np.float32(left[u + 1])
+        slope = (r2 - r0) + t * ((r3 - r1) - (r2 - r0))
+        g = np.float32(0.25) * (slope + (l2 - l0))
+        e = l1 - (r1 + t * (r2 - r1))
+        h = l0 - np.float32(2.0) * l1 + l2
+        samples[0, u] = 1.0
+        samples[1, u] = g
+        samples[2, u] = e
+        samples[3, u] = g * g
+        samples[4, u] = g * e
+        samples[5, u] = e * e
+        samples[6, u] = h * h
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _slide(total, oldest, newest):  # type: ignore[no-untyped-def]
+    """Move a running sum by one row; in double precision, so that it does not drift."""
+    for u in range(total.size):
+        total[u] += np.float64(newest[u]) - np.float64(oldest[u])
+        oldest[u] = newest[u]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _sum_columns(columns, reach, padded, sums):  # type: ignore[no-untyped-def]
+    """Sum ``2 reach + 1`` neighbouring columns."""
+    channels, width = columns.shape
+    for c in range(channels):
+        padded[reach : reach + width] = columns[c]
+        total = sums[c]
+        total[:] = padded[:width]
+        for shift in range(1, 2 * reach, 2):
+            _add_two(total, padded[shift : shift + width], padded[shift + 1 : shift + 1 + width])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _add_two(total, first, second):  # type: ignore[no-untyped-def]
+    for u in range(total.size):
+        total[u] += first[u] + second[u]
+
+
+# One loop per result: the compiler does not vectorise a loop that writes several arrays.
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _solve_row(sums, disparity, refined):  # type: ignore[no-untyped-def]
+    """One Gauss-Newton step per pixel, with the mean brightness difference removed."""
+    most = np.float32(_LARGEST_STEP)
+    count, g, e, gg, ge = sums[0], sums[1], sums[2], sums[3], sums[4]
+    for u in range(disparity.size):
+        share = np.float32(1.0) / max(count[u], np.float32(1.0))
+        cross = share * (ge[u] - share * g[u] * e[u])
+        spread = max(share * (gg[u] - share * g[u] * g[u]), np.float32(0.0))
+        step = -cross / (spread + np.float32(_GRADIENT_NOISE))
+        fixed = np.float32(disparity[u]) * np.float32(1.0 / SUBPIXELS)
+        refined[u] = fixed + min(max(step, -most), most)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _residual_row(sums, residual):  # type: ignore[no-untyped-def]
+    """Variance of the photometric difference that the step leaves."""
+    count, g, e, gg, ge, ee = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    for u in range(residual.size):
+        share = np.float32(1.0) / max(count[u], np.float32(1.0))
+        cross = share * (ge[u] - share * g[u] * e[u])
+        spread = max(share * (gg[u] - share * g[u] * g[u]), np.float32(0.0))
+        explained = cross * cross / (spread + np.float32(_GRADIENT_NOISE))
+        residual[u] = max(share * (ee[u] - share * e[u] * e[u]) - explained, np.float32(0.0))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _mean_row(count, total, mean):  # type: ignore[no-untyped-def]
+    for u in range(mean.size):
+        mean[u] = total[u] / max(count[u], np.float32(1.0))

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import StereoRig
 from infomap_ros.stereo.assembly import assemble, assemble_printed
+from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.filters import drop_inconsistent, drop_speckles, edge_free
 from infomap_ros.stereo.images import check_image, grey
@@ -39,6 +40,7 @@ class StereoRangeSensor:
         self.config = config or StereoConfig()
         self.search: DisparityRange = disparity_range(rig, self.config)
         self._matcher = DisparityMatcher(self.search, self.config)
+        self._bands = RowBands(rig.left.height, self.config.threads)
 
     @property
     def depth_limits(self) -> tuple[float, float]:
@@ -83,7 +85,9 @@ class StereoRangeSensor:
         """
         keep, quality = self.assess(left_grey, right_grey, disparity)
         sigma = sigma_from_quality(quality, self.config)
-        ranges = range_from_disparity(self.rig, self.config, keep, quality.disparity, sigma)
+        ranges = range_from_disparity(
+            self.rig, self.config, keep, quality.disparity, sigma, self._bands
+        )
         return RangeCloud(
             camera=self.rig.left,
             packed=self._assemble(ranges, left_image),
@@ -111,18 +115,27 @@ class StereoRangeSensor:
             Which pixels are kept, shape (H, W), and the quality of every match.
         """
         config, invalid = self.config, self._matcher.invalid
-        checked = drop_inconsistent(disparity, invalid, config.left_right_tolerance)
+        checked = drop_inconsistent(disparity, invalid, config.left_right_tolerance, self._bands)
         drop_speckles(checked, invalid, config)
         quality = refine(
-            left, right, checked, invalid, config.refinement_window, config.smoothing_window
+            left,
+            right,
+            checked,
+            invalid,
+            config.refinement_window,
+            config.smoothing_window,
+            self._bands,
         )
         keep = edge_free(checked, invalid, config)
         keep &= quality.gradient >= config.min_texture**2
         return keep, quality
 
     def _assemble(self, ranges: StereoRange, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        camera = self.rig.left
-        if self.config.noise_model == "printed":
+        camera, config = self.rig.left, self.config
+        if config.noise_model == "printed":
             focal_baseline = camera.fx * self.rig.baseline
-            return assemble_printed(camera, focal_baseline, ranges.depth, self.config, image)
-        return assemble(camera, ranges.depth, ranges.variance, self.config.pixel_sigma, image)
+            return assemble_printed(
+                camera, focal_baseline, ranges.depth, config, image, self._bands
+            )
+        variance = ranges.variance
+        return assemble(camera, ranges.depth, variance, config.pixel_sigma, image, self._bands)

@@ -1,0 +1,141 @@
+"""What leaves the map: point cloud files and the grid for planners."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.export import height_colors, surface_sigmas, write_ply
+from infomap_ros.mapping.projection import ProjectionConfig, project_map
+
+
+@pytest.fixture(scope="module")
+def wall_map() -> VoxelMap:
+    """A wall at x = 2 m, seen along x from the origin, 1 cm of range error."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    y, z = np.meshgrid(np.arange(-0.5, 0.5, 0.01), np.arange(0.0, 1.0, 0.01))
+    points = np.stack([np.full(y.shape, 2.02), y, z], axis=-1).reshape(-1, 3)
+    covariances = np.tile(np.diag([1e-4, 1e-6, 1e-6]), (len(points), 1, 1))
+    voxel_map.integrate(points, np.eye(4), covariances, np.diag([4e-6] * 3 + [0.0] * 3))
+    return voxel_map
+
+
+def read_ply(path) -> tuple[list[str], np.ndarray]:
+    """An independent reader: types and names as the header says."""
+    header, _, data = path.read_bytes().partition(b"end_header\n")
+    lines = header.decode().splitlines()
+    types = {"float": "<f4", "uchar": "u1"}
+    fields = [line.split()[1:] for line in lines if line.startswith("property")]
+    count = int(next(line for line in lines if line.startswith("element vertex")).split()[2])
+    vertices = np.frombuffer(data, dtype=[(name, types[kind]) for kind, name in fields])
+    assert len(vertices) == count
+    return lines, vertices
+
+
+def test_ply_holds_position_probability_and_sigma(wall_map, tmp_path):
+    assert write_ply(wall_map, tmp_path / "a.ply") == wall_map.surface_voxels > 300
+    lines, vertices = read_ply(tmp_path / "a.ply")
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    _, means, _ = wall_map.gaussians()
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_allclose(vertices[name], means[:, axis], atol=1e-6)
+    np.testing.assert_allclose(vertices["probability"], wall_map.probability(means), atol=1e-6)
+    assert np.median(vertices["sigma"]) == pytest.approx(np.sqrt(4e-6 + 1e-4 / 25), rel=0.3)
+
+
+def test_ply_of_an_empty_map_has_no_vertices(tmp_path):
+    assert write_ply(VoxelMap(), tmp_path / "a.ply") == 0
+    assert len(read_ply(tmp_path / "a.ply")[1]) == 0
+
+
+def test_sigma_is_that_of_the_thinnest_direction(rng):
+    turn, _ = np.linalg.qr(rng.normal(size=(5, 3, 3)))
+    covariances = turn @ np.diag([0.04, 0.0009, 0.01]) @ turn.transpose(0, 2, 1)
+    np.testing.assert_allclose(surface_sigmas(covariances), 0.03)
+
+
+def test_colors_rise_in_lightness_with_height():
+    colors = height_colors(np.linspace(-1.0, 3.0, 50)).astype(float)
+    lightness = colors @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness) >= 0.0).all()
+    assert lightness[-1] - lightness[0] > 150
+    assert len(height_colors(np.full(4, 2.0))) == 4
+
+
+def column_map(columns: dict[tuple[int, int, int], float]) -> SimpleNamespace:
+    indices = np.array(list(columns), dtype=np.int32).reshape(-1, 3)
+    return SimpleNamespace(
+        config=SimpleNamespace(voxel_size=0.1),
+        voxels=lambda: (indices, np.array(list(columns.values()), dtype=np.float32)),
+    )
+
+
+BAND = ProjectionConfig(low=0.2, high=0.5)  # voxels 2, 3 and 4 of 0.1 m
+
+
+def test_projection_of_single_columns():
+    voxel_map = column_map(
+        {
+            (-1, 4, 2): -3.0,  # free
+            (0, 4, 2): -3.0,
+            (0, 4, 4): 2.0,  # one occupied voxel in the column suffices
+            (1, 4, 3): 0.0,  # undecided
+            (1, 5, 1): 5.0,  # below the band
+            (-1, 5, 5): 5.0,  # above the band
+            (2, 6, 3): -3.0,
+        }
+    )
+    grid = project_map(voxel_map, BAND)
+    expected = [[0, 100, -1, -1], [-1, -1, -1, -1], [-1, -1, -1, 0]]
+    np.testing.assert_array_equal(grid.cells, np.array(expected, dtype=np.int8), strict=True)
+    np.testing.assert_allclose(grid.origin, (-0.1, 0.4))
+    assert grid.resolution == 0.1
+
+
+def test_projection_agrees_with_one_voxel_at_a_time(rng):
+    indices = np.unique(rng.integers(-9, 9, size=(800, 3)), axis=0)
+    columns = {
+        tuple(i): float(v)
+        for i, v in zip(indices.tolist(), rng.normal(0, 2, len(indices)), strict=True)
+    }
+    grid = project_map(column_map(columns), BAND)
+    for row, col in np.ndindex(grid.cells.shape):
+        x, y = round(grid.origin[0] / 0.1) + col, round(grid.origin[1] / 0.1) + row
+        chances = [1 / (1 + np.exp(-columns[x, y, z])) for z in (2, 3, 4) if (x, y, z) in columns]
+        expected = -1
+        if chances and max(chances) >= 0.65:
+            expected = 100
+        elif chances and max(chances) <= 0.25:
+            expected = 0
+        assert grid.cells[row, col] == expected
+
+
+def test_wall_is_projected_to_a_line(wall_map):
+    grid = project_map(wall_map, ProjectionConfig(low=0.1, high=0.8))
+    rows, columns = np.nonzero(grid.cells == 100)
+    x = grid.origin[0] + (columns + 0.5) * grid.resolution
+    y = grid.origin[1] + (rows + 0.5) * grid.resolution
+    assert set(np.round(x, 3)) == {2.025}
+    assert y.min() < -0.4
+    assert y.max() > 0.4
+    assert (grid.cells == 0).any()
+
+
+def test_nothing_in_the_band_is_one_unknown_cell(wall_map):
+    grid = project_map(wall_map, ProjectionConfig(low=50.0, high=60.0))
+    np.testing.assert_array_equal(grid.cells, [[-1]])
+    assert project_map(VoxelMap()).cells.dtype == np.int8
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"low": 1.0}, {"high": np.nan}, {"occupied_probability": 0.4}, {"free_probability": 0.6}],
+)
+def test_impossible_band_is_refused(change):
+    with pytest.raises(ConfigError):
+        replace(ProjectionConfig(), **change)

@@ -1,0 +1,189 @@
+"""OctoMap files against OctoMap itself (pyoctomap) and a real building."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pyoctomap
+import pytest
+
+from infomap_ros.errors import InvalidInputError, MapFileError
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.octomap_file import read_bt, write_bt, write_ot
+
+SIZE = 0.1
+
+
+def stand_in(indices: np.ndarray, log_odds: np.ndarray) -> SimpleNamespace:
+    """What the writers ask of a map, with voxels of one's choice."""
+    return SimpleNamespace(
+        config=SimpleNamespace(voxel_size=SIZE),
+        voxels=lambda: (np.int32(indices).reshape(-1, 3), np.float32(log_odds)),
+    )
+
+
+def random_map(rng: np.random.Generator, uniform: bool = False) -> SimpleNamespace:
+    """Scattered voxels about the origin, and a solid block that prunes to large leaves."""
+    scattered = np.unique(rng.integers(-40, 40, size=(3000, 3)), axis=0)
+    scattered = scattered[(scattered < 0).any(axis=1) | (scattered >= 16).any(axis=1)]
+    block = np.indices((16, 16, 16)).reshape(3, -1).T
+    values = rng.integers(1, 20, size=len(scattered)) * rng.choice([-0.25, 0.25], len(scattered))
+    indices = np.concatenate([scattered, block])
+    log_odds = np.concatenate([values, np.full(len(block), -2.0)])
+    order = rng.permutation(len(indices))
+    return stand_in(indices[order], log_odds[order])
+
+
+def read_ot(path: Path) -> pyoctomap.OcTree:
+    return pyoctomap.OcTree(1.0).read(str(path))
+
+
+def value_at(tree: pyoctomap.OcTree, index: np.ndarray) -> float | None:
+    node = tree.search((np.asarray(index) + 0.5) * SIZE)
+    return None if node is None else float(node.getLogOdds())
+
+
+def test_ot_is_read_by_octomap_with_every_log_odds(tmp_path, rng):
+    chosen = random_map(rng)
+    write_ot(chosen, tmp_path / "a.ot")
+    tree = read_ot(tmp_path / "a.ot")
+    assert tree.getResolution() == SIZE
+    indices, log_odds = chosen.voxels()
+    np.testing.assert_array_equal([value_at(tree, i) for i in indices], log_odds)
+    known = {tuple(i) for i in indices}
+    beside = [i for i in rng.integers(-45, 45, size=(300, 3)) if tuple(i) not in known]
+    assert [value_at(tree, i) for i in beside] == [None] * len(beside)
+
+
+def test_bt_is_read_by_octomap_with_every_state(tmp_path, rng):
+    chosen = random_map(rng)
+    write_bt(chosen, tmp_path / "a.bt")
+    tree = pyoctomap.OcTree(0.5)
+    assert tree.readBinary(str(tmp_path / "a.bt"))
+    assert tree.getResolution() == SIZE
+    indices, log_odds = chosen.voxels()
+    occupied = [value_at(tree, i) > 0.0 for i in indices]
+    np.testing.assert_array_equal(occupied, log_odds > 0.0)
+    assert sum(edge**3 for edge in read_bt(tmp_path / "a.bt").edges) == len(indices)
+
+
+def test_equal_voxels_are_pruned_as_octomap_does(tmp_path, rng):
+    chosen = random_map(rng)
+    write_ot(chosen, tmp_path / "a.ot")
+    write_bt(chosen, tmp_path / "a.bt")
+    full = read_ot(tmp_path / "a.ot")
+    assert full.size() == full.calcNumNodes()
+    binary = pyoctomap.OcTree(0.5)
+    binary.readBinary(str(tmp_path / "a.bt"))
+    full.toMaxLikelihood()
+    full.writeBinary(str(tmp_path / "b.bt"))
+    again = pyoctomap.OcTree(0.5)
+    again.readBinary(str(tmp_path / "b.bt"))
+    assert again.size() == binary.size()
+    assert 16 in read_bt(tmp_path / "a.bt").edges
+
+
+def test_bt_round_trip(tmp_path, rng):
+    chosen = random_map(rng)
+    write_bt(chosen, tmp_path / "a.bt")
+    leaves = read_bt(tmp_path / "a.bt")
+    indices, log_odds = chosen.voxels()
+    expected = {tuple(i) for i in indices[log_odds > 0.0].tolist()}
+    voxels = leaves.occupied_voxels()
+    assert leaves.resolution == SIZE
+    assert {tuple(i) for i in voxels.tolist()} == expected
+    assert len(voxels) == len(expected)
+
+
+def test_octomaps_own_bt_is_read(tmp_path, rng):
+    tree = pyoctomap.OcTree(0.25)
+    places = rng.uniform(-5, 5, size=(500, 3))
+    occupied = rng.random(500) < 0.5
+    for place, hit in zip(places, occupied, strict=True):
+        tree.updateNode(place, bool(hit))
+    tree.writeBinary(str(tmp_path / "a.bt"))
+    leaves = read_bt(tmp_path / "a.bt")
+    expected = {
+        tuple(np.floor(np.array(leaf.getCoordinate()) / 0.25).astype(int))
+        for leaf in tree.begin_leafs()
+        if tree.isNodeOccupied(leaf)
+    }
+    assert expected
+    assert {tuple(i) for i in leaves.occupied_voxels().tolist()} == expected
+
+
+def test_real_building_has_as_many_leaves_as_octomap_finds(real_data):
+    path = real_data / "octomaps" / "geb079.bt"
+    tree = pyoctomap.OcTree(0.5)
+    tree.readBinary(str(path))
+    leaves = read_bt(path)
+    assert len(leaves.edges) == tree.getNumLeafNodes()
+    low, high = leaves.corners.min(axis=0), (leaves.corners + leaves.edges[:, None]).max(axis=0)
+    np.testing.assert_allclose(low * leaves.resolution, tree.getMetricMin(), atol=1e-9)
+    np.testing.assert_allclose(high * leaves.resolution, tree.getMetricMax(), atol=1e-9)
+
+
+def test_empty_map_makes_files_that_octomap_reads(tmp_path):
+    empty = VoxelMap(VoxelMapConfig(voxel_size=SIZE))
+    write_bt(empty, tmp_path / "a.bt")
+    write_ot(empty, tmp_path / "a.ot")
+    tree = pyoctomap.OcTree(0.5)
+    assert tree.readBinary(str(tmp_path / "a.bt"))
+    assert tree.size() == 0
+    assert read_ot(tmp_path / "a.ot").size() == 0
+    assert len(read_bt(tmp_path / "a.bt").edges) == 0
+
+
+def test_integrated_scan_reaches_octomap(tmp_path):
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=SIZE))
+    wall = np.stack(
+        [*np.meshgrid(np.arange(-1, 1, 0.02), np.arange(-1, 1, 0.02)), np.full((100, 100), 2.05)],
+        -1,
+    )
+    voxel_map.integrate(wall.reshape(-1, 3), np.eye(4))
+    write_ot(voxel_map, tmp_path / "a.ot")
+    tree = read_ot(tmp_path / "a.ot")
+    places = np.array([[0.05, 0.05, 2.05], [0.05, 0.05, 1.05]])
+    read = [tree.search(place).getLogOdds() for place in places]
+    np.testing.assert_allclose(read, voxel_map.log_odds(places))
+    assert read[0] > 0.0 > read[1]
+
+
+@pytest.mark.parametrize("index", [[0, 0, 2**15], [-(2**15) - 1, 0, 0]])
+def test_voxel_beyond_octomaps_limit_is_refused(tmp_path, index):
+    for write in (write_bt, write_ot):
+        with pytest.raises(InvalidInputError, match="32768"):
+            write(stand_in(np.array([index]), np.array([1.0])), tmp_path / "a")
+
+
+def test_voxels_at_octomaps_limit_are_kept(tmp_path):
+    corners = np.array([[2**15 - 1] * 3, [-(2**15)] * 3])
+    write_bt(stand_in(corners, np.array([1.0, 2.0])), tmp_path / "a.bt")
+    voxels = read_bt(tmp_path / "a.bt").occupied_voxels()
+    np.testing.assert_array_equal(np.sort(voxels, axis=0), np.sort(corners, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (lambda content: content[:-40], "truncated"),
+        (lambda content: content.replace(b"id OcTree", b"id ColorOcTree"), "OcTree"),
+        (lambda content: content.replace(b"res 0.1", b"res -1"), "OcTree"),
+        (lambda content: content.replace(b"size ", b"size 9"), "header says"),
+        (lambda content: b"# Octomap OcTree file" + content, "binary"),
+        (lambda content: content.replace(b"data\n", b"data\n" + b"\xff" * 80), "levels"),
+        (lambda content: b"", "binary"),
+    ],
+)
+def test_damaged_bt_is_refused_by_name(tmp_path, rng, damage, named):
+    write_bt(random_map(rng), tmp_path / "a.bt")
+    (tmp_path / "b.bt").write_bytes(damage((tmp_path / "a.bt").read_bytes()))
+    with pytest.raises(MapFileError, match=rf"b\.bt.*{named}"):
+        read_bt(tmp_path / "b.bt")
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(MapFileError, match=r"none\.bt: No such file"):
+        read_bt(Path(tmp_path / "none.bt"))

@@ -1,4 +1,4 @@
-"""What all nodes share: guarded inputs, diagnostics, and the main function.
+"""What all nodes share: configuration, guarded inputs, diagnostics.
 
 Errors of the library are translated here, once: the data are dropped, the drop is counted with its
 reason, and a throttled warning says what was wrong. Any other exception is a defect and ends the
@@ -7,14 +7,11 @@ process.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -166,32 +163,3 @@ class MonitoredNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
-
-
-def run_node(factory: Callable[[], Node], arguments: Sequence[str] | None = None) -> int:
-    """Initialise ROS, spin one node in one thread until shut down, and clean up.
-
-    Args:
-        factory: makes the node; an error of the library means that it does not start.
-        arguments: command line, default ``sys.argv``.
-
-    Returns:
-        Exit status: 0, or 2 when the node could not start.
-    """
-    rclpy.init(args=None if arguments is None else list(arguments))
-    node = None
-    try:
-        node = factory()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
-    except InfomapError as error:
-        print(f"fatal: not started: {error}", file=sys.stderr)
-        return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelChanges, VoxelMap
+from infomap_ros.mapping.export import surface_vertices
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
 
@@ -25,47 +26,13 @@ def whole_map(voxel_map: VoxelMap) -> VoxelChanges:
 
 
 def voxel_map_rows(voxel_map: VoxelMap) -> NDArray[np.float32]:
-    """Surface voxels as rows (x, y, z, probability, sigma), shape (K, 5).
+    """Surface voxels as rows of `VOXEL_MAP_FIELDS`, shape (K, 5), float32.
 
     Position is the mean of the Gaussian [m, map]; sigma is the standard deviation of the surface
-    along its normal, the smallest of the Gaussian [m].
+    along its normal [m].
     """
-    _, means, covariances = voxel_map.gaussians()
-    rows = np.empty((len(means), len(VOXEL_MAP_FIELDS)), dtype=np.float32)
-    rows[:, :3] = means
-    rows[:, 3] = voxel_map.probability(means) if len(means) else 0.0
-    rows[:, 4] = np.sqrt(np.linalg.eigvalsh(covariances)[:, 0]) if len(means) else 0.0
-    return rows
-
-
-def projected_cells(
-    voxel_map: VoxelMap, low: float, high: float
-) -> tuple[NDArray[np.int8], tuple[float, float]]:
-    """The map between two heights, seen from above.
-
-    Args:
-        voxel_map: the map.
-        low: voxels with their centre from here [m] ...
-        high: ... to here [m] count.
-
-    Returns:
-        Cells, shape (rows along y, columns along x): -1 where nothing is known, else the highest
-        occupancy probability of the column in percent; and x, y of the corner of cell (0, 0) [m].
-    """
-    size = voxel_map.config.voxel_size
-    indices, log_odds = voxel_map.voxels()
-    heights = (indices[:, 2] + 0.5) * size
-    chosen = (heights >= low) & (heights <= high)
-    columns, evidence = indices[chosen, :2], log_odds[chosen].astype(np.float64)
-    if not len(columns):
-        return np.full((1, 1), -1, dtype=np.int8), (0.0, 0.0)
-    first = columns.min(axis=0)
-    width, depth = columns.max(axis=0) - first + 1
-    percent = np.rint(100.0 / (1.0 + np.exp(-np.clip(evidence, -50.0, 50.0)))).astype(np.int8)
-    cells = np.full((depth, width), -1, dtype=np.int8)
-    x, y = (columns - first).T
-    np.maximum.at(cells, (y, x), percent)
-    return cells, (float(first[0] * size), float(first[1] * size))
+    vertices = surface_vertices(voxel_map)
+    return np.stack([vertices[name].astype(np.float32) for name in VOXEL_MAP_FIELDS], axis=-1)
 
 
 def without_evidence(indices: NDArray[np.int32]) -> VoxelChanges:

@@ -15,38 +15,34 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
-from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
-from infomap_ros.errors import FrameError, InfomapError
-from infomap_ros.geometry import PointCloudRecord, PoseRecord
+from infomap_ros.errors import InfomapError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.mapping import VoxelMapConfig
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode, run_node
+from infomap_ros.mapping.body import BodyFilterConfig
+from infomap_ros.mapping.projection import ProjectionConfig
+from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.map_outputs import MapOutputsConfig
-from infomap_ros.replay.messages import decode_point_cloud, decode_pose_with_covariance
+from infomap_ros.nodes.robot_body import RobotBodyConfig
+from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
 
 
 @dataclass(frozen=True)
 class MapFusionConfig:
-    """How map_fusion treats its inputs.
+    """How map_fusion works through its input.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    camera_frame: str = parameter(
-        "",
-        "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
-        "Empty: that of the first cloud.",
-    )
     queue_size: int = parameter(
         10, "Scans that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
@@ -72,34 +68,23 @@ class MapFusionNode(MonitoredNode):
         (MapFusionConfig, ""),
         (MapKeeperConfig, ""),
         (MapOutputsConfig, ""),
+        (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),
+        (ScanGateConfig, ""),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
+        (RobotBodyConfig, ""),
+        (BodyFilterConfig, "body."),
+        (JointBufferConfig, "joints."),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("map_fusion", **node_arguments)
         self._config = self.config(MapFusionConfig)
-        self._map_frame = self.config(MapOutputsConfig).map_frame
-        self._keeper = MapKeeper(self)
-        self._poses = PoseBuffer(self.config(PoseBufferConfig))
-        waiting = self.config(WaitingQueueConfig)
-        self._waiting: WaitingQueue[PointCloudRecord] = WaitingQueue(
-            self._poses.at, waiting, lambda _, why: self.drop("no pose at the stamp", why)
-        )
-        self._jump = round(waiting.max_wait * 1e9)
-        self._newest = 0
-        self._frame = self._config.camera_frame
-        self._keeper.prepare()
+        keeper = self._keeper = MapKeeper(self)
+        keeper.prepare()
         self._worker = self.start_worker(self._config.queue_size)
-        self._open()
-
-    def _open(self) -> None:
-        """Subscribe, offer the services and start the timers, now that the kernels are warm."""
-        pose_type = PoseWithCovarianceStamped
-        self.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
-        self.listen(pose_type, "camera_pose", self._on_pose, qos.sensor_data(depth=50))
-        keeper = self._keeper
+        self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             self.create_service(Trigger, f"~/{name}", self._service(order))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -107,44 +92,16 @@ class MapFusionNode(MonitoredNode):
         if self._config.autosave_period:
             self.create_timer(self._config.autosave_period, self._autosave, clock=steady)
 
-    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        pose = decode_pose_with_covariance(message)
-        if pose.frame_id != self._map_frame:
-            raise FrameError(f"pose in frame '{pose.frame_id}', the map is '{self._map_frame}'")
-        if self._poses.add(pose):
-            self._waiting.drop_all("time went backwards")
-        self._hand_over()
+    def _on_scan(self, scan: Scan) -> None:
+        self._worker.submit(partial(self._fuse, scan))
 
-    def _on_cloud(self, message: PointCloud2) -> None:
-        cloud = decode_point_cloud(message)
-        self._frame = self._frame or cloud.frame_id
-        if cloud.frame_id != self._frame:
-            raise FrameError(
-                f"cloud in frame '{cloud.frame_id}', camera_pose is of '{self._frame}'"
-            )
-        if cloud.stamp < self._newest - self._jump:
-            self._on_clock_jump(cloud.stamp)
-        self._newest = max(self._newest, cloud.stamp)
-        self._waiting.push(cloud.stamp, cloud)
-        self._hand_over()
+    def _fuse(self, scan: Scan) -> None:
+        if self.guard("points2", partial(self._keeper.integrate, scan)):
+            self.health.produced()
 
-    def _on_clock_jump(self, stamp: int) -> None:
-        """The rule of the module; poses are forgotten unless they have jumped already."""
-        self.get_logger().warning("time went backwards")
-        self._newest = stamp
-        if (self._poses.newest_stamp or 0) > stamp + self._jump:
-            self._poses.clear()
+    def _on_clock_jump(self) -> None:
         if self._config.reset_on_clock_jump:
             self._worker.submit_always(self._keeper.reset)
-
-    def _hand_over(self) -> None:
-        """Give the worker the clouds whose pose is known."""
-        for cloud, pose in self._waiting.take():
-            self._worker.submit(partial(self._fuse, cloud, pose))
-
-    def _fuse(self, cloud: PointCloudRecord, pose: PoseRecord) -> None:
-        if self.guard("points2", lambda: self._keeper.integrate(cloud, pose)):
-            self.health.produced()
 
     def _publish_pictures(self) -> None:
         self._worker.submit_always(self._keeper.publish_pictures)

@@ -9,13 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.geometry import PointCloudRecord, PoseRecord
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_contents import voxel_map_rows, whole_map
 from infomap_ros.nodes.map_outputs import MapOutputs
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.robot_body import without_body
+from infomap_ros.nodes.scan_gate import Scan
+from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,7 @@ class MapKeeper:
     def __init__(self, node: MonitoredNode) -> None:
         self._node = node
         self._config = node.config(MapKeeperConfig)
+        self._body_filter = node.config(BodyFilterConfig)
         self._outputs = MapOutputs(node)
         self._path = Path(self._config.map_file).absolute()
         self._map = VoxelMap(node.config(VoxelMapConfig))
@@ -80,18 +87,20 @@ class MapKeeper:
             MapFileError: the map file cannot be used.
         """
         start = time.monotonic()
-        warm_up(self._map.config)
+        warm_up(self._map.config.threads)
         self._node.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
         if self._config.resume and self._path.exists():
             self._node.get_logger().info(self.load())
 
-    def integrate(self, cloud: PointCloudRecord, pose: PoseRecord) -> None:
+    def integrate(self, scan: Scan) -> None:
         """Add a scan and publish what it changed.
 
         Raises:
             InfomapError: the scan cannot be used; the map is as before.
         """
+        cloud = without_body(decode_point_cloud(scan.message), scan.body, self._body_filter)
         camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
+        pose = scan.pose
         covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
         self._map.integrate(cloud.points, pose.transform, cloud.covariances, covariance, camera)
         self._stamp = cloud.stamp
@@ -150,21 +159,24 @@ class MapKeeper:
         return np.diag(np.square(sigmas))
 
 
-def warm_up(config: VoxelMapConfig) -> None:
+def warm_up(threads: int) -> None:
     """Use every kernel of a map once, so that it is compiled before the first message.
 
     Args:
-        config: of the map that will be used.
+        threads: that integrate a scan.
     """
-    depth = np.full((24, 32), min(1.0, 0.5 * config.max_range))
-    v, u = np.mgrid[0:24, 0:32]
-    slopes = np.stack([(u - 15.5) / 30.0, (v - 11.5) / 30.0, np.ones_like(depth)], axis=-1)
-    points = (slopes * depth[..., None]).astype(np.float32)
+    points = PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5).back_project(np.full((24, 32), 1.0))
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (24, 32, 3, 3))
-    trial = VoxelMap(config)
+    message = encode_point_cloud(
+        RclpyMessageTypes(), PointCloudRecord(0, "warm_up", points, covariances)
+    )
+    cloud = decode_point_cloud(message)
+    without_body(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], BodyFilterConfig())
+    trial = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=2.0, threads=threads))
     trial.track_changes(True)
-    camera = fit_pinhole_camera(points)
-    trial.integrate(points, np.eye(4), covariances, 1e-6 * np.eye(6), camera)
-    trial.integrate(points.reshape(-1, 3)[::16], np.eye(4))
+    camera = fit_pinhole_camera(cloud.points)
+    trial.integrate(cloud.points, np.eye(4), cloud.covariances, 1e-6 * np.eye(6), camera)
+    trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
     trial.take_changes()
-    trial.voxels(), trial.gaussians()
+    whole_map(trial)
+    voxel_map_rows(trial)

@@ -11,16 +11,17 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelChanges, VoxelMap
+from infomap_ros.mapping.projection import ProjectionConfig, project_map
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import (
     VOXEL_MAP_FIELDS,
-    projected_cells,
     voxel_map_rows,
     whole_map,
     without_evidence,
 )
 from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.scan_gate import ScanGateConfig
 from infomap_ros.replay.messages import encode_cloud_fields, encode_occupancy_grid
 from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
@@ -34,7 +35,6 @@ class MapOutputsConfig:
         ConfigError: a value is out of its range.
     """
 
-    map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
     robot_id: int = parameter(
         0, "Id of this robot in map_updates, unique in its team.", low=0, high=65535
     )
@@ -44,12 +44,6 @@ class MapOutputsConfig:
         unit="s",
         low=0.05,
         high=3600.0,
-    )
-    projection_low: float = parameter(
-        0.1, "Lower end of the height band of projected_map.", unit="m", low=-1e4, high=1e4
-    )
-    projection_high: float = parameter(
-        1.0, "Upper end of the height band of projected_map.", unit="m", low=-1e4, high=1e4
     )
 
     def __post_init__(self) -> None:
@@ -65,6 +59,8 @@ class MapOutputs:
 
     def __init__(self, node: MonitoredNode) -> None:
         self._config = node.config(MapOutputsConfig)
+        self._frame = node.config(ScanGateConfig).map_frame
+        self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
         self._version = 0
         self._whole_map_due = False
@@ -109,11 +105,10 @@ class MapOutputs:
 
         Who comes later gets the last of them from the middleware.
         """
-        frame = self._config.map_frame
         if self._wanted("voxel_map", self._voxel_map):
             rows = voxel_map_rows(voxel_map)
             self._voxel_map.publish(
-                encode_cloud_fields(self._types, stamp, frame, VOXEL_MAP_FIELDS, rows)
+                encode_cloud_fields(self._types, stamp, self._frame, VOXEL_MAP_FIELDS, rows)
             )
         if self._wanted("projected_map", self._projected):
             self._projected.publish(self._project(voxel_map, stamp))
@@ -125,11 +120,10 @@ class MapOutputs:
         return wanted
 
     def _project(self, voxel_map: VoxelMap, stamp: int) -> OccupancyGrid:
-        low, high = self._config.projection_low, self._config.projection_high
-        cells, origin = projected_cells(voxel_map, low, high)
-        size = voxel_map.config.voxel_size
-        frame = self._config.map_frame
-        return encode_occupancy_grid(self._types, stamp, frame, cells, size, origin)
+        grid = project_map(voxel_map, self._projection)
+        return encode_occupancy_grid(
+            self._types, stamp, self._frame, grid.cells, grid.resolution, grid.origin
+        )
 
     def _publish_update(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
         self._version += 1
@@ -144,5 +138,5 @@ class MapOutputs:
             changes.covariances,
         )
         for rows in encode_update(update) or [np.zeros(0, OCCUPANCY_ROW)]:
-            message = encode_rows(self._types, stamp, self._config.map_frame, rows)
+            message = encode_rows(self._types, stamp, self._frame, rows)
             self._updates.publish(message)

@@ -81,6 +81,8 @@ def _given(node: Node, name: str, default: Any) -> Any:
     peek = ParameterDescriptor(dynamic_typing=True)
     given = node.declare_parameter(name, value, peek).value
     node.undeclare_parameter(name)
+    if given is None:  # an empty list in a parameter file has no type
+        return default
     if isinstance(default, tuple):
         elements = given if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
         return tuple(_as_kind_of(default[0] if default else None, each) for each in elements)

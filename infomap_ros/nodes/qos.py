@@ -36,11 +36,11 @@ def stream(depth: int = 10) -> QoSProfile:
     )
 
 
-def latched() -> QoSProfile:
-    """Profile for maps and descriptions: who comes late gets the last one."""
+def latched(depth: int = 1) -> QoSProfile:
+    """Profile for maps and descriptions: who comes late gets the last one (or `depth`)."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=1,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )

@@ -80,7 +80,8 @@ def build() -> None:
     if sys.prefix == sys.base_prefix:
         raise ResourceError("tf2_msgs is built into virtual environments only, and this is none")
     if missing := missing_tools():
-        raise ResourceError(f"tf2_msgs needs to be built and lacks: {', '.join(missing)}")
+        raise ResourceError(f"tf2_msgs cannot be built without: {', '.join(missing)}")
+    print("building tf2_msgs, about half a minute", flush=True)
     _point_wheels_here(Path(sys.prefix))
     with tempfile.TemporaryDirectory(prefix="tf2_msgs-") as folder:
         for name, text in _SOURCES.items():
@@ -96,7 +97,6 @@ def main() -> None:
     """Build tf2_msgs unless it is there; ends with status 1 and one line where it cannot."""
     if find_spec("tf2_msgs") is not None:
         return
-    print("building tf2_msgs, about half a minute", flush=True)
     try:
         build()
     except ResourceError as error:

@@ -1,0 +1,196 @@
+"""Node ``bag_player``: plays a bag onto topics, with /clock.
+
+Topics of the bag become relative names, so that namespace and remaps apply; /tf, /tf_static and
+/diagnostics stay absolute. Messages are passed on as they are in the bag, without being read. The
+replay runs in the worker thread, so that acknowledgements are heard while it publishes. When the
+bag loops the clock jumps back; that is for the listeners to notice.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import BagError, InfomapError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.run import run_node
+from infomap_ros.replay.messages import encode_clock
+from infomap_ros.replay.player import BagPlayer, PlayerConfig, Step
+from infomap_ros.replay.reader import BagReader
+
+_ABSOLUTE = ("/tf", "/tf_static", "/diagnostics")
+_NOT_PLAYED = ("/clock", "/rosout", "/parameter_events")
+_SETTLING = 1.0  # [s]
+_CLOCK_PERIOD = 0.05  # [s]
+
+
+@dataclass(frozen=True)
+class BagPlayerNodeConfig:
+    """What bag_player plays, for whom it waits, and what tells it that a message was used.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    bag: str = parameter("", "The bag: rosbag2 folder, .mcap, .db3 or ROS 1 .bag file.")
+    topics: tuple[str, ...] = parameter((), "Topics to play, as they are in the bag; empty: all.")
+    wait_for_subscribers: tuple[str, ...] = parameter(
+        (),
+        "Topics that must have a subscriber before the replay starts. Empty: until any has one, "
+        "and a second more.",
+    )
+    paced_topic: str = parameter(
+        "/left/image_raw", "With acknowledged: the topic of the bag whose results are waited for."
+    )
+    result_topic: str = parameter(
+        "map_updates",
+        "With acknowledged: the clouds with whose stamp a message of paced_topic has been used.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class BagPlayerNode(MonitoredNode):
+    """See the module.
+
+    Attributes:
+        finished: done when the bag has ended; its result is the exit status.
+    """
+
+    CONFIGS = ((BagPlayerNodeConfig, ""), (PlayerConfig, ""))
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("bag_player", **node_arguments)
+        self._config = self.config(BagPlayerNodeConfig)
+        self.finished: Future = Future()
+        self._reader = BagReader(self._config.bag)
+        self._outlets = self._advertise_all()
+        self._clock_publisher = self.advertise(Clock, "/clock", qos.stream(depth=1))
+        self._types = RclpyMessageTypes()
+        self._acknowledged = threading.Condition()
+        self._player = self._make_player()
+        if self._player.config.acknowledged:
+            topic = self._config.result_topic
+            self.listen(PointCloud2, topic, self._on_result, qos.sensor_data(depth=100))
+        self._stopping = False
+        self.start_worker(1).submit(self._play)
+
+    def _advertise_all(self) -> dict[str, Publisher]:
+        """One publisher for each topic of the bag whose type is installed."""
+        publishers = {}
+        for name, channel in self._reader.topics.items():
+            wanted = not self._config.topics or name in self._config.topics
+            if not wanted or name in _NOT_PLAYED:
+                continue
+            try:
+                kind = message_class(channel.type_name)
+            except (ModuleNotFoundError, AttributeError):
+                text = f"{name} is not played: {channel.type_name} is not installed"
+                self.get_logger().warning(text)
+                continue
+            profile = qos.latched(depth=100) if channel.latched else qos.stream(depth=20)
+            target = name if name in _ABSOLUTE else name.lstrip("/")
+            publishers[name] = self.advertise(kind, target, profile)
+        if not publishers:
+            raise BagError(f"{self._config.bag} holds no topic to play")
+        return publishers
+
+    def _make_player(self) -> BagPlayer:
+        paced, topics = self._config.paced_topic, tuple(self._outlets)
+        config = self.config(PlayerConfig)
+        if config.acknowledged and paced not in topics:
+            raise BagError(f"paced_topic {paced} is not played; played are {', '.join(topics)}")
+        latched = [name for name in topics if self._reader.topics[name].latched]
+        return BagPlayer(
+            lambda: self._reader.messages(topics),
+            config,
+            paced=[paced] if config.acknowledged else [],
+            latched=latched,
+        )
+
+    def _on_result(self, message: PointCloud2) -> None:
+        stamp = message.header.stamp
+        with self._acknowledged:
+            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+            self._player.acknowledge(self._config.paced_topic, nanoseconds)
+            self._acknowledged.notify()
+
+    def _play(self) -> None:
+        """Publish until the bag ends; in the worker thread."""
+        status = 0
+        try:
+            self._wait_for_subscribers()
+            self.get_logger().info(f"playing {self._config.bag}")
+            while not self._stopping and not self._publish_step():
+                pass
+            for publisher in self._outlets.values():
+                publisher.wait_for_all_acked(Duration(seconds=5))
+        except InfomapError as error:
+            self.get_logger().error(str(error))
+            status = 1
+        self._tell_what_was_wrong()
+        self.finished.set_result(status)
+        if self.executor is not None:
+            self.executor.wake()
+
+    def _publish_step(self) -> bool:
+        """Publish what is due and wait for the next; returns whether the bag has ended."""
+        with self._acknowledged:
+            step: Step = self._player.step(time.monotonic())
+        if step.clock is not None:
+            self._clock_publisher.publish(encode_clock(self._types, step.clock))
+        for message in step.messages:
+            self._outlets[message.topic].publish(message.data)
+            self.health.produced()
+        if not step.finished and step.wait > 0.0:
+            with self._acknowledged:
+                self._acknowledged.wait(min(step.wait, _CLOCK_PERIOD))
+        return step.finished
+
+    def _wait_for_subscribers(self) -> None:
+        wanted = [self.resolve_topic_name(name) for name in self._config.wait_for_subscribers]
+        names = wanted or [publisher.topic_name for publisher in self._outlets.values()]
+        enough = all if wanted else any
+        while not self._stopping and not enough(self.count_subscribers(name) for name in names):
+            missing = [name for name in names if not self.count_subscribers(name)]
+            text = f"waiting for a subscriber of {', '.join(missing)}"
+            self.get_logger().info(text, throttle_duration_sec=5.0)
+            time.sleep(0.02)
+        if not wanted:
+            time.sleep(_SETTLING)
+
+    def _tell_what_was_wrong(self) -> None:
+        skipped = [f"{count} skipped, {why}" for why, count in self._reader.skipped.items()]
+        for text in [*self._reader.problems, *skipped]:
+            self.get_logger().warning(text)
+        lost = self._player.unacknowledged
+        if lost:
+            self.get_logger().warning(f"{lost} messages of {self._config.paced_topic} were lost")
+        self.get_logger().info(f"played {self._player.published} messages")
+
+    def destroy_node(self) -> None:
+        """Stop playing and close the bag."""
+        self._stopping = True
+        super().destroy_node()
+        self._reader.close()
+
+
+def main() -> int:
+    """Run the node until the bag has ended."""
+    return run_node(BagPlayerNode, until=lambda node: node.finished)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,135 @@
+"""Write down the parameters of the nodes from their configurations.
+
+``python -m infomap_ros.nodes.parameter_docs`` writes the parameter files ``config/<node>.yaml``
+and the tables in ``docs/nodes.md``; with ``--check`` it only says what is out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from infomap_ros.geometry.config import ParameterInfo, parameters_of
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.nodes.bag_player import BagPlayerNode
+from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.stereo_range import StereoRangeNode
+
+NODES = {
+    "stereo_range": StereoRangeNode.CONFIGS,
+    "map_fusion": MapFusionNode.CONFIGS,
+    "bag_player": BagPlayerNode.CONFIGS,
+}
+_BEGIN, _END = "<!-- parameters of {} -->", "<!-- end of parameters of {} -->"
+
+
+def node_parameters(
+    configs: Sequence[tuple[type, str]],
+) -> Mapping[str, tuple[Any, ParameterInfo]]:
+    """All parameters of a node: name -> (default, info).
+
+    Args:
+        configs: configuration classes with the prefix of their parameters.
+    """
+    return {
+        prefix + name: entry
+        for config, prefix in configs
+        for name, entry in parameters_of(config).items()
+    }
+
+
+def parameter_table(configs: Sequence[tuple[type, str]]) -> str:
+    """The parameters of a node as a Markdown table."""
+    lines = ["| parameter | default | unit | range | meaning |", "| --- | --- | --- | --- | --- |"]
+    for name, (default, info) in node_parameters(configs).items():
+        meaning = info.description.replace("|", "\\|")
+        lines.append(
+            f"| `{name}` | `{_as_yaml(default)}` | {info.unit} | {_range(info)} | {meaning} |"
+        )
+    return "\n".join(lines)
+
+
+def parameter_file(node: str, configs: Sequence[tuple[type, str]]) -> str:
+    """The parameters of a node with their defaults as a ROS parameter file.
+
+    Args:
+        node: name of the node; the file is for nodes of this name in any namespace.
+        configs: configuration classes with the prefix of their parameters.
+    """
+    lines = [
+        f"# Parameters of {node}, all at their defaults. Made by",
+        "# python -m infomap_ros.nodes.parameter_docs",
+        f"/**/{node}:",
+        "  ros__parameters:",
+    ]
+    for name, (default, info) in node_parameters(configs).items():
+        unit = f" [{info.unit}]" if info.unit else ""
+        limits = f" ({_range(info)})" if _range(info) else ""
+        comment = textwrap.wrap(info.description + unit + limits, 92)
+        lines += [f"    # {line}" for line in comment]
+        lines.append(f"    {name}: {_as_yaml(default)}")
+    return "\n".join(lines) + "\n"
+
+
+def with_tables(text: str) -> str:
+    """A Markdown text with all parameter tables between their markers replaced."""
+    for node, configs in NODES.items():
+        begin, end = _BEGIN.format(node), _END.format(node)
+        before, _, rest = text.partition(begin)
+        _, _, after = rest.partition(end)
+        text = f"{before}{begin}\n{parameter_table(configs)}\n{end}{after}"
+    return text
+
+
+def expected_files() -> dict[Path, str]:
+    """Every file that is made here, with the content that it should have."""
+    docs = find_share("docs/nodes.md")
+    config = find_share("config")
+    files = {config / f"{node}.yaml": parameter_file(node, c) for node, c in NODES.items()}
+    return {**files, docs: with_tables(docs.read_text(encoding="utf-8"))}
+
+
+def outdated_files() -> list[Path]:
+    """Files that are not as they should be."""
+    return [
+        path
+        for path, text in expected_files().items()
+        if not path.exists() or path.read_text(encoding="utf-8") != text
+    ]
+
+
+def _range(info: ParameterInfo) -> str:
+    if info.choices:
+        return ", ".join(info.choices)
+    low = "" if info.low is None else f"{info.low:g}"
+    high = "" if info.high is None else f"{info.high:g}"
+    if low and high:
+        return f"{low} to {high}"
+    return f"from {low}" if low else (f"up to {high}" if high else "")
+
+
+def _as_yaml(value: Any) -> str:
+    """A default as ROS reads it: JSON is YAML, and a real number keeps its point."""
+    return json.dumps(list(value) if isinstance(value, tuple) else value)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the files; with ``--check`` return 1 when one is out of date."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    check = parser.parse_args(arguments).check
+    outdated = outdated_files()
+    expected = expected_files()
+    for path in outdated:
+        print(f"{'out of date' if check else 'written'}: {path}")
+        if not check:
+            path.write_text(expected[path], encoding="utf-8")
+    return int(check and bool(outdated))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

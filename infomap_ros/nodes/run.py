@@ -1,0 +1,54 @@
+"""The main function of every node."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+from infomap_ros.errors import InfomapError
+
+NodeType = TypeVar("NodeType", bound=Node)
+
+
+def run_node(
+    factory: Callable[[], NodeType],
+    arguments: Sequence[str] | None = None,
+    until: Callable[[NodeType], Future] | None = None,
+) -> int:
+    """Initialise ROS, spin one node in one thread until shut down, and clean up.
+
+    Args:
+        factory: makes the node; an error of the library means that it does not start.
+        arguments: command line, default ``sys.argv``.
+        until: gives a future at which the node ends by itself, with the exit status as result.
+
+    Returns:
+        Exit status: 0, 2 when the node could not start, or the result of the future.
+    """
+    rclpy.init(args=None if arguments is None else list(arguments))
+    node = None
+    try:
+        node = factory()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        if until is None:
+            executor.spin()
+        else:
+            executor.spin_until_future_complete(end := until(node))
+            return int(end.result() or 0)
+    except InfomapError as error:
+        print(f"fatal: not started: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,132 @@
+"""Clouds wait here until the pose of the camera and the place of the robot's body are known.
+
+When the clock jumps back (a bag that loops), what waits is dropped, and poses and joint states
+from before the jump are forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import FrameError
+from infomap_ros.geometry import PlacedSolid, PoseRecord
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
+from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.robot_body import RobotBody
+from infomap_ros.replay.messages import POINT_CLOUD, decode_pose_with_covariance
+from infomap_ros.replay.messages.fields import MessageFields
+
+
+@dataclass(frozen=True)
+class ScanGateConfig:
+    """Which frames clouds and poses must have.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
+    camera_frame: str = parameter(
+        "",
+        "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
+        "Empty: that of the first cloud.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A cloud that can be fused.
+
+    Attributes:
+        message: the cloud, not yet decoded.
+        pose: of the camera at its stamp.
+        body: the robot's solids in the frame of the cloud at its stamp.
+    """
+
+    message: PointCloud2
+    pose: PoseRecord
+    body: Sequence[PlacedSolid]
+
+
+class ScanGate:
+    """Listens to clouds and poses and lets scans through when they are complete.
+
+    Args:
+        node: that listens; has the configurations of gate, poses, queue and body.
+        on_scan: gets each complete scan.
+        on_clock_jump: told when the clouds' clock has jumped back.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        on_scan: Callable[[Scan], None],
+        on_clock_jump: Callable[[], None],
+    ) -> None:
+        self._node = node
+        self._on_scan, self._on_clock_jump = on_scan, on_clock_jump
+        self._map_frame = node.config(ScanGateConfig).map_frame
+        self._camera_frame = node.config(ScanGateConfig).camera_frame
+        self._poses = PoseBuffer(node.config(PoseBufferConfig))
+        waiting = node.config(WaitingQueueConfig)
+        self._jump = round(waiting.max_wait * 1e9)
+        self._newest = 0
+        self._waiting: WaitingQueue[PointCloud2] = WaitingQueue(
+            self._pose_at, waiting, lambda _, why: node.drop("no pose at the stamp", why)
+        )
+        self._body = RobotBody(node, on_news=self._let_through)
+        node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
+        pose_type = PoseWithCovarianceStamped
+        node.listen(pose_type, "camera_pose", self._on_pose, qos.sensor_data(depth=50))
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        pose = decode_pose_with_covariance(message)
+        if pose.frame_id != self._map_frame:
+            raise FrameError(f"pose in frame '{pose.frame_id}', the map is '{self._map_frame}'")
+        if self._poses.add(pose):
+            self._waiting.drop_all("time went backwards")
+        self._let_through()
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        stamp, frame = MessageFields(message, POINT_CLOUD).header()
+        self._camera_frame = self._camera_frame or frame
+        if frame != self._camera_frame:
+            raise FrameError(f"cloud in frame '{frame}', camera_pose is of '{self._camera_frame}'")
+        if stamp < self._newest - self._jump:
+            self._jump_back(stamp)
+        self._newest = max(self._newest, stamp)
+        self._waiting.push(stamp, message)
+        self._let_through()
+
+    def _jump_back(self, stamp: int) -> None:
+        """The rule of the module; poses stay where they have jumped already."""
+        self._node.get_logger().warning("time went backwards")
+        self._newest = stamp
+        if (self._poses.newest_stamp or 0) > stamp + self._jump:
+            self._poses.clear()
+            self._body.clear()
+        self._on_clock_jump()
+
+    def _pose_at(self, stamp: int) -> PoseRecord:
+        """The camera's pose, once the place of the body is known too."""
+        self._body.check_known_at(stamp)
+        return self._poses.at(stamp)
+
+    def _let_through(self) -> None:
+        for message, pose in self._waiting.take():
+            self._node.guard("points2", partial(self._complete, message, pose))
+
+    def _complete(self, message: PointCloud2, pose: PoseRecord) -> None:
+        body = self._body.solids_in(self._camera_frame, pose.stamp)
+        self._on_scan(Scan(message, pose, body))

@@ -1,0 +1,167 @@
+"""Node ``stereo_range``: images in; depth, disparity and points with covariances out.
+
+Callbacks only receive and pair; the worker thread measures and publishes. Its queue is short:
+where images come faster than they can be measured, the oldest waiting ones give way and are
+counted, so that what comes out is never older than the queue is long.
+
+When the clock jumps back (a bag that loops), images that wait for their partner or for a camera
+info are dropped; nothing else is remembered between images.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image
+
+from infomap_ros.geometry import CameraInfoRecord, ImageRecord
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.pairing import StampPairing
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.range_outputs import RangeOutputs
+from infomap_ros.nodes.range_sources import (
+    DepthSource,
+    RangeSource,
+    StereoSource,
+    seconds_to_warm_up,
+)
+from infomap_ros.nodes.run import run_node
+from infomap_ros.replay.messages import decode_camera_info, decode_image
+from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+
+_CLOCK_JUMP = 1_000_000_000  # [ns]
+Images = tuple[ImageRecord, ...]
+
+
+@dataclass(frozen=True)
+class StereoRangeNodeConfig:
+    """What stereo_range listens to.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    source: str = parameter(
+        "stereo", "A pair of cameras, or a depth camera.", choices=("stereo", "depth")
+    )
+    rectify: bool = parameter(
+        False, "Listen to image_raw and rectify, instead of listening to image_rect."
+    )
+    color: bool = parameter(
+        False, "With source depth: take the colours of the points from rgb/image_rect."
+    )
+    pairing_tolerance: float = parameter(
+        0.0,
+        "Largest difference between the stamps of a pair; 0 for cameras that share a trigger.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+    )
+    queue_size: int = parameter(
+        2, "Pairs that wait to be measured at most; the oldest gives way.", low=1, high=100
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class StereoRangeNode(MonitoredNode):
+    """See the module."""
+
+    CONFIGS = (
+        (StereoRangeNodeConfig, ""),
+        (StereoConfig, ""),
+        (DepthCameraConfig, "depth_camera."),
+    )
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("stereo_range", **node_arguments)
+        config = self.config(StereoRangeNodeConfig)
+        self._source: RangeSource = self._make_source(config)
+        seconds = seconds_to_warm_up(self._source)
+        self.get_logger().info(f"kernels ready after {seconds:.1f} s")
+        self._pairing: StampPairing[ImageRecord, ImageRecord] = StampPairing(
+            round(config.pairing_tolerance * 1e9)
+        )
+        self._infos: dict[str, CameraInfoRecord] = {}
+        self._uncalibrated: deque[Images] = deque(maxlen=config.queue_size)
+        self._newest = 0
+        self._outputs = RangeOutputs(self)
+        self._worker = self.start_worker(config.queue_size)
+        self._listen()
+
+    def _make_source(self, config: StereoRangeNodeConfig) -> RangeSource:
+        if config.source == "depth":
+            return DepthSource(self.config(DepthCameraConfig), config.color)
+        return StereoSource(self.config(StereoConfig), config.rectify)
+
+    def _listen(self) -> None:
+        for topic in self._source.info_topics:
+            handle = partial(self._on_info, topic)
+            self.listen(CameraInfo, topic, handle, qos.sensor_data())
+        topics = self._source.image_topics
+        adders: tuple[Callable[[ImageRecord], Images | None], ...] = (
+            self._pairing.add_first,
+            self._pairing.add_second,
+        )
+        if len(topics) == 1:
+            adders = (lambda image: (image,),)
+        for topic, add in zip(topics, adders, strict=True):
+            self.listen(Image, topic, partial(self._on_image, add), qos.sensor_data())
+
+    def _on_info(self, topic: str, message: CameraInfo) -> None:
+        self._infos[topic] = decode_camera_info(message)
+        if len(self._infos) == len(self._source.info_topics):
+            while self._uncalibrated:
+                self._hand_over(self._uncalibrated.popleft())
+
+    def _on_image(self, add: Callable[[ImageRecord], Images | None], message: Image) -> None:
+        image = decode_image(message)
+        if image.stamp < self._newest - _CLOCK_JUMP:
+            self._on_clock_jump(image.stamp)
+        self._newest = max(self._newest, image.stamp)
+        before = self._pairing.unpaired
+        images = add(image)
+        for _ in range(self._pairing.unpaired - before):
+            self.drop("no partner", f"up to stamp {image.stamp} ns")
+        if images is not None:
+            self._hand_over(images)
+
+    def _on_clock_jump(self, stamp: int) -> None:
+        self.get_logger().warning("time went backwards")
+        self._newest = stamp
+        for _ in range(self._pairing.clear() + len(self._uncalibrated)):
+            self.drop("time went backwards")
+        self._uncalibrated.clear()
+
+    def _hand_over(self, images: Images) -> None:
+        """Give images to the worker, once the cameras are known."""
+        if len(self._infos) < len(self._source.info_topics):
+            if len(self._uncalibrated) == self._uncalibrated.maxlen:
+                self.drop("no camera info")
+            self._uncalibrated.append(images)
+        elif self._outputs.wanted:
+            infos = tuple(self._infos[topic] for topic in self._source.info_topics)
+            self._worker.submit(partial(self._measure, images, infos))
+
+    def _measure(self, images: Images, infos: tuple[CameraInfoRecord, ...]) -> None:
+        topic = self._source.image_topics[0]
+        if self.guard(topic, partial(self._measure_and_publish, images, infos)):
+            self.health.produced()
+
+    def _measure_and_publish(self, images: Images, infos: tuple[CameraInfoRecord, ...]) -> None:
+        self._outputs.publish(self._source.measure(images, infos))
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(StereoRangeNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

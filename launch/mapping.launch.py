@@ -1,0 +1,84 @@
+"""Map with stereo_range and map_fusion, live or from a bag.
+
+ros2 launch infomap_ros mapping.launch.py bag:=bags/rover_rocks
+ros2 launch infomap_ros mapping.launch.py namespace:=robot1 rectify:=true map_file:=/tmp/map.npz
+"""
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.nodes.environment import additions
+from launch import LaunchDescription
+
+ARGUMENTS = {
+    "bag": ("", "Bag to play; empty for live topics."),
+    "rate": ("1.0", "Speed of the replay."),
+    "acknowledged": ("false", "Play as fast as the nodes follow, whatever the rate."),
+    "loop": ("false", "Play the bag again and again."),
+    "namespace": ("", "Namespace of the robot."),
+    "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
+    "rectify": ("true", "The images are raw and must be rectified."),
+    "map_file": ("infomap_map.npz", "File of ~/save, ~/load and autosave."),
+    "resume": ("false", "Load map_file at the start."),
+    "voxel_size": ("0.05", "Edge length of a voxel [m]."),
+    "rviz": ("false", "Start RViz."),
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
+
+
+def _processes(context) -> list[Node]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    truth = {name: value == "true" for name, value in given.items()}
+    bag = given["bag"]
+
+    def node(executable: str, parameters: dict, **options) -> Node:
+        return Node(
+            package="infomap_ros",
+            executable=executable,
+            namespace=given["namespace"],
+            parameters=[str(find_share(f"config/{executable}.yaml")), parameters],
+            additional_env=additions(),
+            output="screen",
+            **options,
+        )
+
+    range_parameters = {"source": given["source"], "rectify": truth["rectify"]}
+    fusion_parameters = {
+        "map_file": given["map_file"],
+        "resume": truth["resume"],
+        "voxel_size": float(given["voxel_size"]),
+    }
+    player_parameters = {
+        "bag": bag,
+        "rate": float(given["rate"]),
+        "loop": truth["loop"],
+        "acknowledged": truth["acknowledged"],
+    }
+    clock = {"use_sim_time": bool(bag)}
+    processes = [
+        node("stereo_range", range_parameters | clock),
+        node("map_fusion", fusion_parameters | clock),
+    ]
+    if bag:
+        processes.append(node("bag_player", player_parameters))
+    rviz = Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=given["namespace"],
+        arguments=["-d", str(find_share("config/infomap.rviz"))],
+        parameters=[clock],
+        additional_env=additions(),
+        condition=IfCondition(LaunchConfiguration("rviz")),
+        on_exit=Shutdown(),
+    )
+    return [*processes, rviz]

@@ -1,0 +1,426 @@
+"""map_fusion over DDS: numbers, stamps and frames of what it publishes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from infomap_ros.errors import ConfigError, MapFileError
+from infomap_ros.geometry import (
+    JointStateRecord,
+    PinholeCamera,
+    PointCloudRecord,
+    PoseRecord,
+    TextRecord,
+    make_transform,
+)
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMap
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.replay.messages import encode, encode_point_cloud, encode_pose
+from infomap_ros.replay.messages.rows import decode_rows
+from infomap_ros.team import decode_update
+
+TYPES = RclpyMessageTypes()
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+FRAME = "left_optical_frame"
+CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
+# The camera looks along +x of the map from 1 m above its origin.
+T_MAP_CAMERA = make_transform([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 1.0])
+COVARIANCE = np.diag([1e-6] * 6)
+
+
+def cloud(stamp: int = START, depth: float = 2.0, frame: str = FRAME) -> PointCloudRecord:
+    """A wall in front of the camera."""
+    points = CAMERA.back_project(np.full((48, 64), depth))
+    covariances = np.broadcast_to(1e-4 * np.eye(3, dtype=np.float32), (48, 64, 3, 3))
+    return PointCloudRecord(stamp, frame, points, covariances)
+
+
+def pose(stamp: int = START, frame: str = "map", covariance: Any = COVARIANCE) -> PoseRecord:
+    return PoseRecord(stamp, frame, T_MAP_CAMERA, covariance)
+
+
+def stamp_of(message: Any) -> int:
+    return message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+
+
+class Bench:
+    """The node with everything around it connected."""
+
+    def __init__(self, graph: Any, **parameters: Any) -> None:
+        self.graph = graph
+        self.node = graph.add(MapFusionNode, **{"voxel_size": 0.1, **parameters})
+        self.clouds = graph.publisher(PointCloud2, "points2")
+        self.poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose", depth=100)
+        self.updates = graph.collect(PointCloud2, "map_updates", qos.stream(100))
+        graph.connect(self.clouds, self.poses)
+        topic = graph.tester.resolve_topic_name("map_updates")
+        graph.spin_until(lambda: graph.tester.count_publishers(topic), "map_updates")
+
+    def send(self, *records: PointCloudRecord | PoseRecord) -> None:
+        for record in records:
+            if isinstance(record, PoseRecord):
+                self.poses.publish(encode_pose(TYPES, record))
+            else:
+                self.clouds.publish(encode_point_cloud(TYPES, record))
+
+    def wait_for_results(self, count: int) -> None:
+        self.graph.spin_until(lambda: self.node.health.results() >= count, f"{count} scans")
+
+    def wait_for_drop(self, reason: str) -> str:
+        health = self.node.health
+        self.graph.spin_until(lambda: reason in health.drops(), f"a drop: {reason}")
+        return health.values()[f"last drop: {reason}"]
+
+    def wait_for_updates(self, stamp: int) -> list[Any]:
+        self.graph.spin_until(
+            lambda: any(stamp_of(m) == stamp for m in self.updates), "map_updates"
+        )
+        return [m for m in self.updates if stamp_of(m) == stamp]
+
+    def wait_for_map(self, expected: dict[Any, Any]) -> None:
+        """Until who listens to map_updates has this map."""
+        self.graph.spin_until(lambda: replica(self.updates) == expected, "the expected map")
+
+    def call(self, service: str) -> Trigger.Response:
+        client = self.graph.tester.create_client(Trigger, f"map_fusion/{service}")
+        self.graph.spin_until(client.service_is_ready, service)
+        answer = client.call_async(Trigger.Request())
+        self.graph.spin_until(answer.done, f"the answer of {service}")
+        return answer.result()
+
+
+def replica(messages: list[Any]) -> dict[tuple[int, int, int], tuple[int, bool]]:
+    """Voxel -> (log-odds, surface), the newest version of each, as a listener keeps it."""
+    newest: dict[Any, Any] = {}
+    for message in messages:
+        rows = decode_rows(message)[2]
+        if not len(rows):
+            continue
+        update = decode_update(rows)
+        for index, odds, surface in zip(
+            update.indices.tolist(), update.log_odds, update.has_gaussian, strict=True
+        ):
+            known = newest.get(tuple(index), (-1,))
+            if update.version > known[0]:
+                newest[tuple(index)] = (update.version, int(odds), bool(surface))
+    return {index: value[1:] for index, value in newest.items() if value[1:] != (0, False)}
+
+
+def as_replica(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[int, bool]]:
+    indices, log_odds = voxel_map.voxels()
+    quanta = np.rint(log_odds / LOG_ODDS_QUANTUM)
+    quanta = np.clip(quanta, -SHARED_LOG_ODDS_LIMIT, SHARED_LOG_ODDS_LIMIT).astype(int)
+    surface = {tuple(index) for index in voxel_map.gaussians()[0].tolist()}
+    known = {
+        tuple(i): (int(q), tuple(i) in surface)
+        for i, q in zip(indices.tolist(), quanta, strict=True)
+    }
+    return {index: value for index, value in known.items() if value != (0, False)}
+
+
+def expected_map(*scans: PointCloudRecord) -> VoxelMap:
+    from infomap_ros.mapping import VoxelMapConfig
+
+    expected = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    for scan in scans:
+        expected.integrate(scan.points, T_MAP_CAMERA, scan.covariances, COVARIANCE, CAMERA)
+    return expected
+
+
+def test_updates_are_the_map_that_the_library_makes_of_the_same_scans(graph: Any) -> None:
+    bench = Bench(graph)
+    scans = [cloud(START + i * SECOND // 10, 2.0 + 0.3 * i) for i in range(3)]
+    for number, scan in enumerate(scans):
+        bench.send(pose(scan.stamp), scan)
+        bench.wait_for_results(number + 1)
+    bench.wait_for_map(as_replica(expected_map(*scans)))
+
+    messages = bench.updates
+    assert {stamp_of(m) for m in messages} == {scan.stamp for scan in scans}
+    assert {m.header.frame_id for m in messages} == {"map"}
+    assert max(len(m.data) for m in messages) < 1_000_000
+    assert [f.name for f in messages[0].fields][:3] == ["ix", "iy", "iz"]
+
+
+def test_a_wall_at_two_metres_is_in_voxel_map_and_projected_map(graph: Any) -> None:
+    bench = Bench(graph, voxel_map_period=0.05, projection__low=0.5, projection__high=1.5)
+    clouds = graph.collect(PointCloud2, "voxel_map", qos.latched())
+    grids = graph.collect(OccupancyGrid, "projected_map", qos.latched())
+    bench.send(pose(), cloud())
+    graph.spin_until(
+        lambda: clouds and clouds[-1].width and grids and grids[-1].info.width > 1,
+        "voxel_map and projected_map",
+    )
+
+    _, frame, rows = decode_rows(clouds[-1])
+    assert (stamp_of(clouds[-1]), frame) == (START, "map")
+    assert rows.dtype.names == ("x", "y", "z", "probability", "sigma")
+    assert np.median(rows["x"]) == pytest.approx(2.0, abs=0.02)
+    assert (rows["probability"] > 0.5).mean() > 0.9
+    assert ((rows["sigma"] > 0.0) & (rows["sigma"] < 0.05)).all()
+    grid = grids[-1]
+    assert (stamp_of(grid), grid.header.frame_id) == (START, "map")
+    assert grid.info.resolution == pytest.approx(0.1)
+    cells = np.array(grid.data).reshape(grid.info.height, grid.info.width)
+    origin = grid.info.origin.position
+    row = int((0.0 - origin.y) / 0.1)
+    assert cells[row, int((2.0 - origin.x) / 0.1)] > 60
+    assert 0 <= cells[row, int((1.0 - origin.x) / 0.1)] < 40
+
+
+def test_who_comes_late_gets_the_voxel_map(graph: Any) -> None:
+    bench = Bench(graph, voxel_map_period=0.05)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+
+    clouds = graph.collect(PointCloud2, "voxel_map", qos.latched())
+
+    graph.spin_until(lambda: clouds and clouds[-1].width, "voxel_map")
+
+
+def test_a_cloud_waits_for_its_pose(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(cloud())
+    later = START + SECOND // 20
+    bench.send(pose(START - SECOND // 20), pose(later))
+
+    bench.wait_for_results(1)
+    assert bench.wait_for_updates(START)
+    assert bench.node.health.drops() == {}
+
+
+def test_a_cloud_without_pose_is_dropped_with_its_reason(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(pose(START + SECOND), cloud(START))
+
+    detail = bench.wait_for_drop("no pose at the stamp")
+
+    assert "before the first pose" in detail
+    assert bench.node.health.results() == 0
+
+
+@pytest.mark.parametrize(
+    ("record", "reason", "detail"),
+    [
+        (pose(frame="odom"), "wrong frame", "'odom'"),
+        (cloud(frame="lidar"), "wrong frame", "'lidar'"),
+        (pose(covariance=-np.eye(6)), "malformed message", "eigenvalue"),
+    ],
+)
+def test_wrong_data_are_dropped_by_name(graph: Any, record: Any, reason: str, detail: str) -> None:
+    bench = Bench(graph, camera_frame=FRAME)
+
+    bench.send(record)
+
+    assert detail in bench.wait_for_drop(reason)
+
+
+def test_bad_clouds_are_dropped_and_good_ones_still_count(graph: Any) -> None:
+    bench = Bench(graph)
+    good = encode_point_cloud(TYPES, cloud())
+    for attribute, value in (("row_step", 7), ("point_step", 3), ("fields", [])):
+        bad = encode_point_cloud(TYPES, cloud())
+        setattr(bad, attribute, value)
+        bench.clouds.publish(bad)
+    negative = cloud()
+    minus = PointCloudRecord(START, FRAME, negative.points, -np.array(negative.covariances))
+    bench.send(pose())
+    bench.clouds.publish(encode_point_cloud(TYPES, minus))
+    bench.clouds.publish(good)
+
+    bench.wait_for_results(1)
+    graph.spin_until(lambda: bench.node.health.drops().get("malformed message") == 4, "four drops")
+
+
+@pytest.mark.parametrize("points", [np.full((48, 64, 3), np.nan), np.zeros((0, 3))])
+def test_clouds_without_points_change_nothing(graph: Any, points: np.ndarray) -> None:
+    bench = Bench(graph)
+    empty = PointCloudRecord(START, FRAME, points.astype(np.float32))
+    bench.send(pose(), empty)
+    later = START + SECOND // 10
+    bench.wait_for_results(1)
+
+    bench.send(pose(later), cloud(later))
+
+    bench.wait_for_results(2)
+    assert bench.wait_for_updates(later)
+    bench.wait_for_map(as_replica(expected_map(cloud())))
+
+
+def test_a_scan_that_memory_does_not_hold_is_dropped(graph: Any) -> None:
+    bench = Bench(graph, voxel_size=0.002, memory_limit=0.001)
+
+    bench.send(pose(), cloud())
+
+    assert bench.wait_for_drop("out of capacity")
+
+
+def test_a_clock_that_jumps_back_keeps_the_map_and_goes_on(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    early = START - 100 * SECOND
+
+    bench.send(cloud(early), pose(early - SECOND // 20), pose(early + SECOND // 20))
+
+    bench.wait_for_results(2)
+    assert bench.wait_for_updates(early)
+    bench.wait_for_map(as_replica(expected_map(cloud(), cloud())))
+
+
+def test_a_clock_that_jumps_back_resets_the_map_where_that_is_wanted(graph: Any) -> None:
+    bench = Bench(graph, reset_on_clock_jump=True)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    early = START - 100 * SECOND
+
+    bench.send(pose(early), cloud(early, depth=3.0))
+
+    bench.wait_for_results(2)
+    bench.wait_for_updates(early)
+    bench.wait_for_map(as_replica(expected_map(cloud(depth=3.0))))
+
+
+def test_save_reset_load_bring_the_map_back(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "map.npz"
+    bench = Bench(graph, map_file=str(file))
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    saved = as_replica(expected_map(cloud()))
+
+    assert bench.call("save").success
+    assert as_replica(VoxelMap.load(file)) == saved
+    assert bench.call("reset").success
+    bench.wait_for_map({})
+    answer = bench.call("load")
+    assert answer.success, answer.message
+    bench.wait_for_map(saved)
+
+
+def test_a_corrupt_file_is_refused_by_name_and_the_map_stays(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "map.npz"
+    bench = Bench(graph, map_file=str(file))
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    file.write_bytes(b"no map")
+
+    answer = bench.call("load")
+
+    assert not answer.success
+    assert "map.npz" in answer.message
+    assert bench.call("save").success
+    assert as_replica(VoxelMap.load(file)) == as_replica(expected_map(cloud()))
+
+
+def test_saving_where_nothing_can_be_written_fails_with_a_reason(
+    graph: Any, tmp_path: Path
+) -> None:
+    bench = Bench(graph, map_file=str(tmp_path / "nowhere" / "map.npz"))
+
+    answer = bench.call("save")
+
+    assert not answer.success
+    assert "nowhere" in answer.message
+
+
+def test_the_map_is_resumed_and_saved_again_at_the_end(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "map.npz"
+    expected_map(cloud()).save(file)
+    bench = Bench(graph, map_file=str(file), resume=True, autosave_period=1000.0)
+    bench.send(pose(), cloud(depth=3.0))
+    bench.wait_for_results(1)
+
+    graph.executor.remove_node(bench.node)
+    graph.nodes.remove(bench.node)
+    bench.node.destroy_node()
+
+    assert as_replica(VoxelMap.load(file)) == as_replica(expected_map(cloud(), cloud(depth=3.0)))
+
+
+def test_a_node_does_not_start_on_a_corrupt_map(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "map.npz"
+    file.write_bytes(b"no map")
+
+    with pytest.raises(MapFileError, match=r"map\.npz"):
+        graph.add(MapFusionNode, map_file=str(file), resume=True)
+
+
+def test_a_node_does_not_start_with_an_impossible_parameter(graph: Any) -> None:
+    with pytest.raises(ConfigError, match="'voxel_size'"):
+        graph.add(MapFusionNode, voxel_size=-1.0)
+
+
+ROBOT = f"""<robot name="arm">
+  <link name="base"/>
+  <link name="{FRAME}"/>
+  <link name="gripper">
+    <collision><geometry><sphere radius="0.1"/></geometry></collision>
+  </link>
+  <joint name="mount" type="fixed"><parent link="base"/><child link="{FRAME}"/></joint>
+  <joint name="slide" type="prismatic"><parent link="{FRAME}"/><child link="gripper"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="3" velocity="1" effort="1"/></joint>
+</robot>"""
+
+
+def test_the_own_body_is_kept_out_of_the_map(graph: Any) -> None:
+    bench = Bench(graph)
+    descriptions = graph.tester.create_publisher(String, "robot_description", qos.latched())
+    joints = graph.publisher(JointState, "joint_states")
+    graph.connect(descriptions, joints)
+    descriptions.publish(encode(TYPES, TextRecord(0, "", ROBOT)))
+    count = f"{graph.namespace}/robot_description count"
+    graph.spin_until(lambda: bench.node.health.values()[count] == "1", "the description")
+    hand = cloud()
+    v, u = np.mgrid[0:48, 0:64]
+    on_hand = np.hypot(u - CAMERA.cx, v - CAMERA.cy) < 3.0
+    points = hand.points.copy()
+    points[on_hand] *= 0.95 / 2.0
+    bench.send(pose(), PointCloudRecord(START, FRAME, points, hand.covariances))
+    # The gripper is 1 m in front of the camera at the stamp of the cloud, not before or after.
+    for offset, position in ((-SECOND // 10, 0.0), (SECOND // 10, 2.0)):
+        record = JointStateRecord(START + offset, "", ("slide",), np.array([position]))
+        joints.publish(encode(TYPES, record))
+
+    bench.wait_for_results(1)
+    bench.wait_for_updates(START)
+    points[on_hand] = np.nan
+    without_hand = PointCloudRecord(START, FRAME, points, hand.covariances)
+    bench.wait_for_map(as_replica(expected_map(without_hand)))
+
+
+def test_without_joint_states_nothing_is_fused_and_the_reason_is_told(graph: Any) -> None:
+    bench = Bench(graph, waiting__max_wait=0.5)
+    descriptions = graph.tester.create_publisher(String, "robot_description", qos.latched())
+    descriptions.publish(encode(TYPES, TextRecord(0, "", ROBOT)))
+    count = f"{graph.namespace}/robot_description count"
+    graph.spin_until(lambda: bench.node.health.values()[count] == "1", "the description")
+
+    bench.send(pose(), cloud(), cloud(START + SECOND))
+
+    assert "no joint state" in bench.wait_for_drop("no pose at the stamp")
+
+
+def test_a_pose_without_covariance_is_not_taken_for_exact(graph: Any) -> None:
+    bench = Bench(graph, default_position_sigma=0.5)
+    bench.send(pose(covariance=None), cloud())
+    bench.wait_for_results(1)
+
+    def surfaces() -> list[np.ndarray]:
+        rows = [decode_rows(message)[2] for message in bench.updates]
+        return [r for r in rows if "mean_x" in (r.dtype.names or ())]
+
+    graph.spin_until(surfaces, "surface voxels")
+    covariances = decode_update(surfaces()[0]).covariances
+    assert np.sqrt(np.linalg.eigvalsh(covariances)[:, 0]).min() > 0.4

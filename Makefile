@@ -5,6 +5,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
+READY := $(STAMPS)/package $(STAMPS)/tf2
+
+CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'
+HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libEGL_mesa.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
+HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
+	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint types bench lock clean
@@ -13,22 +19,23 @@ STAMPS := $(VENV)/stamps
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
-setup: $(STAMPS)/ready  ## everything below .venv/: Python packages, ROS 2 from wheels, tf2_msgs
+setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels, tf2_msgs
+	@echo "ready: . $(BIN)/activate"
 
-demo: setup  ## map the bag in bags/ through the live nodes, results in out/demo
+demo: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo
 	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
 
-test: setup $(STAMPS)/rendering  ## every test
+test: $(READY) $(STAMPS)/opengl  ## every test
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)
 
-lint: setup  ## style
+lint: $(READY)  ## style
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 
-types: setup  ## static types
+types: $(READY)  ## static types
 	@$(BIN)/mypy
 
-bench: setup  ## speed against peers, one JSON line each
+bench: $(READY)  ## speed against peers, one JSON line each
 	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
 
 lock:  ## pin the newest versions within the ranges of setup.py into requirements.lock
@@ -43,13 +50,19 @@ lock:  ## pin the newest versions within the ranges of setup.py into requirement
 clean:  ## remove what the set-up and the commands made
 	rm -rf $(VENV) build install log out *.egg-info .mypy_cache .ruff_cache .pytest_cache
 
-# The set-up in steps, each done again only when what it depends on has changed.
+# The set-up in steps, each done again only when what it depends on has changed. What is missing
+# outside Python is said in one line; only Python itself is needed to go on.
 
 $(STAMPS)/venv:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-		{ echo "Python 3.11 or newer is needed: make PYTHON=python3.12 ..." >&2; exit 1; }
-	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
-		{ echo "venv is missing: sudo apt-get install python3-venv" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
+		{ echo "Python 3.11, 3.12 or 3.13 is needed: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@missing=""; \
+	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	$(HAS_HEADERS) || missing="$$missing python3-dev"; \
+	command -v c++ >/dev/null || missing="$$missing g++"; \
+	$(HAS_OPENGL) || missing="$$missing libegl1 libegl-mesa0"; \
+	test -z "$$missing" || echo "missing outside Python: sudo apt-get install$$missing" >&2; \
+	case "$$missing" in *venv*) exit 1 ;; esac
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@mkdir -p $(STAMPS)
 	@touch $@
@@ -59,22 +72,17 @@ $(STAMPS)/packages: requirements.lock | $(STAMPS)/venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	@touch $@
 
-$(STAMPS)/package: setup.py setup.cfg package.xml | $(STAMPS)/packages
+$(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(STAMPS)/tf2: requirements.lock infomap_ros/nodes/tf2_messages.py | $(STAMPS)/package
-	@$(BIN)/python -m infomap_ros.nodes.tf2_messages || \
-		echo "going on without tf2_msgs: no tf will be published" >&2
-	@touch $@
+# Tried again each time until it is there; everything but tf works without.
+$(STAMPS)/tf2: | $(STAMPS)/package
+	@if $(BIN)/python -m infomap_ros.nodes.tf2_messages; then touch $@; \
+	else echo "going on without tf2_msgs: the nodes publish no tf" >&2; fi
 
-# The simulated camera renders off screen. The demo and the maps of recorded bags do not need it.
-$(STAMPS)/rendering: | $(STAMPS)/venv
-	@$(PYTHON) -c 'import ctypes; ctypes.CDLL("libEGL.so.1"); ctypes.CDLL("libEGL_mesa.so.0")' \
-		2>/dev/null || $(PYTHON) -c 'import ctypes; ctypes.CDLL("libOSMesa.so.8")' 2>/dev/null || \
-		{ echo "OpenGL is missing: sudo apt-get install libegl1 libegl-mesa0" >&2; exit 1; }
-	@touch $@
-
-$(STAMPS)/ready: $(STAMPS)/packages $(STAMPS)/package $(STAMPS)/tf2
+# The simulated camera renders off screen; recorded bags are mapped without.
+$(STAMPS)/opengl: | $(STAMPS)/venv
+	@$(HAS_OPENGL) || { echo "OpenGL is missing: sudo apt-get install libegl1 libegl-mesa0" >&2; exit 1; }
 	@touch $@

@@ -124,20 +124,20 @@ class StereoConfig:
         choices=("disparity", "printed"),
     )
     sigma_scale: float = parameter(
-        0.3,
+        0.248,
         "Disparity model: sigma at unit residual, gradient and scale.",
         unit="px",
         low=0.001,
         high=100.0,
     )
     sigma_residual_power: float = parameter(
-        0.6, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
+        0.845, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
     )
     sigma_gradient_power: float = parameter(
-        -0.35, "Disparity model: exponent of the horizontal gradient.", low=-3.0, high=0.0
+        -0.442, "Disparity model: exponent of the horizontal gradient.", low=-3.0, high=0.0
     )
     sigma_texture_power: float = parameter(
-        1.0, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
+        0.825, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
     sigma_floor: float = parameter(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
@@ -151,7 +151,7 @@ class StereoConfig:
         high=10.0,
     )
     printed_s: float = parameter(
-        0.2,
+        0.235,
         "Printed model: intrinsic constant as a disparity error; S of eq. (1) is this over focal "
         "length [px] times baseline [m].",
         unit="px",
@@ -159,10 +159,10 @@ class StereoConfig:
         high=100.0,
     )
     printed_t: tuple[float, ...] = parameter(
-        (0.3, 0.3, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
+        (0.129, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
     )
     printed_n: float = parameter(
-        2.0, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
+        2.1, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
     )
     printed_rho: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
@@ -179,7 +179,7 @@ class StereoConfig:
     )
     threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
     error_correlation: float = parameter(
-        0.3,
+        0.36,
         "Mean correlation of the disparity errors of two pixels of one surface patch.",
         low=0.0,
         high=1.0,

@@ -52,6 +52,24 @@ def quality_logarithms(quality: MatchQuality) -> NDArray[np.float64]:
     return np.stack([residual, gradient, gradient - curvature])
 
 
+def sigma_from_logarithms(
+    logarithms: NDArray[np.float64], config: StereoConfig
+) -> NDArray[np.float64]:
+    """The power law of `sigma_from_quality` on `quality_logarithms`, exactly.
+
+    Args:
+        logarithms: shape (3, ...).
+        config: powers, sigma_scale and sigma_floor.
+
+    Returns:
+        Standard deviation of the disparity, shape (...) [px].
+    """
+    residual, gradient, width = logarithms
+    exponent = config.sigma_residual_power * residual + config.sigma_gradient_power * gradient
+    exponent += config.sigma_texture_power * width
+    return np.asarray(np.maximum(config.sigma_scale * np.exp(exponent), config.sigma_floor))
+
+
 def sigma_from_quality(quality: MatchQuality, config: StereoConfig) -> NDArray[np.float32]:
     """Standard deviation of refined disparities, shape (H, W), float32 [px].
 

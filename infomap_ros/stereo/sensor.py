@@ -65,8 +65,12 @@ class StereoRangeSensor:
         left_image = check_image(left, self.rig.left, "left image")
         right_image = check_image(right, self.rig.right, "right image")
         left_grey, right_grey = grey(left_image), grey(right_image)
-        disparity = self._matcher.match(left_grey, right_grey)
+        disparity = self.match(left_grey, right_grey)
         return self.measure_matched(left_image, left_grey, right_grey, disparity)
+
+    def match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.int16]:
+        """Raw disparities of a grey pair, see `DisparityMatcher.match`."""
+        return self._matcher.match(left, right)
 
     def measure_matched(
         self,

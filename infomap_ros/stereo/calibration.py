@@ -1,0 +1,258 @@
+"""Fit of the noise models to pairs with true disparity (``infomap calibrate-noise``).
+
+The power law of `noise.sigma_from_quality` is fitted by maximum likelihood of a Student
+distribution with 4 degrees of freedom (matching errors have heavier tails than a Gaussian and
+must not blow up sigma), all pairs with equal weight, the variance of the truth itself added.
+From there the worst misfit of any pair's shares of errors within 1, 2 and 3 sigma to a Gaussian's
+is minimised together with the loss of log-likelihood. Each scene is also predicted by a fit
+without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import minimize
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.evaluation import (
+    GAUSSIAN_SHARES,
+    PairErrors,
+    measure_errors,
+    shares_within,
+)
+from infomap_ros.stereo.ground_truth import StereoPair
+from infomap_ros.stereo.noise import sigma_from_logarithms
+from infomap_ros.stereo.printed_fit import PrintedFit, fit_printed
+
+_STUDENT_DEGREES = 4.0
+_SAMPLES = 40_000
+# Pulls the exponents towards zero where the data do not ask for them; far below one sample's say.
+_RIDGE = 1e-3
+Shares = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class PairReport:
+    """How the fit does on one pair.
+
+    Attributes:
+        errors: what was measured on the pair.
+        shares: of the inliers within 1, 2, 3 sigma by this fit, the variance of the truth added.
+        raw_shares: the same without the variance of the truth.
+        predicted_shares: as `shares`, by a fit without this scene; None if it was the only one.
+        error_correlation: mean correlation of errors 5 to 15 px apart.
+    """
+
+    errors: PairErrors
+    shares: Shares
+    raw_shares: Shares
+    predicted_shares: Shares | None
+    error_correlation: float
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFit:
+    """Calibrated noise models.
+
+    Attributes:
+        config: the given parameters with the fitted noise models.
+        printed: fit of eq. (1).
+        reports: one per pair.
+    """
+
+    config: StereoConfig
+    printed: PrintedFit
+    reports: tuple[PairReport, ...]
+
+    def table(self) -> str:
+        """The honesty table, in Markdown."""
+        head = "| pair | density | bad > 3 px | plain bad (density) | within 1, 2, 3 sigma | "
+        head += "truth taken as exact | fitted without the scene | error correlation |"
+        rows = [head, "|" + " --- |" * 8, *(_table_row(report) for report in self.reports)]
+        return "\n".join(rows)
+
+    def summary(self) -> dict[str, float]:
+        """Fitted parameters by the names of `StereoConfig`, tuples spread as name_0, name_1."""
+        numbers: dict[str, float] = {}
+        for name in _FITTED:
+            value = getattr(self.config, name)
+            values = value if isinstance(value, tuple) else (value,)
+            keys = [f"{name}_{i}" for i in range(len(values))] if len(values) > 1 else [name]
+            numbers.update(zip(keys, values, strict=True))
+        return numbers
+
+
+_FITTED = (
+    "sigma_scale",
+    "sigma_residual_power",
+    "sigma_gradient_power",
+    "sigma_texture_power",
+    "error_correlation",
+    "printed_s",
+    "printed_t",
+    "printed_n",
+)
+
+
+def calibrate_noise(
+    pairs: Sequence[StereoPair], config: StereoConfig | None = None, *, half_sizes: bool = True
+) -> NoiseFit:
+    """Fit both noise models to pairs with truth.
+
+    Args:
+        pairs: at least one pair.
+        config: matcher and filters to calibrate for; defaults where None.
+        half_sizes: fit to every pair at half size too, so that the fit holds over resolutions.
+
+    Raises:
+        InvalidInputError: no pair, or a pair on which nearly nothing was measured.
+    """
+    if not pairs:
+        raise InvalidInputError("pairs", "no stereo pair with true disparity was given")
+    config = config or StereoConfig()
+    sizes = [*pairs, *(pair.halved() for pair in pairs if half_sizes)]
+    errors = [measure_errors(pair, config) for pair in sizes]
+    samples = [_Samples.of(one) for one in errors]
+    printed = fit_printed(errors[: len(pairs)])
+    correlations = [one.error_correlation() for one in errors]
+    fitted = replace(
+        _fit_power_law(samples, config),
+        error_correlation=round(float(np.mean(correlations)), 2),
+        printed_s=printed.s,
+        printed_t=printed.t,
+        printed_n=printed.n,
+    )
+    scenes = [pair.scene or pair.name for pair in sizes]
+    reports = []
+    for one, sample, scene in zip(errors, samples, scenes, strict=True):
+        others = [s for s, other in zip(samples, scenes, strict=True) if other != scene]
+        without = _fit_power_law(others, config) if others else None
+        reports.append(_report(one, sample, fitted, without))
+    return NoiseFit(fitted, printed, tuple(reports))
+
+
+def _report(
+    errors: PairErrors, sample: _Samples, fitted: StereoConfig, without: StereoConfig | None
+) -> PairReport:
+    sigma = sigma_from_logarithms(errors.logarithms, fitted).astype(np.float32)
+    return PairReport(
+        replace(errors, sigma=np.where(errors.kept, sigma, np.float32(np.nan))),
+        sample.shares(fitted),
+        sample.shares(fitted, truth_sigma=0.0),
+        sample.shares(without) if without else None,
+        errors.error_correlation(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Errors, shape (N,) [px], and quality logarithms, shape (3, N), of one pair's inliers."""
+
+    error: FloatArray
+    logarithms: FloatArray
+    truth_sigma: float
+
+    @cached_property
+    def design(self) -> FloatArray:
+        """Design matrix of the logarithm of sigma, shape (N, 4)."""
+        return np.column_stack([np.ones(self.error.size), *self.logarithms])
+
+    @staticmethod
+    def of(errors: PairErrors) -> _Samples:
+        pixels = np.flatnonzero(errors.inliers)
+        if len(pixels) < 1000:
+            name = errors.pair.name
+            raise InvalidInputError(name, f"only {len(pixels)} pixels were measured right")
+        chosen = np.random.default_rng(0).permutation(pixels)[:_SAMPLES]
+        logarithms = errors.logarithms.reshape(3, -1)[:, chosen]
+        return _Samples(
+            errors.error.ravel()[chosen].astype(np.float64), logarithms, errors.pair.truth_sigma
+        )
+
+    def sigma(self, config: StereoConfig) -> FloatArray:
+        """Sigma by the power law of `config`, shape (N,) [px]."""
+        return np.asarray(sigma_from_logarithms(self.logarithms, config))
+
+    def shares(self, config: StereoConfig, truth_sigma: float | None = None) -> Shares:
+        extra = self.truth_sigma if truth_sigma is None else truth_sigma
+        return shares_within(self.error, np.hypot(self.sigma(config), extra))
+
+
+def _fit_power_law(samples: Sequence[_Samples], config: StereoConfig) -> StereoConfig:
+    start = np.array([np.log(0.3), 0.5, -0.3, 0.5])
+    bounds = [(-6.0, 4.0), (0.0, 3.0), (-3.0, 0.0), (0.0, 3.0)]
+    likely = minimize(
+        _negative_log_likelihood, start, (samples,), "L-BFGS-B", jac=True, bounds=bounds
+    )
+
+    def objective(powers: FloatArray) -> float:
+        loss = _negative_log_likelihood(powers, samples)[0] - float(likely.fun)
+        return loss + max(_misfit(one, _with_powers(config, powers)) for one in samples)
+
+    options = {"maxfev": 400, "xatol": 1e-3, "fatol": 1e-5, "initial_simplex": _simplex(likely.x)}
+    honest = minimize(objective, likely.x, method="Nelder-Mead", bounds=bounds, options=options)
+    return _with_powers(config, honest.x, digits=3)
+
+
+def _simplex(powers: FloatArray) -> FloatArray:
+    """First steps of the search: 20 % of sigma, 0.1 of the exponents, away from their bounds."""
+    steps = np.array([0.2, 0.1, -0.1, 0.1])
+    return np.vstack([powers, powers + np.diag(steps)])
+
+
+def _with_powers(config: StereoConfig, powers: FloatArray, digits: int = 12) -> StereoConfig:
+    scale, residual, gradient, texture = powers
+    return replace(
+        config,
+        sigma_scale=round(float(np.exp(scale)), digits),
+        sigma_residual_power=round(float(residual), digits),
+        sigma_gradient_power=round(float(gradient), digits),
+        sigma_texture_power=round(float(texture), digits),
+    )
+
+
+def _misfit(samples: _Samples, config: StereoConfig) -> float:
+    """Largest distance of the three shares from a Gaussian's."""
+    found = samples.shares(config)
+    return max(abs(a - b) for a, b in zip(found, GAUSSIAN_SHARES, strict=True))
+
+
+def _negative_log_likelihood(
+    powers: FloatArray, samples: Sequence[_Samples]
+) -> tuple[float, FloatArray]:
+    """Mean over the pairs of the mean over their errors, and its gradient."""
+    nu = _STUDENT_DEGREES
+    penalised = np.r_[0.0, powers[1:]]
+    value, slope = _RIDGE * float(penalised @ penalised), 2.0 * _RIDGE * penalised
+    for one in samples:
+        own = np.exp(2.0 * (one.design @ powers))
+        variance = own + one.truth_sigma**2
+        ratio = one.error**2 / (variance * nu)
+        value += float(np.mean(0.5 * np.log(variance) + 0.5 * (nu + 1.0) * np.log1p(ratio))) / len(
+            samples
+        )
+        by_variance = (0.5 - 0.5 * (nu + 1.0) * ratio / (1.0 + ratio)) / variance
+        slope = slope + one.design.T @ (2.0 * own * by_variance) / one.error.size / len(samples)
+    return value, slope
+
+
+def _table_row(report: PairReport) -> str:
+    errors = report.errors
+    triples = [report.shares, report.raw_shares, report.predicted_shares]
+    shares = [" / ".join(f"{100 * s:.1f}" for s in triple) if triple else "-" for triple in triples]
+    plain = f"{100 * errors.plain_bad:.2f} % ({100 * errors.plain_density:.1f} %)"
+    cells = [
+        errors.pair.name,
+        f"{100 * errors.density:.1f} %",
+        f"{100 * errors.bad:.2f} %",
+        plain,
+        *shares,
+        f"{report.error_correlation:.2f}",
+    ]
+    return "| " + " | ".join(cells) + " |"

@@ -1,0 +1,95 @@
+"""Picture of a noise calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.stereo.calibration import NoiseFit
+from infomap_ros.stereo.evaluation import GAUSSIAN_SHARES, PairErrors
+
+_BINS = 12
+
+
+def draw_noise_fit(fit: NoiseFit, path: Path | str) -> None:
+    """Draw predicted against found errors, the shares, and the fit of eq. (1).
+
+    Args:
+        fit: result of `calibrate_noise`.
+        path: file to write, format by its ending.
+    """
+    # Matplotlib takes longer to import than all the rest; only this function needs it.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 3)
+    _draw_prediction(axes[0], fit)
+    _draw_shares(axes[1], fit)
+    _draw_printed(axes[2], fit)
+    figure.savefig(Path(path), dpi=110)
+
+
+def _draw_prediction(axes: Any, fit: NoiseFit) -> None:
+    """Found against predicted sigma, in bins of equal number; on the diagonal is right."""
+    for report in fit.reports:
+        predicted, found = _binned(report.errors)
+        axes.loglog(predicted, found, "o-", label=report.errors.pair.name)
+    ends = np.array([0.05, 1.0])
+    axes.loglog(ends, ends, "k:", label="prediction = truth")
+    axes.set(
+        xlabel="predicted sigma, truth's included [px]",
+        ylabel="68 % of errors are smaller than [px]",
+        title="disparity model",
+    )
+    axes.legend()
+
+
+def _binned(errors: PairErrors) -> tuple[list[float], list[float]]:
+    inliers = errors.inliers
+    sigma = np.hypot(errors.sigma[inliers], errors.pair.truth_sigma)
+    error = np.abs(errors.error[inliers])
+    groups = np.array_split(np.argsort(sigma), _BINS)
+    predicted = [float(np.median(sigma[group])) for group in groups]
+    return predicted, [float(np.quantile(error[group], GAUSSIAN_SHARES[0])) for group in groups]
+
+
+def _draw_shares(axes: Any, fit: NoiseFit) -> None:
+    """Distribution of the normalised errors over a Gaussian's."""
+    multiples = np.linspace(0.0, 4.0, 81)
+    for report in fit.reports:
+        errors = report.errors
+        inliers = errors.inliers
+        sigma = np.hypot(errors.sigma[inliers], errors.pair.truth_sigma)
+        ratio = np.sort(np.abs(errors.error[inliers]) / sigma)
+        shares = np.searchsorted(ratio, multiples) / ratio.size
+        axes.plot(multiples, 100.0 * shares, label=errors.pair.name)
+    for multiple, share in enumerate(GAUSSIAN_SHARES, start=1):
+        axes.errorbar(multiple, 100.0 * share, 5.0, fmt="k_", capsize=4)
+    axes.set(
+        xlabel="multiple of the predicted sigma",
+        ylabel="share of inliers within [%]",
+        title="normalised errors; bars: Gaussian, 5 points",
+    )
+    axes.legend()
+
+
+def _draw_printed(axes: Any, fit: NoiseFit) -> None:
+    """Depth errors over distance and the fitted eq. (1), both times f B."""
+    printed = fit.printed
+    for name, distances, sigmas in zip(
+        printed.names, printed.distances, printed.sigmas, strict=True
+    ):
+        axes.loglog(distances, sigmas, "o", label=name)
+    span = np.geomspace(printed.distances.min(), printed.distances.max(), 50)
+    label = f"S T_z L^n, S = {printed.s:g} px / (f B), n = {printed.n:g}"
+    axes.loglog(span, printed.s * span**printed.n, "k-", label=label)
+    axes.set(
+        xlabel="distance L [m]",
+        ylabel="68 % depth error times f B [px m^2]",
+        title="printed model, eq. (1)",
+    )
+    axes.legend()

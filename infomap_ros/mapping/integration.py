@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import invert_transform
-from infomap_ros.mapping import free_space, scan, see_through, traversal, update
+from infomap_ros.mapping import cloud_normals, free_space, scan, see_through, traversal, update
 from infomap_ros.mapping.blocks import (
     BlockArrays,
     block_bytes,
@@ -244,10 +244,19 @@ class ScanIntegrator:
         self._in_parallel(see, count, 1)
         return FreeBlocks(self._blocks[:count], bits)
 
+    def _cloud_cells(self, measured: Scan) -> scan.ScanRows:
+        """Normals of an unorganised scan."""
+        cells = scan.empty_rows()
+        size = cloud_normals.CELL_VOXELS * self._config.voxel_size
+        while not cloud_normals.gather_cells(cells, measured.points, size, self._config.max_range):
+            cells = scan.empty_rows(2 * len(cells.keys))
+        cloud_normals.find_normals(cells)
+        return cells
+
     def _gather_cloud(
         self, measured: Scan, sensor: scan.Sensor, tallies: NDArray[np.int64]
     ) -> tuple[scan.ScanRows, FreeBlocks]:
-        far = scan.empty_rows()
+        far, cells = scan.empty_rows(), self._cloud_cells(measured)
         while True:
             tallies[:] = 0
             scan.clear_rows(self._parts[0])
@@ -255,6 +264,7 @@ class ScanIntegrator:
             if traversal.gather_cloud(
                 self._parts[0],
                 far,
+                cells,
                 sensor,
                 measured.pose_covariance,
                 measured.points,

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.mapping.block_kernels import find_block, quanta_at
+from infomap_ros.mapping.cloud_normals import CELL_VOXELS, normal_at
 from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
 from infomap_ros.mapping.scan import (
     GROUP_SIZE,
@@ -34,6 +35,7 @@ _LONGEST_MARGIN = 20.0
 def gather_cloud(
     rows: Any,
     far: Any,
+    cells: Any,
     sensor: Any,
     pose_covariance: Any,
     points: Any,
@@ -41,11 +43,12 @@ def gather_cloud(
     columns: Any,
     tallies: Any,
 ) -> bool:
-    """Gather an unorganised scan; the line of sight stands in for the surface normal.
+    """Gather an unorganised scan.
 
     Args:
         rows: a `ScanRows`.
         far: `ScanRows` that receives the voxels where rays that found nothing in range end.
+        cells: `ScanRows` with the normals of the scan.
         sensor: a `Sensor`.
         pose_covariance: shape (6, 6), convention of `geometry.transforms`.
         points: shape (n, 3), float32, sensor frame [m], NaN = no measurement.
@@ -71,7 +74,7 @@ def gather_cloud(
                 return False
             continue
         row = 0 if shared else i
-        direction[0], direction[1], direction[2] = -x / norm, -y / norm, -z / norm
+        normal_at(cells, CELL_VOXELS * sensor.size, x, y, z, direction)
         set_reach(
             sensor, pose_covariance, x, y, z, covariances, row, columns, direction, reach, axis
         )

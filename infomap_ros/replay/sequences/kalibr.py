@@ -34,6 +34,10 @@ from infomap_ros.stereo.rectification import rectify_calibrations
 # its focal length, it shows 107 degrees and keeps most of the resolution in the middle.
 _FOCAL_SHARE = 1.0
 
+# Of the camera's pose: motion capture and the calibration of camera and markers, assumed [m, rad].
+_POSITION_SIGMA, _ROTATION_SIGMA = 0.003, 0.002
+_COVARIANCE = np.diag([_POSITION_SIGMA**2] * 3 + [_ROTATION_SIGMA**2] * 3)
+
 
 def kalibr_pairs(folder: Path) -> Entries:
     """Read ``cam0/``, ``cam1/``, ``camchain.yaml`` and the ground truth ``gt_imu_*.csv``.
@@ -99,4 +103,4 @@ def _poses(folder: Path, T_imu_camera: FloatArray) -> Entries:
     for stamp, (x, y, z, qw, qx, qy, qz) in zip(stamps, values, strict=True):
         quaternion = Rotation.from_quat([qx, qy, qz, qw]).as_quat()
         T_world_imu = transform_from_quaternion(quaternion, [x, y, z])
-        yield "/camera_pose", PoseRecord(int(stamp), "map", T_world_imu @ T_imu_camera)
+        yield "/camera_pose", PoseRecord(int(stamp), "map", T_world_imu @ T_imu_camera, _COVARIANCE)

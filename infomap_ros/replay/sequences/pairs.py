@@ -29,6 +29,7 @@ from infomap_ros.replay.sequences.entries import (
     rectified_pair,
 )
 
+_EXACT = np.diag([1e-12] * 6)  # the pose of the only pair defines the map
 _CENTIMETRE = np.diag([1e-4] * 3 + [1e-4] * 3)
 
 
@@ -73,7 +74,7 @@ def aloe(folder: Path) -> Entries:
 
 def _single_pair(rig: StereoRig, left: np.ndarray, right: np.ndarray) -> Entries:
     """The pair, seen from the origin of a map with z up."""
-    yield "/camera_pose", PoseRecord(FIRST_STAMP, "map", _looking_along_x())
+    yield "/camera_pose", PoseRecord(FIRST_STAMP, "map", _looking_along_x(), _EXACT)
     yield from rectified_pair(FIRST_STAMP, rig, left, right)
 
 

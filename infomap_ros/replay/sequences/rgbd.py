@@ -13,7 +13,9 @@ from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,
     check_transform,
+    make_transform,
 )
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.replay.sequences.entries import (
     FIRST_STAMP,
     Entries,
@@ -26,11 +28,33 @@ from infomap_ros.replay.sequences.entries import (
 _FRAME = "camera_optical_frame"
 _PERIOD = 1e9 / 30.0  # recorded at 30 Hz; the file names count the frames of the recording [ns]
 
+# Of the tracking that gave the poses: they come from aligning each frame to a dense model.
+_POSITION_SIGMA, _ROTATION_SIGMA = 0.005, 0.002  # assumed [m, rad]
 
-def rgbd_frames(folder: Path) -> Entries:
+# Direction of gravity and depth of the floor in the kitchen's own frame, from planes fitted to
+# floor and table in six frames.
+_KITCHEN_DOWN, _KITCHEN_FLOOR = (0.0, 0.893, 0.450), 1.53
+
+
+_COVARIANCE = np.diag([_POSITION_SIGMA**2] * 3 + [_ROTATION_SIGMA**2] * 3)
+
+
+def kitchen(folder: Path) -> Entries:
+    """The kitchen sequence, turned so that z is up and the floor is at z = 0; see `rgbd_frames`."""
+    return rgbd_frames(folder, _KITCHEN_DOWN, _KITCHEN_FLOOR)
+
+
+def rgbd_frames(
+    folder: Path, down: tuple[float, float, float] = (0.0, 1.0, 0.0), floor: float = 0.0
+) -> Entries:
     """Read ``frames/frame-NNNNNN.{color.jpg,depth.png,pose.txt}`` and ``camera-intrinsics.txt``.
 
     Frames whose pose is not a rigid transform (lost tracking) are left out.
+
+    Args:
+        folder: of the sequence.
+        down: direction of gravity in the frame of the poses.
+        floor: how far below its origin the map's z = 0 is to be [m].
 
     Raises:
         BagError: a file is missing or holds something else.
@@ -39,13 +63,23 @@ def rgbd_frames(folder: Path) -> Entries:
     pose_files = sorted((folder / "frames").glob("frame-*.pose.txt"))
     if not pose_files:
         raise BagError(f"{folder} has no frames/frame-*.pose.txt")
+    T_map_world = _levelled(down, floor)
     for pose_file in pose_files:
         name = pose_file.name.removesuffix(".pose.txt")
         stamp = FIRST_STAMP + round(int(name.rpartition("-")[2]) * _PERIOD)
-        yield from _frame(folder / "frames" / name, stamp, intrinsics, pose_file)
+        yield from _frame(folder / "frames" / name, stamp, intrinsics, T_map_world)
 
 
-def _frame(stem: Path, stamp: int, intrinsics: np.ndarray, pose_file: Path) -> Entries:
+def _levelled(down: tuple[float, float, float], floor: float) -> FloatArray:
+    """Transform to a frame with z up whose x axis runs level along the old z axis, (4, 4)."""
+    up = -np.asarray(down) / np.linalg.norm(down)
+    left = np.cross(up, [0.0, 0.0, 1.0])
+    left /= np.linalg.norm(left)
+    return make_transform([np.cross(left, up), left, up], [0.0, 0.0, floor])
+
+
+def _frame(stem: Path, stamp: int, intrinsics: FloatArray, T_map_world: FloatArray) -> Entries:
+    pose_file = stem.with_name(f"{stem.name}.pose.txt")
     depth = read_image(stem.with_name(f"{stem.name}.depth.png"))
     color = read_image(stem.with_name(f"{stem.name}.color.jpg"))
     try:
@@ -59,12 +93,12 @@ def _frame(stem: Path, stamp: int, intrinsics: np.ndarray, pose_file: Path) -> E
     info = CameraInfoRecord(stamp, _FRAME, pinhole_calibration(camera))
     yield "/depth/camera_info", info
     yield "/rgb/camera_info", info
-    yield "/camera_pose", PoseRecord(stamp, "map", pose)
+    yield "/camera_pose", PoseRecord(stamp, "map", T_map_world @ pose, _COVARIANCE)
     yield "/rgb/image_rect", image_record(stamp, _FRAME, color)
     yield "/depth/image_rect", ImageRecord(stamp, _FRAME, depth.astype(np.uint16), "16UC1")
 
 
-def _orthonormal(matrix: np.ndarray) -> np.ndarray:
+def _orthonormal(matrix: FloatArray) -> FloatArray:
     """The transform with its rotation, rounded in the file, made exact."""
     pose = np.array(matrix, dtype=np.float64)
     if np.isfinite(pose).all() and pose.shape == (4, 4):

@@ -107,32 +107,38 @@ def find_gaussian(gaussians: Any, owner: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def merge_gaussian(gaussians: Any, owner: int, information: Any) -> bool:
-    """Add an estimate, shape (9,), to a voxel's Gaussian.
+def gaussian_row(table: Any, owner: Any, counts: Any, key: int, information: Any) -> Any:
+    """Row of a voxel's Gaussian, made with no information if need be.
+
+    Args:
+        table: of the `GaussianArrays`, likewise owner, counts and information.
+        owner: see table.
+        counts: see table.
+        key: the voxel, block slot * 512 + local index.
+        information: see table.
 
     Returns:
-        False, with nothing changed, when the voxel is new and the table is full.
+        The row, or -1 with nothing changed when the voxel is new and the table is full.
     """
-    place = table_slot(owner, len(gaussians.table))
+    place = table_slot(key, len(table))
     while True:
-        row = gaussians.table[place]
+        row = np.int64(table[place])
         if row < 0:
-            count = gaussians.counts[0]
-            if count + 1 > _MAX_LOAD * len(gaussians.table):
-                return False
-            gaussians.counts[0] = count + 1
-            gaussians.table[place] = count
-            gaussians.owner[count] = owner
-            for i in range(INFORMATION_SIZE):
-                gaussians.information[count, i] = information[i]
-            return True
-        if gaussians.owner[row] == owner:
-            for i in range(INFORMATION_SIZE):
-                gaussians.information[row, i] += information[i]
-            return True
+            break
+        if owner[row] == key:
+            return row
         place += 1
-        if place == len(gaussians.table):
+        if place == len(table):
             place = 0
+    row = counts[0]
+    if row + 1 > _MAX_LOAD * len(table):
+        return np.int64(-1)
+    counts[0] = row + 1
+    table[place] = row
+    owner[row] = key
+    for i in range(INFORMATION_SIZE):
+        information[row, i] = 0.0
+    return row
 
 
 @njit(cache=True, nogil=True)

@@ -139,6 +139,7 @@ def gather_organised(
         False when the scratch storage is full.
     """
     width = points.shape[1]
+    table, keys, sums, used = rows.table, rows.keys, rows.sums, rows.used
     reach, axis, normal = np.zeros(3), np.zeros(3), np.zeros(3)
     groups = np.zeros((TILE * TILE + 1, GROUP_SIZE))
     shared = len(covariances) == 1
@@ -172,7 +173,7 @@ def gather_organised(
             )
             slot = 0
             while groups[slot, 0] > 0.0:
-                if not add_group(rows, sensor, reach, axis, groups, slot):
+                if not add_group(table, keys, sums, used, sensor, reach, axis, groups, slot):
                     return False
                 slot += 1
     return True

@@ -87,25 +87,31 @@ def clear_rows(rows: ScanRows) -> None:
 @njit(cache=True, nogil=True)
 def row_of(rows: Any, key: int) -> Any:
     """Row of a voxel, made if need be; -1 when the storage is full."""
-    place = table_slot(key, len(rows.table))
+    return _row_of(rows.table, rows.keys, rows.sums, rows.used, key)
+
+
+@njit(cache=True, nogil=True)
+def _row_of(table: Any, keys: Any, sums: Any, used: Any, key: int) -> Any:
+    """`row_of` on the arrays themselves: unpacking a tuple of arrays costs more than the search."""
+    place = table_slot(key, len(table))
     while True:
-        row = rows.table[place]
+        row = np.int64(table[place])
         if row < 0:
             break
-        if rows.keys[row] == key:
-            return np.int64(row)
+        if keys[row] == key:
+            return row
         place += 1
-        if place == len(rows.table):
+        if place == len(table):
             place = 0
-    count = rows.used[0]
-    if count == len(rows.keys):
+    row = used[0]
+    if row == len(keys):
         return np.int64(-1)
-    rows.used[0] = count + 1
-    rows.table[place] = count
-    rows.keys[count] = key
+    used[0] = row + 1
+    table[place] = row
+    keys[row] = key
     for i in range(SUM_COLUMNS):
-        rows.sums[count, i] = 0.0
-    return count
+        sums[row, i] = 0.0
+    return row
 
 
 @njit(cache=True, nogil=True)
@@ -223,11 +229,24 @@ def within_limit(x: float, y: float, z: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def add_group(rows: Any, sensor: Any, reach: Any, axis: Any, groups: Any, slot: int) -> bool:
+def add_group(
+    table: Any,
+    keys: Any,
+    sums: Any,
+    used: Any,
+    sensor: Any,
+    reach: Any,
+    axis: Any,
+    groups: Any,
+    slot: int,
+) -> bool:
     """Give a group to every voxel it may belong to, and clear its slot.
 
     Args:
-        rows: a `ScanRows`.
+        table: of the `ScanRows`, likewise keys, sums and used.
+        keys: see table.
+        sums: see table.
+        used: see table.
         sensor: a `Sensor`.
         reach: half the association segment, map frame [voxels].
         axis: unit normal, map frame.
@@ -244,7 +263,10 @@ def add_group(rows: Any, sensor: Any, reach: Any, axis: Any, groups: Any, slot: 
     rx, ry, rz = reach[0], reach[1], reach[2]
     stored = True
     if abs(ox) + abs(rx) < 0.5 and abs(oy) + abs(ry) < 0.5 and abs(oz) + abs(rz) < 0.5:
-        stored = _add_to_row(rows, sensor.size, 0, 0, 0, axis, groups, slot)
+        row = _row_of(table, keys, sums, used, _key_near(groups, slot, 0, 0, 0))
+        stored = row >= 0
+        if stored:
+            _add_to_row(sums, row, sensor.size, 0, 0, 0, axis, groups, slot)
     else:
         x, y, z = ox + 0.5 - rx, oy + 0.5 - ry, oz + 0.5 - rz
         i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -253,7 +275,10 @@ def add_group(rows: Any, sensor: Any, reach: Any, axis: Any, groups: Any, slot: 
         step_z, next_z, delta_z = axis_start(z, 2.0 * rz, k)
         leave = 0.0
         while leave <= 1.0 and stored:
-            stored = _add_to_row(rows, sensor.size, i, j, k, axis, groups, slot)
+            row = _row_of(table, keys, sums, used, _key_near(groups, slot, i, j, k))
+            stored = row >= 0
+            if stored:
+                _add_to_row(sums, row, sensor.size, i, j, k, axis, groups, slot)
             leave = min(next_x, min(next_y, next_z))
             if next_x == leave:
                 i += step_x
@@ -270,16 +295,17 @@ def add_group(rows: Any, sensor: Any, reach: Any, axis: Any, groups: Any, slot: 
 
 
 @njit(cache=True, nogil=True)
+def _key_near(groups: Any, slot: int, i: int, j: int, k: int) -> int:
+    """Key of the voxel that lies (i, j, k) from a group's own."""
+    return pack(int(groups[slot, 1]) + i, int(groups[slot, 2]) + j, int(groups[slot, 3]) + k)
+
+
+@njit(cache=True, nogil=True)
 def _add_to_row(
-    rows: Any, size: float, i: int, j: int, k: int, axis: Any, groups: Any, slot: int
-) -> bool:
+    sums: Any, row: int, size: float, i: int, j: int, k: int, axis: Any, groups: Any, slot: int
+) -> None:
     """Add a group to the row of the voxel that lies (i, j, k) from its own."""
     count = groups[slot, 0]
-    x, y, z = int(groups[slot, 1]) + i, int(groups[slot, 2]) + j, int(groups[slot, 3]) + k
-    row = row_of(rows, pack(x, y, z))
-    if row < 0:
-        return False
-    sums = rows.sums
     sums[row, 0] += count
     sums[row, 1] += (groups[slot, 4] - i * count) * size
     sums[row, 2] += (groups[slot, 5] - j * count) * size
@@ -291,7 +317,6 @@ def _add_to_row(
     sums[row, 12] += axis[2] * count
     if i == 0 and j == 0 and k == 0:
         sums[row, 13] += count
-    return True
 
 
 @njit(cache=True, nogil=True)

@@ -59,6 +59,7 @@ def gather_cloud(
     Returns:
         False when the scratch storage is full.
     """
+    table, keys, sums, used = rows.table, rows.keys, rows.sums, rows.used
     reach, axis, direction = np.zeros(3), np.zeros(3), np.zeros(3)
     group = np.zeros((1, GROUP_SIZE))
     shared = len(covariances) == 1
@@ -93,7 +94,7 @@ def gather_cloud(
             tallies[3] += 1
             continue
         tallies[0] += 1
-        if not add_group(rows, sensor, reach, axis, group, 0):
+        if not add_group(table, keys, sums, used, sensor, reach, axis, group, 0):
             return False
     return True
 

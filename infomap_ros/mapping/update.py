@@ -19,7 +19,7 @@ from infomap_ros.mapping.block_kernels import (
     mark_dirty,
 )
 from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN
-from infomap_ros.mapping.gaussians import merge_gaussian
+from infomap_ros.mapping.gaussians import INFORMATION_SIZE, gaussian_row
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
 
 _ONE = np.uint64(1)
@@ -47,6 +47,8 @@ def enter_rows(
     """
     hit_blocks = 0
     last_key, slot = np.int64(-1), np.int64(-1)
+    kind, base, plane, narrow = blocks.kind, blocks.base, blocks.plane, blocks.narrow
+    tracked = len(blocks.dirty) > 0
     for row in range(rows.used[0]):
         x, y, z = unpack(rows.keys[row])
         key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
@@ -62,7 +64,12 @@ def enter_rows(
             hit_blocks += 1
             make_room(blocks, slot, down, up)
         hit_bits[hit_row[slot], local >> 6] |= _ONE << np.uint64(local & 63)
-        add_quanta(blocks, slot, local, hits[row])
+        if kind[slot] == NARROW and not tracked:
+            delta = narrow[plane[slot], local]
+            old = -base[slot] if delta == NARROW_UNKNOWN else np.int32(delta)
+            narrow[plane[slot], local] = old + hits[row]
+        else:
+            add_quanta(blocks, slot, local, hits[row])
     return hit_blocks
 
 
@@ -75,11 +82,18 @@ def merge_rows_into_map(
     Returns:
         First row that was not merged because the table is full, or `last`.
     """
+    table, owner = gaussians.table, gaussians.owner
+    stored, counts = gaussians.information, gaussians.counts
+    tracked = len(blocks.dirty) > 0
     for row in range(first, last):
         if information[row, 0] > 0.0:
-            if not merge_gaussian(gaussians, owners[row], information[row]):
+            place = gaussian_row(table, owner, counts, owners[row], stored)
+            if place < 0:
                 return row
-            mark_dirty(blocks, owners[row] >> 9, owners[row] & 511)
+            for i in range(INFORMATION_SIZE):
+                stored[place, i] += information[row, i]
+            if tracked:
+                mark_dirty(blocks, owners[row] >> 9, owners[row] & 511)
     return last
 
 

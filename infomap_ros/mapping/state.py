@@ -25,8 +25,8 @@ from infomap_ros.mapping.gaussians import (
     empty_gaussians,
     with_table_room,
 )
-from infomap_ros.mapping.integration import MapStorage
 from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.storage import MapStorage
 
 _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "block_keys": ("int64", ()),

@@ -17,11 +17,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import queries, traversal
 from infomap_ros.mapping.blocks import BLOCK_COUNT
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
-from infomap_ros.mapping.integration import IntegrationReport, MapStorage, ScanIntegrator
+from infomap_ros.mapping.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.keys import BLOCK_SIDE
 from infomap_ros.mapping.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scan_input import checked_scan
 from infomap_ros.mapping.state import storage_from_state, storage_state
+from infomap_ros.mapping.storage import MapStorage
 
 
 @dataclass(frozen=True, eq=False)

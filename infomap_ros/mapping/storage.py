@@ -1,0 +1,117 @@
+"""The map's arrays, and writing a scan into them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import CapacityError
+from infomap_ros.mapping import update
+from infomap_ros.mapping.blocks import BlockArrays, block_bytes, empty_blocks, grown, with_room
+from infomap_ros.mapping.config import VoxelMapConfig
+from infomap_ros.mapping.gaussians import (
+    GaussianArrays,
+    empty_gaussians,
+    gaussian_bytes,
+    with_gaussian_room,
+    with_table_room,
+)
+from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.scan import ScanRows
+
+_FREE_BLOCK_BYTES, _ROW_BYTES = 64, 48
+
+
+@dataclass(frozen=True, eq=False)
+class FreeBlocks:
+    """Blocks with voxels that a scan sees through.
+
+    Attributes:
+        coordinates: block coordinates, shape (n, 3), int32.
+        bits: one bit per free voxel, shape (n, 8), uint64.
+    """
+
+    coordinates: NDArray[np.int32]
+    bits: NDArray[np.uint64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What a scan says of the voxels in which it saw surfaces.
+
+    Attributes:
+        rows: the voxels.
+        information: information matrix and vector of each row, shape (n, 9), float32; the first
+            entry is 0 where there is none.
+        hits: occupancy evidence of each row, shape (n,), int32 [quanta].
+    """
+
+    rows: ScanRows
+    information: NDArray[np.float32]
+    hits: NDArray[np.int32]
+
+
+@dataclass
+class MapStorage:
+    """The map's arrays; replaced by larger ones as the map grows."""
+
+    blocks: BlockArrays = field(default_factory=empty_blocks)
+    gaussians: GaussianArrays = field(default_factory=empty_gaussians)
+
+    def memory_bytes(self) -> int:
+        """Memory in use [bytes]."""
+        return block_bytes(self.blocks) + gaussian_bytes(self.gaussians)
+
+    def check_capacity(self, rows: int, free_blocks: int, limit: float) -> None:
+        """Refuse what could make the map larger than `limit` [bytes].
+
+        Raises:
+            CapacityError: a scan with so many voxels and free blocks might.
+        """
+        used = self.memory_bytes()
+        needed = used + free_blocks * _FREE_BLOCK_BYTES + rows * _ROW_BYTES
+        if needed > limit:
+            raise CapacityError(
+                f"the map holds {used / 1e9:.3g} GB and this scan could bring it to "
+                f"{needed / 1e9:.3g} GB, above the limit of {limit / 1e9:g} GB"
+            )
+
+
+class ScanWriter:
+    """Writes scans into a `MapStorage`; keeps the scratch memory for it."""
+
+    def __init__(self, config: VoxelMapConfig) -> None:
+        self._hit, self._miss = config.hit_quanta, config.miss_quanta
+        self._hit_row = np.full(0, -1, np.int32)
+
+    def write(self, storage: MapStorage, observed: Observations, free: FreeBlocks) -> None:
+        """Add the observations of a scan and the misses of the voxels it sees through."""
+        count, free_count = len(observed.information), len(free.bits)
+        blocks = with_room(storage.blocks, count + free_count, count + free_count)
+        gaussians = with_gaussian_room(storage.gaussians, count, len(blocks.keys))
+        self._hit_row = grown(self._hit_row, len(blocks.keys), -1)
+        owners = np.empty(count, np.int64)
+        hit_bits = np.zeros((count, 8), np.uint64)
+        update.enter_rows(
+            blocks,
+            observed.rows,
+            observed.hits,
+            self._hit_row,
+            hit_bits,
+            owners,
+            -self._miss,
+            self._hit,
+        )
+        merged = 0
+        while merged < count:
+            gaussians = with_table_room(gaussians)
+            merged = update.merge_rows_into_map(
+                blocks, gaussians, owners, observed.information, merged, count
+            )
+        update.free_voxels(
+            blocks, free.coordinates, free.bits, free_count, self._hit_row, hit_bits, self._miss
+        )
+        self._hit_row[owners // BLOCK_VOXELS] = -1
+        storage.blocks, storage.gaussians = blocks, gaussians

@@ -1,8 +1,9 @@
 """The sparse voxel map: occupancy and one Gaussian per surface voxel."""
 
+from infomap_ros.mapping.changes import VoxelChanges
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport
-from infomap_ros.mapping.voxel_map import VoxelChanges, VoxelMap
+from infomap_ros.mapping.voxel_map import VoxelMap
 
 __all__ = [
     "LOG_ODDS_QUANTUM",

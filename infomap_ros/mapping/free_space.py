@@ -18,36 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from infomap_ros.mapping.association import rotated
 from infomap_ros.mapping.keys import BLOCK_SIDE
-from infomap_ros.mapping.scan import rotated
+from infomap_ros.mapping.pyramid import least, level_for, most
 
 FREE, MIXED = 1, 2
 NEAR = 1e-3
 HALF_DIAGONAL = 0.8660254037844386
-
-
-class Pyramid(NamedTuple):
-    """Depth pyramid; level l has cells of 2^(l + 1) pixels, all levels in flat arrays.
-
-    Attributes:
-        lower: depth up to which all measured pixels of a cell see through, float32 [m].
-        safe: smallest `lower` of a cell and its neighbours, float32 [m].
-        strict: float32 [m].
-        upper: float32 [m].
-        starts: first cell of each level, int64.
-        widths: cells per row of each level, int64.
-        heights: rows of cells of each level, int64.
-    """
-
-    lower: NDArray[np.float32]
-    safe: NDArray[np.float32]
-    strict: NDArray[np.float32]
-    upper: NDArray[np.float32]
-    starts: NDArray[np.int64]
-    widths: NDArray[np.int64]
-    heights: NDArray[np.int64]
 
 
 class View(NamedTuple):
@@ -71,120 +49,6 @@ class View(NamedTuple):
     width: int
     height: int
     size: float
-
-
-def empty_pyramid(width: int, height: int) -> Pyramid:
-    """Storage for an image of this size [px]."""
-    widths, heights = [(width + 1) // 2], [(height + 1) // 2]
-    while max(widths[-1], heights[-1]) > 1:
-        widths.append((widths[-1] + 1) // 2)
-        heights.append((heights[-1] + 1) // 2)
-    cells = np.array(widths) * np.array(heights)
-    starts = np.concatenate([[0], np.cumsum(cells)[:-1]]).astype(np.int64)
-    total = int(cells.sum())
-    return Pyramid(
-        np.empty(total, np.float32),
-        np.empty(total, np.float32),
-        np.empty(total, np.float32),
-        np.empty(total, np.float32),
-        starts,
-        np.array(widths, np.int64),
-        np.array(heights, np.int64),
-    )
-
-
-@njit(cache=True, nogil=True)
-def build_pyramid(pyramid: Any) -> None:
-    """Fill the levels above the ground level, whose `lower` and `upper` are given.
-
-    A cell counts as measured in `lower` when at least half of its parts do.
-    """
-    lower, strict, upper = pyramid.lower, pyramid.strict, pyramid.upper
-    ground = pyramid.widths[0] * pyramid.heights[0]
-    for i in range(ground):
-        if lower[i] == np.inf:
-            lower[i] = -np.inf
-        strict[i] = lower[i]
-    for level in range(1, len(pyramid.starts)):
-        width, height = pyramid.widths[level], pyramid.heights[level]
-        below, below_start = pyramid.widths[level - 1], pyramid.starts[level - 1]
-        below_height = pyramid.heights[level - 1]
-        for v in range(height):
-            for u in range(width):
-                low, low_strict, high = np.inf, np.inf, -np.inf
-                parts, measured = 0, 0
-                for dv in range(2):
-                    for du in range(2):
-                        if 2 * v + dv < below_height and 2 * u + du < below:
-                            i = below_start + (2 * v + dv) * below + 2 * u + du
-                            parts += 1
-                            if lower[i] > -np.inf:
-                                measured += 1
-                                low = min(low, lower[i])
-                            low_strict = min(low_strict, strict[i])
-                            high = max(high, upper[i])
-                cell = pyramid.starts[level] + v * width + u
-                lower[cell] = low if 2 * measured >= parts else -np.inf
-                strict[cell] = low_strict
-                upper[cell] = high
-
-
-@njit(cache=True, nogil=True)
-def spread_pyramid(pyramid: Any) -> None:
-    """Fill `safe` from `lower`, on all levels."""
-    lower, safe = pyramid.lower, pyramid.safe
-    for level in range(len(pyramid.starts)):
-        width, height = pyramid.widths[level], pyramid.heights[level]
-        start = pyramid.starts[level]
-        for v in range(height):
-            above, below = max(v - 1, 0), min(v + 1, height - 1)
-            columns_before, columns_here = np.inf, np.inf
-            for u in range(width + 1):
-                columns_next = np.inf
-                if u < width:
-                    a = lower[start + above * width + u]
-                    b = lower[start + v * width + u]
-                    c = lower[start + below * width + u]
-                    columns_next = min(a, min(b, c))
-                if u > 0:
-                    safe[start + v * width + u - 1] = min(
-                        columns_before, min(columns_here, columns_next)
-                    )
-                columns_before, columns_here = columns_here, columns_next
-
-
-@njit(cache=True, nogil=True)
-def level_for(pyramid: Any, extent: float) -> int:
-    """Lowest level whose cells are at least `extent` pixels wide."""
-    level, cell = 0, 2.0
-    while cell < extent and level < len(pyramid.starts) - 1:
-        level += 1
-        cell *= 2.0
-    return level
-
-
-@njit(cache=True, nogil=True)
-def _least(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int) -> float:
-    """Smallest value of the cells that cover the pixels [u0, u1] x [v0, v1]."""
-    least = np.inf
-    shift = level + 1
-    for v in range(v0 >> shift, (v1 >> shift) + 1):
-        start = pyramid.starts[level] + v * pyramid.widths[level]
-        for u in range(u0 >> shift, (u1 >> shift) + 1):
-            least = min(least, values[start + u])
-    return least
-
-
-@njit(cache=True, nogil=True)
-def _most(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int) -> float:
-    """Largest value of the cells that cover the pixels [u0, u1] x [v0, v1]."""
-    most = -np.inf
-    shift = level + 1
-    for v in range(v0 >> shift, (v1 >> shift) + 1):
-        start = pyramid.starts[level] + v * pyramid.widths[level]
-        for u in range(u0 >> shift, (u1 >> shift) + 1):
-            most = max(most, values[start + u])
-    return most
 
 
 @njit(cache=True, nogil=True)
@@ -232,9 +96,9 @@ def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float
     v0 = int(min(max(v_low - spare, 0.0), view.height - 1.0))
     v1 = int(min(max(v_high + spare, 0.0), view.height - 1.0))
     level = max(0, level_for(pyramid, max(u1 - u0, v1 - v0) + 1.0) - 2)
-    if _most(pyramid.upper, pyramid, level, u0, v0, u1, v1) <= near:
+    if most(pyramid.upper, pyramid, level, u0, v0, u1, v1) <= near:
         return 0
-    if inside and _least(pyramid.strict, pyramid, level, u0, v0, u1, v1) > far:
+    if inside and least(pyramid.strict, pyramid, level, u0, v0, u1, v1) > far:
         return FREE
     return MIXED
 

@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import invert_transform
-from infomap_ros.mapping import cloud_normals, free_space, scan, see_through, traversal
+from infomap_ros.mapping import (
+    association,
+    cloud_normals,
+    free_space,
+    pyramid,
+    scan,
+    see_through,
+    traversal,
+)
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.keys import BLOCK_SIDE, COORDINATE_LIMIT
 from infomap_ros.mapping.organised import TILE, gather_organised
@@ -26,12 +34,12 @@ class ScanGatherer:
         self._config = config
         self._workers = workers
         self._parts = [scan.empty_rows() for _ in range(workers.count)]
-        self._pyramid = free_space.empty_pyramid(2, 2)
+        self._pyramid = pyramid.empty_pyramid(2, 2)
         self._image_size = (2, 2)
         self._blocks = np.empty((4096, 3), np.int32)
 
     def gather(
-        self, measured: Scan, sensor: scan.Sensor, tallies: NDArray[np.int64]
+        self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
     ) -> tuple[scan.ScanRows, FreeBlocks]:
         """Gather one scan.
 
@@ -52,18 +60,18 @@ class ScanGatherer:
         return self._gather_image(measured, sensor, tallies)
 
     def _gather_image(
-        self, measured: Scan, sensor: scan.Sensor, tallies: NDArray[np.int64]
+        self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
     ) -> tuple[scan.ScanRows, FreeBlocks]:
         camera = measured.camera
         assert camera is not None
         if self._image_size != (camera.width, camera.height):
-            self._pyramid = free_space.empty_pyramid(camera.width, camera.height)
+            self._pyramid = pyramid.empty_pyramid(camera.width, camera.height)
             self._image_size = (camera.width, camera.height)
-        pyramid = self._pyramid
-        shape = (int(pyramid.heights[0]), int(pyramid.widths[0]))
+        levels = self._pyramid
+        shape = (int(levels.heights[0]), int(levels.widths[0]))
         ground = shape[0] * shape[1]
-        lower = pyramid.lower[:ground].reshape(shape)
-        upper = pyramid.upper[:ground].reshape(shape)
+        lower = levels.lower[:ground].reshape(shape)
+        upper = levels.upper[:ground].reshape(shape)
         part_tallies = np.zeros((len(self._parts), 4), np.int64)
 
         def gather(part: int, first: int, last: int) -> None:
@@ -90,8 +98,8 @@ class ScanGatherer:
         for part in self._parts:
             scan.clear_rows(part)
         self._workers.run(gather, camera.height, TILE)
-        free_space.build_pyramid(pyramid)
-        free_space.spread_pyramid(pyramid)
+        pyramid.build_pyramid(levels)
+        pyramid.spread_pyramid(levels)
         tallies += part_tallies.sum(axis=0)
         return self._merged_rows(), self._see(measured)
 
@@ -152,7 +160,7 @@ class ScanGatherer:
         return cells
 
     def _gather_cloud(
-        self, measured: Scan, sensor: scan.Sensor, tallies: NDArray[np.int64]
+        self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
     ) -> tuple[scan.ScanRows, FreeBlocks]:
         far, cells = scan.empty_rows(), self._cloud_cells(measured)
         while True:

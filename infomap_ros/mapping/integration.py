@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infomap_ros.mapping.association import Sensor
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.gathering import ScanGatherer
 from infomap_ros.mapping.observation import empty_observations, observe_rows
-from infomap_ros.mapping.scan import ScanRows, Sensor
+from infomap_ros.mapping.scan import ScanRows
 from infomap_ros.mapping.scan_input import Scan
 from infomap_ros.mapping.storage import MapStorage, Observations, ScanWriter
 from infomap_ros.mapping.workers import Workers

@@ -108,6 +108,32 @@ def _patch_covariance(nx: float, ny: float, nz: float, size: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def _covariance_sums(sums: Any, row: int) -> Any:
+    """Sum of the points' covariances of a row, in double precision."""
+    return (
+        np.float64(sums[row, 4]),
+        np.float64(sums[row, 5]),
+        np.float64(sums[row, 6]),
+        np.float64(sums[row, 7]),
+        np.float64(sums[row, 8]),
+        np.float64(sums[row, 9]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _sum_of_three(a: Any, b: Any, c: Any) -> Any:
+    """Sum of three symmetric matrices given by their upper triangles."""
+    return (
+        a[0] + b[0] + c[0],
+        a[1] + b[1] + c[1],
+        a[2] + b[2] + c[2],
+        a[3] + b[3] + c[3],
+        a[4] + b[4] + c[4],
+        a[5] + b[5] + c[5],
+    )
+
+
+@njit(cache=True, nogil=True)
 def _share_inside(distance: float, nx: float, ny: float, nz: float, c: Any, size: float) -> float:
     """Probability that the surface lies in the voxel, along the normal.
 
@@ -168,28 +194,15 @@ def observe_rows(
         smooth = length > _AGREEMENT * count
         scale = 1.0 / length if smooth else 0.0
         nx, ny, nz = nx * scale, ny * scale, nz * scale
-        points = (
-            np.float64(sums[row, 4]),
-            np.float64(sums[row, 5]),
-            np.float64(sums[row, 6]),
-            np.float64(sums[row, 7]),
-            np.float64(sums[row, 8]),
-            np.float64(sums[row, 9]),
-        )
-        a = _rotate_symmetric(
-            sensor.rotation, points, (correlation + (1.0 - correlation) * share) * share
-        )
-        b = _pose_covariance(
-            pose_covariance, centre[0] + ox - t[0], centre[1] + oy - t[1], centre[2] + oz - t[2]
-        )
-        c = _patch_covariance(nx, ny, nz, size)
-        total = (
-            a[0] + b[0] + c[0],
-            a[1] + b[1] + c[1],
-            a[2] + b[2] + c[2],
-            a[3] + b[3] + c[3],
-            a[4] + b[4] + c[4],
-            a[5] + b[5] + c[5],
+        points = _covariance_sums(sums, row)
+        total = _sum_of_three(
+            _rotate_symmetric(
+                sensor.rotation, points, (correlation + (1.0 - correlation) * share) * share
+            ),
+            _pose_covariance(
+                pose_covariance, centre[0] + ox - t[0], centre[1] + oy - t[1], centre[2] + oz - t[2]
+            ),
+            _patch_covariance(nx, ny, nz, size),
         )
         information[row, 0] = 0.0
         hits[row] = 0

@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.scan import (
-    GROUP_SIZE,
-    add_group,
+from infomap_ros.mapping.association import (
     rotated,
     set_reach,
     variance_along,
     voxel_position,
     within_limit,
 )
+from infomap_ros.mapping.scan import GROUP_SIZE, add_group
 
 TILE = 8
 _LARGEST_WINDOW = 24

@@ -12,10 +12,10 @@ from infomap_ros.mapping.free_space import (
     HALF_DIAGONAL,
     NEAR,
     far_extent,
-    level_for,
     to_camera,
 )
 from infomap_ros.mapping.keys import BLOCK_SIDE
+from infomap_ros.mapping.pyramid import level_for
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

@@ -12,20 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.mapping.association import set_reach, voxel_position, within_limit
 from infomap_ros.mapping.block_kernels import find_block, quanta_at
 from infomap_ros.mapping.cloud_normals import CELL_VOXELS, normal_at
 from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
-from infomap_ros.mapping.scan import (
-    GROUP_SIZE,
-    INSIDE,
-    add_group,
-    axis_start,
-    row_centre,
-    row_of,
-    set_reach,
-    voxel_position,
-    within_limit,
-)
+from infomap_ros.mapping.scan import GROUP_SIZE, INSIDE, add_group, axis_start, row_centre, row_of
 
 _ONE = np.uint64(1)
 _LONGEST_MARGIN = 20.0

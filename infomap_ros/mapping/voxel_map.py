@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import queries, traversal
 from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.mapping.changes import VoxelChanges, take_changes
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.keys import BLOCK_SIDE
@@ -23,26 +23,6 @@ from infomap_ros.mapping.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scan_input import checked_scan
 from infomap_ros.mapping.state import storage_from_state, storage_state
 from infomap_ros.mapping.storage import MapStorage
-
-
-@dataclass(frozen=True, eq=False)
-class VoxelChanges:
-    """Voxels that changed since they were last asked for; absolute values, not differences.
-
-    Attributes:
-        indices: voxel indices, shape (K, 3), int32.
-        log_odds: occupancy evidence in units of LOG_ODDS_QUANTUM, clipped to +-
-            SHARED_LOG_ODDS_LIMIT, shape (K,), int8.
-        has_gaussian: whether the voxel holds a surface, shape (K,), bool.
-        means: of the surface point, shape (K, 3) [m]; NaN where there is none.
-        covariances: shape (K, 3, 3) [m^2]; NaN where there is none.
-    """
-
-    indices: NDArray[np.int32]
-    log_odds: NDArray[np.int8]
-    has_gaussian: NDArray[np.bool_]
-    means: FloatArray
-    covariances: FloatArray
 
 
 class VoxelMap:
@@ -234,26 +214,7 @@ class VoxelMap:
         Raises:
             InvalidInputError: changes are not tracked.
         """
-        blocks = self._storage.blocks
-        if len(blocks.dirty) == 0:
-            raise InvalidInputError("take_changes", "changes are not tracked")
-        count = int(blocks.counts[BLOCK_COUNT])
-        room = min(limit, int(np.bitwise_count(blocks.dirty[:count]).sum()))
-        indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
-        has_gaussian = np.empty(room, np.bool_)
-        means, covariances = np.full((room, 3), np.nan), np.full((room, 3, 3), np.nan)
-        queries.take_dirty(
-            blocks,
-            self._storage.gaussians,
-            self.config.voxel_size,
-            room,
-            indices,
-            quanta,
-            has_gaussian,
-            means,
-            covariances,
-        )
-        return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
+        return take_changes(self._storage, self.config.voxel_size, limit)
 
     def reset(self) -> None:
         """Forget everything."""

@@ -11,6 +11,7 @@ from launch_ros.actions import Node
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.environment import additions
+from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from launch import LaunchDescription
 
 ARGUMENTS = {
@@ -21,7 +22,7 @@ ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
     "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
     "rectify": ("true", "The images are raw and must be rectified."),
-    "map_file": ("infomap_map.npz", "File of ~/save, ~/load and autosave."),
+    "map_file": ("map.infomap", "File of ~/save, ~/load and autosave."),
     "resume": ("false", "Load map_file at the start."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
     "rviz": ("false", "Start RViz."),
@@ -52,11 +53,13 @@ def _processes(context) -> list[Node]:
             **options,
         )
 
+    sensor = DepthCameraConfig() if given["source"] == "depth" else StereoConfig()
     range_parameters = {"source": given["source"], "rectify": truth["rectify"]}
     fusion_parameters = {
         "map_file": given["map_file"],
         "resume": truth["resume"],
         "voxel_size": float(given["voxel_size"]),
+        "error_correlation": sensor.error_correlation,
     }
     player_parameters = {
         "bag": bag,

@@ -135,7 +135,7 @@ class BagPlayerNode(MonitoredNode):
             self.get_logger().info(f"playing {self._config.bag}")
             while not self._stopping and not self._publish_step():
                 pass
-            for publisher in self._outlets.values():
+            for publisher in () if self._stopping else self._outlets.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
         except InfomapError as error:
             self.get_logger().error(str(error))

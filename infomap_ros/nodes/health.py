@@ -71,6 +71,7 @@ class Health:
         self._streams: dict[str, Stream] = {}
         self._drops: Counter[str] = Counter()
         self._last_detail: dict[str, str] = {}
+        self._notes: dict[str, str] = {}
         self._quiet_until: dict[str, float] = {}
         self._reported: Counter[str] = Counter()
         self._outputs = Stream("", required=False, latched=False, since=clock())
@@ -111,6 +112,11 @@ class Health:
             self._quiet_until[reason] = now + WARNING_PERIOD
         return True
 
+    def note(self, name: str, value: str) -> None:
+        """Set a figure of the node's own, for example the size of its map."""
+        with self._lock:
+            self._notes[name] = value
+
     def drops(self) -> dict[str, int]:
         """Number of drops by reason."""
         with self._lock:
@@ -150,4 +156,5 @@ class Health:
                 figures[f"dropped: {reason}"] = str(count)
                 if self._last_detail[reason]:
                     figures[f"last drop: {reason}"] = self._last_detail[reason]
+            figures.update(self._notes)
         return figures

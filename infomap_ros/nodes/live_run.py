@@ -8,49 +8,23 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.processes import NodeProcesses, private_graph
+from infomap_ros.nodes.run_state import RunState
 
+_QUIET = 3.0  # [s]
 LEFT, RIGHT = "left/image_raw", "right/image_raw"
-
-
-@dataclass
-class RunState:
-    """What is known of a run so far.
-
-    Attributes:
-        figures: last diagnostic values of each node by node name.
-        complaints: last diagnostic message of each node that was not ``ok``.
-        updates: arrival of the first map update of each stamp [s, monotonic] by stamp [ns].
-    """
-
-    figures: dict[str, dict[str, str]] = field(default_factory=dict)
-    complaints: dict[str, str] = field(default_factory=dict)
-    updates: dict[int, float] = field(default_factory=dict)
-
-    def count(self, node: str, figure: str = "results") -> int:
-        """A whole-number figure of a node, 0 while unknown."""
-        return int(self.figures.get(node, {}).get(figure, "0"))
-
-    def drops(self) -> dict[str, int]:
-        """Drops of all nodes, ``node: reason`` -> count."""
-        return {
-            f"{node}: {name.removeprefix('dropped: ')}": int(value)
-            for node, values in self.figures.items()
-            for name, value in values.items()
-            if name.startswith("dropped: ")
-        }
 
 
 class LiveRun:
@@ -58,10 +32,15 @@ class LiveRun:
 
     Args:
         bag: the bag that is played.
-        out: folder for the logs and the map file.
+        out: folder for the logs.
         player: further parameters of bag_player.
         stereo: further parameters of stereo_range.
         fusion: further parameters of map_fusion.
+        map_file: where map_fusion saves; ``map.infomap`` in `out` where not given.
+
+    Attributes:
+        state: what is known of the run.
+        pids: process ids by node name.
     """
 
     def __init__(
@@ -71,9 +50,11 @@ class LiveRun:
         player: Mapping[str, object] | None = None,
         stereo: Mapping[str, object] | None = None,
         fusion: Mapping[str, object] | None = None,
+        map_file: Path | None = None,
     ) -> None:
         self.state = RunState()
-        self.map_file = (out / "map.npz").absolute()
+        self.pids: dict[str, int] = {}
+        self.map_file = (map_file or out / "map.infomap").absolute()
         self._player = {
             "bag": bag.absolute(),
             "wait_for_subscribers": [LEFT, RIGHT, "camera_pose"],
@@ -109,23 +90,38 @@ class LiveRun:
 
     def watch_updates(self) -> None:
         """Note when the map updates of each stamp arrive."""
+        self._watch("map_updates", PointCloud2, self.state.updates)
 
-        def receive(message: PointCloud2) -> None:
+    def watch_images(self) -> None:
+        """Note when each left image arrives."""
+        self._watch(LEFT, Image, self.state.images)
+
+    def _watch(self, topic: str, kind: type, arrivals: dict[int, float]) -> None:
+        def receive(message: Any) -> None:
             stamp = message.header.stamp
-            self.state.updates.setdefault(
-                stamp.sec * 1_000_000_000 + stamp.nanosec, time.monotonic()
-            )
+            arrivals[stamp.sec * 1_000_000_000 + stamp.nanosec] = time.monotonic()
 
-        self._node.create_subscription(PointCloud2, "map_updates", receive, qos.stream(depth=100))
+        self.subscribe(kind, topic, receive)
+
+    def subscribe(self, kind: type, topic: str, receive: Callable[[Any], None]) -> None:
+        """Listen to a topic of the run."""
+        self._node.create_subscription(kind, topic, receive, qos.stream(depth=100))
 
     def start(self) -> None:
         """Start the three nodes."""
-        self._processes.start("map_fusion", self._fusion)
-        self._processes.start("stereo_range", self._stereo)
-        self._processes.start("bag_player", self._player)
+        for name, parameters in (
+            ("map_fusion", self._fusion),
+            ("stereo_range", self._stereo),
+            ("bag_player", self._player),
+        ):
+            self.pids[name] = self._processes.start(name, parameters)
 
     def spin_until(
-        self, condition: Callable[[], bool], what: str, timeout: float, tick: Callable[[], None]
+        self,
+        condition: Callable[[], bool],
+        what: str,
+        timeout: float,
+        tick: Callable[[], None] = lambda: None,
     ) -> None:
         """Watch the run until a condition holds.
 
@@ -147,6 +143,15 @@ class LiveRun:
             self._executor.spin_once(timeout_sec=0.1)
             tick()
 
+    def spin_for(self, seconds: float) -> None:
+        """Watch the run for some time.
+
+        Raises:
+            ProcessError: a process failed.
+        """
+        end = time.monotonic() + seconds
+        self.spin_until(lambda: time.monotonic() >= end, "the time to pass", seconds + 60.0)
+
     @property
     def played(self) -> bool:
         """Whether the bag has been played to its end."""
@@ -154,10 +159,9 @@ class LiveRun:
 
     @property
     def settled(self) -> bool:
-        """Whether every cloud that stereo_range made has come to its end in map_fusion."""
-        made, fused = self.state.count("stereo_range"), self.state.count("map_fusion")
-        lost = sum(n for name, n in self.state.drops().items() if name.startswith("map_fusion"))
-        return self.played and made > 0 and fused + lost >= made
+        """Whether the bag has been played and nothing has been fused for a while since."""
+        quiet = time.monotonic() - self.state.last_progress
+        return self.played and quiet > _QUIET
 
     def call(self, service: str, timeout: float = 60.0) -> str:
         """Call a Trigger service, for example ``map_fusion/save``; returns its answer.
@@ -166,9 +170,9 @@ class LiveRun:
             ProcessError: there is no answer or it says that it failed.
         """
         client = self._node.create_client(Trigger, service)
-        self.spin_until(client.service_is_ready, f"service {service}", timeout, lambda: None)
+        self.spin_until(client.service_is_ready, f"service {service}", timeout)
         answer = client.call_async(Trigger.Request())
-        self.spin_until(answer.done, f"the answer of {service}", timeout, lambda: None)
+        self.spin_until(answer.done, f"the answer of {service}", timeout)
         response = answer.result()
         if not response.success:
             raise ProcessError(f"{service}: {response.message}")
@@ -176,7 +180,4 @@ class LiveRun:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            node = status.hardware_id.rpartition("/")[2]
-            self.state.figures[node] = {pair.key: pair.value for pair in status.values}
-            if status.message != "ok":
-                self.state.complaints[node] = status.message
+            self.state.add(status)

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import InfomapError
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
@@ -67,6 +68,7 @@ class MapFusionNode(MonitoredNode):
     CONFIGS = (
         (MapFusionConfig, ""),
         (MapKeeperConfig, ""),
+        (AssumedPoseConfig, ""),
         (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),

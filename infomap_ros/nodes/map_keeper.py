@@ -10,6 +10,7 @@ import numpy as np
 
 from infomap_ros.errors import MapFileError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
@@ -26,32 +27,16 @@ from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 
 @dataclass(frozen=True)
 class MapKeeperConfig:
-    """Where the map is kept, and what stands in for what is unknown.
+    """Where the map is kept.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
     map_file: str = parameter(
-        "infomap_map.npz", "File of ~/save and ~/load, relative to the working directory."
+        "map.infomap", "File of ~/save and ~/load, relative to the working directory."
     )
     resume: bool = parameter(False, "Load map_file at the start, where there is one.")
-    default_position_sigma: float = parameter(
-        0.02,
-        "Standard deviation of the camera's position, along each axis, where camera_pose has no "
-        "covariance.",
-        unit="m",
-        low=0.0,
-        high=100.0,
-    )
-    default_rotation_sigma: float = parameter(
-        0.01,
-        "Standard deviation of the camera's rotation, about each axis, where camera_pose has no "
-        "covariance.",
-        unit="rad",
-        low=0.0,
-        high=3.2,
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -108,6 +93,8 @@ class MapKeeper:
 
     def publish_pictures(self) -> None:
         """Publish voxel_map and projected_map where they are wanted and out of date."""
+        self._node.health.note("map memory [bytes]", str(self._map.memory_bytes()))
+        self._node.health.note("known voxels", str(self._map.known_voxels))
         self._outputs.publish_pictures(self._map, self._stamp)
 
     def save(self) -> str:
@@ -154,9 +141,7 @@ class MapKeeper:
                 "camera_pose has no covariance: default_position_sigma and "
                 "default_rotation_sigma stand in for it"
             )
-        sigmas = [self._config.default_position_sigma] * 3
-        sigmas += [self._config.default_rotation_sigma] * 3
-        return np.diag(np.square(sigmas))
+        return self._node.config(AssumedPoseConfig).covariance()
 
 
 def warm_up(threads: int) -> None:

@@ -14,11 +14,11 @@ import infomap_ros
 
 PROGRAM = """
 import os, infomap_ros
-print(os.environ.get("NUMBA_CACHE_DIR", "beside the code"))
+print(os.environ["NUMBA_CACHE_DIR"])
 """
 
 
-def cache_of(installed: Path, readable_only: bool, **variables: str) -> str:
+def cache_of(installed: Path, readable_only: bool, **variables: str) -> Path:
     """Import the package from a copy, which looks read-only if asked, and ask for the cache."""
     program = PROGRAM
     if readable_only:  # a superuser may write everywhere, so the answer of access(2) is replaced
@@ -33,7 +33,7 @@ os.access = lambda path, mode: not str(path).startswith({str(installed)!r}) and 
     done = subprocess.run(
         command, env=environment, cwd=installed, text=True, capture_output=True, check=True
     )
-    return done.stdout.strip()
+    return Path(done.stdout.strip())
 
 
 @pytest.fixture
@@ -41,13 +41,17 @@ def installed(tmp_path: Path) -> Path:
     source = Path(infomap_ros.__file__).parent
     target = tmp_path / "site" / "infomap_ros"
     target.mkdir(parents=True)
-    shutil.copy(source / "__init__.py", target)
+    for name in ("__init__.py", "_kernel_cache.py"):
+        shutil.copy(source / name, target)
     (target / "mapping").mkdir()
     return tmp_path / "site"
 
 
 def test_a_writable_installation_caches_beside_the_code(installed: Path) -> None:
-    assert cache_of(installed, False) == "beside the code"
+    cache = cache_of(installed, False)
+
+    assert cache.parent == installed / "infomap_ros" / "__pycache__"
+    assert cache.name.startswith("kernels-")
 
 
 def test_a_read_only_installation_caches_in_the_home_of_the_user(
@@ -55,7 +59,7 @@ def test_a_read_only_installation_caches_in_the_home_of_the_user(
 ) -> None:
     cache = cache_of(installed, True, XDG_CACHE_HOME=str(tmp_path / "cache"))
 
-    assert cache == str(tmp_path / "cache" / "infomap_ros")
+    assert cache.parent == tmp_path / "cache" / "infomap_ros"
 
 
 def test_without_a_writable_home_the_cache_is_temporary(installed: Path, tmp_path: Path) -> None:
@@ -63,8 +67,8 @@ def test_without_a_writable_home_the_cache_is_temporary(installed: Path, tmp_pat
 
     cache = cache_of(installed, True, XDG_CACHE_HOME=str(nowhere), TMPDIR=str(tmp_path))
 
-    assert cache == str(tmp_path / f"infomap_ros-{os.getuid()}")
+    assert cache.parent == tmp_path / f"infomap_ros-{os.getuid()}"
 
 
 def test_the_choice_of_the_user_wins(installed: Path, tmp_path: Path) -> None:
-    assert cache_of(installed, True, NUMBA_CACHE_DIR=str(tmp_path)) == str(tmp_path)
+    assert cache_of(installed, True, NUMBA_CACHE_DIR=str(tmp_path)) == tmp_path

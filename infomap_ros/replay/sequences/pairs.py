@@ -29,6 +29,7 @@ from infomap_ros.replay.sequences.entries import (
     rectified_pair,
 )
 
+_MOTORCYCLE_TILT = 15.2  # of the camera, downwards, from a plane fitted to the floor [deg]
 _EXACT = np.diag([1e-12] * 6)  # the pose of the only pair defines the map
 _CENTIMETRE = np.diag([1e-4] * 3 + [1e-4] * 3)
 
@@ -49,7 +50,7 @@ def motorcycle(folder: Path) -> Entries:
         PinholeCamera(width, height, 994.978, 994.978, 311.193 + 31.086, 254.877),
         baseline=0.193001,
     )
-    yield from _single_pair(rig, left, right)
+    yield from _single_pair(rig, left, right, _MOTORCYCLE_TILT)
 
 
 def aloe(folder: Path) -> Entries:
@@ -72,9 +73,9 @@ def aloe(folder: Path) -> Entries:
     yield from _single_pair(rig, left, right)
 
 
-def _single_pair(rig: StereoRig, left: np.ndarray, right: np.ndarray) -> Entries:
-    """The pair, seen from the origin of a map with z up."""
-    yield "/camera_pose", PoseRecord(FIRST_STAMP, "map", _looking_along_x(), _EXACT)
+def _single_pair(rig: StereoRig, left: np.ndarray, right: np.ndarray, tilt: float = 0.0) -> Entries:
+    """The pair, seen from the origin of a map with z up and `tilt` [deg] downwards."""
+    yield "/camera_pose", PoseRecord(FIRST_STAMP, "map", _looking_along_x(tilt), _EXACT)
     yield from rectified_pair(FIRST_STAMP, rig, left, right)
 
 
@@ -124,12 +125,11 @@ def _assumed_rover_cameras() -> tuple[CameraCalibration, CameraCalibration]:
 def _rover_pose(path: FloatArray, index: int) -> FloatArray:
     """Camera 0.3 m above the plane, 17 degrees down, ahead along the path of the next metre."""
     ahead = path[min(len(path) - 1, index + 24)] - path[max(0, index - 8)]
-    heading = Rotation.from_euler("z", float(np.arctan2(ahead[1], ahead[0])))
-    down = Rotation.from_euler("y", np.deg2rad(17.0))
-    rotation = (heading * down).as_matrix() @ _looking_along_x()[:3, :3]
-    return make_transform(rotation, [*path[index], 0.3])
+    heading = Rotation.from_euler("z", float(np.arctan2(ahead[1], ahead[0]))).as_matrix()
+    return make_transform(heading @ _looking_along_x(17.0)[:3, :3], [*path[index], 0.3])
 
 
-def _looking_along_x() -> FloatArray:
-    """Optical frame that looks along x, with z up: T_map_camera, shape (4, 4)."""
-    return make_transform([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0, 0, 0])
+def _looking_along_x(tilt: float) -> FloatArray:
+    """Optical frame at the origin that looks along x and down by `tilt` [deg]; T_map_camera."""
+    down = Rotation.from_euler("y", tilt, degrees=True).as_matrix()
+    return make_transform(down @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0, 0, 0])

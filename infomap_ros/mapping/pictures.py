@@ -1,0 +1,189 @@
+"""Pictures of a voxel map: from above, from the side, and how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.voxel_map import VoxelMap
+
+_LARGEST_SIDE = 1600  # of a view [px]
+_HEADROOM = 2.0  # what lies higher above the floor may be a ceiling [m]
+_OVERHANG_SHARE = 0.1  # it is one when it hides more than this share of the columns
+_LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """The surface voxels that are more likely occupied than not.
+
+    Attributes:
+        points: their centres, shape (K, 3) [m].
+        normals: unit normals, of any sign, shape (K, 3).
+        sigmas: standard deviations along the normals, shape (K,) [m].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    sigmas: FloatArray
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> _Surface:
+        return _Surface(self.points[chosen], self.normals[chosen], self.sigmas[chosen])
+
+
+@dataclass(frozen=True)
+class _View:
+    """A parallel projection: image axes and the direction from which it is seen.
+
+    Attributes:
+        across: index of the map axis that runs to the right.
+        up: index of the map axis that runs up.
+        towards: index of the axis to the viewer.
+        sign: +1 when the viewer is at its positive end, else -1.
+        title: what the picture shows.
+    """
+
+    across: int
+    up: int
+    towards: int
+    sign: int
+    title: str
+
+
+def draw_map_views(voxel_map: VoxelMap, path: str | Path) -> None:
+    """Draw the surface from above and from the side, and its standard deviation.
+
+    Where a ceiling hides the room, the view from above is cut below it. The side is the one from
+    which most of the surface is seen through free space.
+
+    Args:
+        voxel_map: the map.
+        path: PNG file to write.
+
+    Raises:
+        InvalidInputError: the map has no surface to draw.
+        OSError: the file cannot be written.
+    """
+    surface = _surface(voxel_map)
+    if len(surface.points) == 0:
+        raise InvalidInputError("voxel map", "has no surface to draw")
+    below, note = _below_ceiling(surface, voxel_map.config.voxel_size)
+    top, side = _View(0, 1, 2, 1, f"from above{note}"), _open_side(voxel_map, surface.points)
+    distance = -side.sign * surface.points[:, side.towards]
+    distance -= distance.min()
+    heights, distances = _limits(surface.points[:, 2]), _limits(distance)
+    sigmas = LogNorm(*_sigma_limits(surface.sigmas))
+    figure = Figure(figsize=(15.0, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 3)
+    cell = _cell(surface.points, voxel_map.config.voxel_size)
+    _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "height [m]")
+    _draw(axes[1], surface, side, cell, distance, distances, "viridis_r", "distance [m]")
+    label = "standard deviation along the normal [m]"
+    _draw(axes[2], surface, side, cell, surface.sigmas, sigmas, "magma", label, shaded=False)
+    figure.savefig(path, dpi=110)
+
+
+def _limits(values: FloatArray) -> Normalize:
+    return Normalize(*np.percentile(values, [1.0, 99.0]))
+
+
+def _surface(voxel_map: VoxelMap) -> _Surface:
+    indices, _, covariances = voxel_map.gaussians()
+    centres: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
+    likely = voxel_map.probability(centres) > 0.5
+    variances, directions = np.linalg.eigh(covariances[likely])
+    sigmas = np.sqrt(np.maximum(variances[:, 0], 0.0))
+    return _Surface(centres[likely], directions[:, :, 0], sigmas)
+
+
+def _sigma_limits(sigmas: FloatArray) -> tuple[float, float]:
+    low, high = np.percentile(sigmas, [1.0, 99.0])
+    low = max(float(low), 1e-6)
+    return low, max(float(high), 1.01 * low)
+
+
+def _cell(points: FloatArray, voxel_size: float) -> float:
+    """Size of a pixel: a voxel, or more where the picture would become too large [m]."""
+    return max(voxel_size, float(np.ptp(points, axis=0).max()) / _LARGEST_SIDE)
+
+
+def _below_ceiling(surface: _Surface, voxel_size: float) -> tuple[_Surface, str]:
+    """The surface without a ceiling, and a remark where there is one."""
+    heights = surface.points[:, 2]
+    cut = float(np.percentile(heights, 1.0)) + _HEADROOM
+    middle = cut - 0.5 * _HEADROOM
+    columns = np.floor(surface.points[:, :2] / (2.0 * voxel_size)).astype(np.int64)
+    keys = columns[:, 0] * (1 << 32) + columns[:, 1]
+    high, low = np.unique(keys[heights > cut]), np.unique(keys[heights < middle])
+    over = np.setdiff1d(high, keys[(heights >= middle) & (heights <= cut)])  # a wall has no gap
+    hidden = len(np.intersect1d(over, low, assume_unique=True))
+    if hidden < _OVERHANG_SHARE * max(len(low), 1):
+        return surface, ""
+    return surface[heights <= cut], f", below {cut:.1f} m"
+
+
+def _open_side(voxel_map: VoxelMap, points: FloatArray) -> _View:
+    """Of the four sides, the one from which most of the surface is seen through free space."""
+    names = {(0, 1): "+x", (0, -1): "-x", (1, 1): "+y", (1, -1): "-y"}
+    views = [_View(1 - axis, 2, axis, sign, f"from {name}") for (axis, sign), name in names.items()]
+    return max(views, key=lambda view: _open_pixels(voxel_map, points, view))
+
+
+def _open_pixels(voxel_map: VoxelMap, points: FloatArray, view: _View) -> int:
+    """Number of pixels whose surface has free space before it."""
+    size = voxel_map.config.voxel_size
+    nearest = _raster(points, view, size, np.arange(float(len(points))))
+    seen = points[nearest[np.isfinite(nearest)].astype(np.int64)]
+    before = np.zeros(3)
+    before[view.towards] = view.sign * 3.0 * size
+    return int(np.count_nonzero(voxel_map.log_odds(seen + before) < 0.0))
+
+
+def _raster(points: FloatArray, view: _View, cell: float, values: FloatArray) -> FloatArray:
+    """Value of the nearest point in each pixel, rows upwards; NaN where there is none."""
+    low = points.min(axis=0)
+    columns = np.rint((points[:, view.across] - low[view.across]) / cell).astype(np.int64)
+    rows = np.rint((points[:, view.up] - low[view.up]) / cell).astype(np.int64)
+    if (view.towards, view.sign) in ((0, -1), (1, 1)):  # there the axis runs to the left
+        columns = columns.max() - columns
+    image = np.full((rows.max() + 1, columns.max() + 1), np.nan)
+    order = np.argsort(view.sign * points[:, view.towards], kind="stable")
+    image[rows[order], columns[order]] = values[order]
+    return image
+
+
+def _draw(
+    axes: Axes,
+    surface: _Surface,
+    view: _View,
+    cell: float,
+    values: FloatArray,
+    scale: Normalize,
+    colors: str,
+    label: str,
+    shaded: bool = True,
+) -> None:
+    """One view: colour by value; shaded, darker where the surface turns away from the light."""
+    image = _raster(surface.points, view, cell, values)
+    mapper = matplotlib.cm.ScalarMappable(scale, colors)
+    pixels: NDArray[Any] = mapper.to_rgba(np.ma.masked_invalid(image))
+    if shaded:
+        light = _raster(surface.points, view, cell, np.abs(surface.normals @ _LIGHT))
+        pixels[..., :3] *= (0.45 + 0.55 * np.nan_to_num(light))[..., None]
+    pixels[np.isnan(image)] = 1.0
+    extent = (0.0, image.shape[1] * cell, 0.0, image.shape[0] * cell)
+    axes.imshow(pixels, origin="lower", extent=extent, interpolation="nearest")
+    axes.set(title=view.title, xlabel="m", ylabel="m")
+    axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8)

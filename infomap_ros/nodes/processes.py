@@ -79,6 +79,16 @@ class NodeProcesses:
         """Exit status of a process, None while it runs."""
         return self._processes[name].poll()
 
+    def wait(self, name: str, timeout: float) -> int:
+        """Wait for a process to end; returns its exit status.
+
+        Raises:
+            ProcessError: it still runs after `timeout` [s].
+        """
+        if not _ends_within(self._processes[name], timeout):
+            raise ProcessError(f"{name} still runs after {timeout:.0f} s")
+        return self._processes[name].wait()
+
     def check(self, may_end: Sequence[str] = ()) -> None:
         """Make sure that all processes live.
 

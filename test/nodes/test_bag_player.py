@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,17 @@ def test_who_comes_late_gets_what_is_latched(graph: Any, bag: Path) -> None:
 
     graph.spin_until(lambda: texts, "the robot description")
     assert texts[0].data == "<robot/>"
+
+
+def test_tf_is_played_where_its_messages_are_installed(graph: Any, bag: Path) -> None:
+    player = graph.add(BagPlayerNode, bag=str(bag))
+
+    published = [name for name, _ in graph.tester.get_topic_names_and_types()]
+    graph.spin_until(lambda: player.count_publishers("/clock"), "the node")
+
+    installed = find_spec("tf2_msgs") is not None
+    assert (player.count_publishers("/tf_static") == 1) is installed
+    assert f"{graph.namespace}/tf_static" not in published
 
 
 def test_looping_jumps_back_to_the_start(graph: Any, bag: Path) -> None:

@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord, PoseRecord
 from infomap_ros.nodes import findings, qos
-from infomap_ros.nodes.doctor import Doctor
+from infomap_ros.nodes.doctor import Doctor, main
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import encode_camera_info, encode_image
 
@@ -107,3 +107,16 @@ def test_the_doctor_tells_raw_from_rectified(graph: Any) -> None:
     texts = [f.text for f in doctor.examine() if f.subject.endswith("left/image_rect")]
 
     assert "start stereo_range with rectify:=true" in texts[0]
+
+
+def test_the_command_names_what_is_wrong_and_fails(
+    graph: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(graph.domain))
+
+    status = main(["--seconds", "0.3", "--ros-args", "-r", f"__ns:={graph.namespace}"])
+
+    lines = capsys.readouterr().out.splitlines()
+    assert status == 1
+    assert f"WRONG {graph.namespace}/camera_pose: nobody publishes it" in lines
+    assert lines[-1].endswith("things looked at are wrong")

@@ -124,20 +124,17 @@ class StereoConfig:
         choices=("disparity", "printed"),
     )
     sigma_scale: float = parameter(
-        0.248,
-        "Disparity model: sigma at unit residual, gradient and scale.",
+        0.132,
+        "Disparity model: matching sigma at a residual of 1 grey level and texture 1 px wide.",
         unit="px",
         low=0.001,
         high=100.0,
     )
     sigma_residual_power: float = parameter(
-        0.845, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
-    )
-    sigma_gradient_power: float = parameter(
-        -0.442, "Disparity model: exponent of the horizontal gradient.", low=-3.0, high=0.0
+        0.447, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
     )
     sigma_texture_power: float = parameter(
-        0.825, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
+        0.855, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
     sigma_floor: float = parameter(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0

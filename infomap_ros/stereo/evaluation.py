@@ -12,7 +12,7 @@ from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.ground_truth import StereoPair
 from infomap_ros.stereo.images import grey
 from infomap_ros.stereo.matching import SUBPIXELS, DisparityMatcher, disparity_range
-from infomap_ros.stereo.noise import quality_logarithms
+from infomap_ros.stereo.noise import MatchTerms, match_terms
 from infomap_ros.stereo.sensor import StereoRangeSensor
 
 #: Larger disparity errors are mismatches (bad pixels), which no sigma describes [px].
@@ -31,7 +31,7 @@ class PairErrors:
         kept: pixels that the sensor kept and that have a truth, shape (H, W).
         error: measured minus true disparity, shape (H, W) [px]; NaN where not kept.
         sigma: predicted standard deviation, shape (H, W) [px]; NaN where not kept.
-        logarithms: of residual, gradient and texture width, shape (3, H, W).
+        terms: of the variance of the disparity, shape (H, W) each.
         density: kept pixels per pixel with a truth.
         plain_bad: share of errors above 3 px of the same matcher without filters.
         plain_density: of the same.
@@ -41,7 +41,7 @@ class PairErrors:
     kept: NDArray[np.bool_]
     error: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    logarithms: NDArray[np.float64]
+    terms: MatchTerms
     density: float
     plain_bad: float
     plain_density: float
@@ -116,7 +116,7 @@ def measure_errors(pair: StereoPair, config: StereoConfig) -> PairErrors:
         kept,
         np.where(kept, cloud.disparity - pair.truth, np.float32(np.nan)),
         np.where(kept, cloud.disparity_sigma, np.float32(np.nan)),
-        quality_logarithms(quality),
+        match_terms(quality, config),
         float(kept.sum() / known.sum()),
         plain_bad,
         plain_density,

@@ -1,7 +1,8 @@
 """Noise models: what a disparity is worth, and the 3-D Gaussian of a range point.
 
-Disparity model. The standard deviation of a disparity is a power law of what the match rests
-on: photometric residual, gradient, and width of the texture (see `sigma_from_quality`). With
+Disparity model. The variance of a disparity is that which image noise alone leaves (Cramer-Rao
+bound) plus that of matching, a power law of the photometric residual and of the width of the
+texture (see `sigma_from_quality`). With
 ``D = d + principal_offset`` (zero at infinity), ``z = f B / D`` and ``r = sigma_d / D`` the range
 statistics are taken to second order, because a first-order covariance is biased and too small at
 long range (Sibley, Matthies, Sukhatme 2005, DOI 10.1109/IROS.2005.1545270):
@@ -37,69 +38,83 @@ from infomap_ros.stereo.quality import MatchQuality
 _RESIDUAL_NOISE = 0.1
 _GRADIENT_NOISE = 0.1
 _CURVATURE_NOISE = 0.5
+# Independent noise in both images, whose difference has the residual's variance R, adds R / 8 to
+# the squared gradient (mean of the two central differences) and 3 R to the squared second
+# derivative of the left image. It is taken out, but never more than three quarters, as the
+# residual holds more than noise.
+_NOISE_IN_GRADIENT = 0.125
+_NOISE_IN_CURVATURE = 3.0
+_LEAST_SIGNAL = 0.25
 
 
-def quality_logarithms(quality: MatchQuality) -> NDArray[np.float64]:
-    """Natural logarithms of residual, gradient and texture width, shape (3, H, W).
+class MatchTerms(NamedTuple):
+    """What the variance of a disparity is made of; planes of equal shape.
 
-    All three are rms values over the window. The texture width is the rms first over the rms
-    second derivative [px]: wider texture, as in a blurred or enlarged image, locates a match
-    less well.
+    Attributes:
+        residual: natural logarithm of the rms photometric residual [grey levels].
+        width: natural logarithm of the width of the texture [px]: rms first over rms second
+            derivative. Wider texture, as in a blurred or enlarged image, locates a match less.
+        photometric: Cramer-Rao bound of the disparity from image noise [px^2]: the residual over
+            the sum of squared gradients of the pixels that refinement and smoothing use.
     """
-    residual = 0.5 * np.log(quality.residual + _RESIDUAL_NOISE, dtype=np.float64)
-    gradient = 0.5 * np.log(quality.gradient + _GRADIENT_NOISE, dtype=np.float64)
-    curvature = 0.5 * np.log(quality.curvature + _CURVATURE_NOISE, dtype=np.float64)
-    return np.stack([residual, gradient, gradient - curvature])
+
+    residual: NDArray[np.float64]
+    width: NDArray[np.float64]
+    photometric: NDArray[np.float64]
 
 
-def sigma_from_logarithms(
-    logarithms: NDArray[np.float64], config: StereoConfig
-) -> NDArray[np.float64]:
-    """The power law of `sigma_from_quality` on `quality_logarithms`, exactly.
+def match_terms(quality: MatchQuality, config: StereoConfig) -> MatchTerms:
+    """Terms of `sigma_from_quality`, for its calibration; shape (H, W) each."""
+    residual = quality.residual.astype(np.float64) + _RESIDUAL_NOISE
+    gradient = quality.gradient.astype(np.float64) + _GRADIENT_NOISE
+    curvature = quality.curvature.astype(np.float64) + _CURVATURE_NOISE
+    slope = np.maximum(gradient - _NOISE_IN_GRADIENT * residual, _LEAST_SIGNAL * gradient)
+    bend = np.maximum(curvature - _NOISE_IN_CURVATURE * residual, _LEAST_SIGNAL * curvature)
+    bound = residual / (_samples(config) * slope)
+    return MatchTerms(0.5 * np.log(residual), 0.5 * np.log(slope / bend), np.asarray(bound))
 
-    Args:
-        logarithms: shape (3, ...).
-        config: powers, sigma_scale and sigma_floor.
 
-    Returns:
-        Standard deviation of the disparity, shape (...) [px].
-    """
-    residual, gradient, width = logarithms
-    exponent = config.sigma_residual_power * residual + config.sigma_gradient_power * gradient
-    exponent += config.sigma_texture_power * width
-    return np.asarray(np.maximum(config.sigma_scale * np.exp(exponent), config.sigma_floor))
+def sigma_from_terms(terms: MatchTerms, config: StereoConfig) -> NDArray[np.float64]:
+    """`sigma_from_quality`, exactly, from its terms; same shape [px]."""
+    exponent = config.sigma_residual_power * terms.residual
+    exponent = exponent + config.sigma_texture_power * terms.width
+    sigma = np.sqrt((config.sigma_scale * np.exp(exponent)) ** 2 + terms.photometric)
+    return np.asarray(np.maximum(sigma, config.sigma_floor))
+
+
+def _samples(config: StereoConfig) -> int:
+    """Pixels whose photometric differences take part in one refined, smoothed disparity."""
+    return (config.refinement_window + config.smoothing_window - 1) ** 2
 
 
 def sigma_from_quality(quality: MatchQuality, config: StereoConfig) -> NDArray[np.float32]:
     """Standard deviation of refined disparities, shape (H, W), float32 [px].
 
-    ``sigma = scale * residual^a * gradient^b * width^c``, at least sigma_floor, with the rms
-    photometric residual and gradient of the window in grey levels and the width in px, see
-    `quality_logarithms`. Within 1 % (the logarithms are approximated).
+    ``sigma^2 = (scale * residual^a * width^c)^2 + bound``, at least sigma_floor^2, with the terms
+    of `MatchTerms`. Within 1 % (the logarithms are approximated).
     """
-    a, b, c = (
-        config.sigma_residual_power,
-        config.sigma_gradient_power,
-        config.sigma_texture_power,
-    )
-    powers = np.array([0.5 * a, 0.5 * (b + c), -0.5 * c], np.float32)
+    powers = np.array([0.5 * config.sigma_residual_power, 0.5 * config.sigma_texture_power])
+    numbers = np.array([config.sigma_scale, config.sigma_floor, _samples(config)])
     sigma = np.empty(quality.disparity.shape, np.float32)
     planes = [plane.ravel() for plane in quality[1:]]
-    scale, floor = np.float32(config.sigma_scale), np.float32(config.sigma_floor)
-    _sigma_kernel(*planes, powers, scale, floor, sigma.ravel())
+    arguments = (powers.astype(np.float32), numbers.astype(np.float32))
+    _sigma_kernel(*planes, *arguments, sigma.ravel())
     return sigma
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _sigma_kernel(  # type: ignore[no-untyped-def]
-    residual, gradient, curvature, powers, scale, floor, sigma
-):
-    power_r, power_g, power_c = powers[0], powers[1], powers[2]
+def _sigma_kernel(residual, gradient, curvature, powers, numbers, sigma):  # type: ignore[no-untyped-def]
+    residual_power, width_power = powers
+    scale, floor, samples = numbers
+    least = np.float32(_LEAST_SIGNAL)
     for i in range(sigma.size):
-        exponent = power_r * _log2(residual[i] + np.float32(_RESIDUAL_NOISE))
-        exponent += power_g * _log2(gradient[i] + np.float32(_GRADIENT_NOISE))
-        exponent += power_c * _log2(curvature[i] + np.float32(_CURVATURE_NOISE))
-        sigma[i] = max(scale * _exp2(exponent), floor)
+        r = residual[i] + np.float32(_RESIDUAL_NOISE)
+        g = gradient[i] + np.float32(_GRADIENT_NOISE)
+        h = curvature[i] + np.float32(_CURVATURE_NOISE)
+        slope = max(g - np.float32(_NOISE_IN_GRADIENT) * r, least * g)
+        bend = max(h - np.float32(_NOISE_IN_CURVATURE) * r, least * h)
+        matching = scale * _exp2(residual_power * _log2(r) + width_power * _log2(slope / bend))
+        sigma[i] = max(np.sqrt(matching * matching + r / (samples * slope)), floor)
 
 
 @njit(nogil=True, cache=True, inline="always", error_model="numpy")

@@ -67,6 +67,7 @@ class MapRun:
 
         Raises:
             BagError: no frame could be mapped; says why.
+            CapacityError: the first frame is too large for the map's memory limit.
         """
         start = time.perf_counter()
         records = self._bag.records(self.inputs.topics)
@@ -138,7 +139,9 @@ class MapRun:
         self._waiting.take(now=2**63 - 1)
         self.dropped.update(self._waiting.dropped)
         self.dropped.update(self.inputs.source.dropped)
-        if self.frames == 0 and not self.full:
+        if self.frames == 0 and self.full:
+            raise CapacityError(f"not one frame fits: {self.full}")
+        if self.frames == 0:
             reasons = self.dropped + self.refused
             why = "; ".join(f"{n} x {reason}" for reason, n in reasons.most_common(3))
             raise BagError(f"no frame could be mapped: {why or 'the bag has none'}")

@@ -1,0 +1,134 @@
+"""The command line: results where they were asked for, one line when it could not."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from infomap_ros import cli
+from infomap_ros.mapping import VoxelMap
+
+from .replay.scenes import depth_frames, write
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run a command; returns exit status, standard output and standard error."""
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["infomap", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        error = captured.err
+        status = ended.value.code
+        if isinstance(status, str):  # what the interpreter prints when it exits with a text
+            error, status = error + status + "\n", 1
+        return int(status or 0), captured.out, error
+
+    return command
+
+
+def test_map_leaves_everything_beside_its_summary(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    status, out, _ = run("map", bag, "--out", tmp_path / "out", "--voxel-size", 0.1)
+    assert status == 0
+    summary = json.loads(out)
+    assert summary == json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["frames"] == 6
+    assert summary["seconds"] > 0
+    assert summary["memory_bytes"] > 1000
+    assert all(not isinstance(value, (dict, list)) for value in summary.values())
+    names = {"map.infomap", "map.ply", "map.png", "depth.png", "sigma.png", "summary.json"}
+    assert names == {path.name for path in (tmp_path / "out").iterdir()}
+    loaded = VoxelMap.load(tmp_path / "out" / "map.infomap")
+    assert loaded.known_voxels == summary["known_voxels"]
+    assert loaded.config.voxel_size == 0.1
+
+
+def test_map_with_given_topics_and_settings(tmp_path, run):
+    entries = [(f"/rig{topic}", record) for topic, record in depth_frames()]
+    bag = write(tmp_path / "bag", entries)
+    status, out, _ = run(
+        "map", bag, "--out", tmp_path / "out", "--depth", "/rig/depth/image_rect",
+        "--pose-topic", "/rig/camera_pose", "--max-range", 1.8, "--set", "map.threads=2",
+    )  # fmt: skip
+    assert status == 0
+    assert json.loads(out)["frames"] == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["map", "{tmp}/nothing", "--out", "{tmp}/out"], "there is no bag"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--voxel-size", "-1"], "voxel_size"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--set", "map.size=1"], "map.voxel_size"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--source", "stereo"], "no stereo pair"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--pose-topic", "/x"], "/x"),
+        (["map", "{bag}", "--out", "{tmp}/file"], "file"),
+        (["show", "{tmp}/file"], "file"),
+        (["convert", "nothing", "{tmp}", "{tmp}/out"], "rgbd"),
+        (["convert", "rgbd", "{tmp}/nothing", "{tmp}/out"], "no folder"),
+        (["calibrate-noise", "{tmp}", "--out", "{tmp}/out"], ""),
+    ],
+)
+def test_failure_is_one_clear_line_and_a_status(tmp_path, run, arguments, said):
+    bag = write(tmp_path / "bag", depth_frames(2))
+    (tmp_path / "file").write_text("not a map")
+    status, out, error = run(*(a.format(tmp=tmp_path, bag=bag) for a in arguments))
+    assert status == 1
+    assert out == ""
+    lines = error.strip().splitlines()
+    assert len(lines) == 1, error
+    assert lines[0].startswith("infomap: ")
+    assert said in lines[0]
+
+
+def test_damaged_bag_is_mapped_and_told(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    (bag / "metadata.yaml").unlink()
+    status, out, error = run("map", bag, "--out", tmp_path / "out")
+    assert status == 0
+    assert json.loads(out)["frames"] == 6
+    assert "metadata.yaml" in error
+
+
+def test_full_map_is_written_and_the_status_tells(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    limit = ["--voxel-size", 0.01, "--set", "map.memory_limit=0.008"]
+    status, out, error = run("map", bag, "--out", tmp_path / "out", *limit)
+    assert status == 1
+    assert "the map is full" in error
+    assert 0 < json.loads(out)["frames"] < 6
+    assert (tmp_path / "out" / "map.infomap").exists()
+
+
+def test_show_prints_and_draws(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    run("map", bag, "--out", tmp_path / "out")
+    picture = tmp_path / "picture.png"
+    status, out, _ = run("show", tmp_path / "out" / "map.infomap", "--out", picture)
+    figures = json.loads(out)
+    assert status == 0
+    assert picture.stat().st_size > 1000
+    low, high = np.array(figures["low"]), np.array(figures["high"])
+    assert (low < [2.0, 0.0, 0.0]).all()
+    assert (high > [2.0, 0.0, 0.0]).all()
+
+
+def test_settings_are_listed(tmp_path, run):
+    status, out, _ = run("map", "--settings")
+    assert status == 0
+    assert "map.voxel_size" in out.splitlines()
+
+
+@pytest.mark.parametrize(
+    "command", ["map", "show", "convert", "record-demo-bag", "calibrate-noise", "doctor"]
+)
+def test_every_command_explains_itself(run, command):
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    assert "sage" in out

@@ -40,7 +40,7 @@ class ScanGatherer:
 
     def gather(
         self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
-    ) -> tuple[scan.ScanRows, FreeBlocks]:
+    ) -> tuple[list[scan.ScanRows], FreeBlocks]:
         """Gather one scan.
 
         Args:
@@ -50,7 +50,8 @@ class ScanGatherer:
                 limit, and with a covariance that is not positive, shape (4,).
 
         Returns:
-            The points by voxel, valid until the next scan, and the blocks that it sees through.
+            The points by voxel, in one or more parts that share no voxel with points and are valid
+            until the next scan; and the blocks that it sees through.
 
         Raises:
             CapacityError: the scan sees through more blocks than the memory limit allows.
@@ -61,7 +62,7 @@ class ScanGatherer:
 
     def _gather_image(
         self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
-    ) -> tuple[scan.ScanRows, FreeBlocks]:
+    ) -> tuple[list[scan.ScanRows], FreeBlocks]:
         camera = measured.camera
         assert camera is not None
         if self._image_size != (camera.width, camera.height):
@@ -101,18 +102,14 @@ class ScanGatherer:
         pyramid.build_pyramid(levels)
         pyramid.spread_pyramid(levels)
         tallies += part_tallies.sum(axis=0)
-        return self._merged_rows(), self._see(measured)
+        return self._separated_parts(), self._see(measured)
 
-    def _merged_rows(self) -> scan.ScanRows:
-        """Rows of all parts in the first part's storage."""
-        for source in self._parts[1:]:
-            needed = int(self._parts[0].used[0] + source.used[0])
-            if needed > len(self._parts[0].keys):
-                larger = scan.empty_rows(2 * needed)
-                scan.merge_rows(self._parts[0], larger)
-                self._parts[0] = larger
-            scan.merge_rows(source, self._parts[0])
-        return self._parts[0]
+    def _separated_parts(self) -> list[scan.ScanRows]:
+        """The parts of the scan, no voxel in two of them."""
+        for last, source in enumerate(self._parts):
+            for target in self._parts[:last]:
+                scan.absorb_rows(source, target)
+        return self._parts
 
     def _see(self, measured: Scan) -> FreeBlocks:
         """Blocks and voxels that an organised scan sees through."""
@@ -161,7 +158,7 @@ class ScanGatherer:
 
     def _gather_cloud(
         self, measured: Scan, sensor: association.Sensor, tallies: NDArray[np.int64]
-    ) -> tuple[scan.ScanRows, FreeBlocks]:
+    ) -> tuple[list[scan.ScanRows], FreeBlocks]:
         far, cells = scan.empty_rows(), self._cloud_cells(measured)
         while True:
             tallies[:] = 0
@@ -188,7 +185,7 @@ class ScanGatherer:
         count = int(marks.used[0])
         coordinates = np.empty((count, 3), np.int32)
         traversal.unpack_all(marks.keys, count, coordinates)
-        return self._parts[0], FreeBlocks(coordinates, marks.bits[:count])
+        return self._parts[:1], FreeBlocks(coordinates, marks.bits[:count])
 
     def _check_block_count(self, count: int) -> None:
         """Refuse a scan that alone would fill the memory limit."""

@@ -50,7 +50,7 @@ class ScanIntegrator:
         self._config = config
         self._workers = Workers(config.threads)
         self._gatherer = ScanGatherer(config, self._workers)
-        self._writer = ScanWriter(config)
+        self._writer = ScanWriter(config, self._workers)
 
     def integrate(
         self, storage: MapStorage, measured: Scan, correlation: float
@@ -68,15 +68,15 @@ class ScanIntegrator:
         sensor = self._sensor(measured)
         tallies = np.zeros(4, np.int64)
         rows, free = self._gatherer.gather(measured, sensor, tallies)
-        observed, refused = self._observe(rows, measured, sensor, correlation)
-        limit = self._config.memory_limit * 1e9
-        storage.check_capacity(int(rows.used[0]), len(free.bits), limit)
+        observed = [self._observe(part, measured, sensor, correlation) for part in rows]
+        voxels = sum(len(part.hits) for part in observed)
+        storage.check_capacity(voxels, len(free.bits), self._config.memory_limit * 1e9)
         self._writer.write(storage, observed, free)
         return IntegrationReport(
             points_used=int(tallies[0]),
             points_out_of_range=int(tallies[1]),
             points_refused=int(tallies[2] + tallies[3]) + measured.outside,
-            voxels_observed=int(rows.used[0]) - refused,
+            voxels_observed=int(sum(np.count_nonzero(part.information[:, 0]) for part in observed)),
             blocks_seen_through=len(free.bits),
         )
 
@@ -94,14 +94,13 @@ class ScanIntegrator:
 
     def _observe(
         self, rows: ScanRows, measured: Scan, sensor: Sensor, correlation: float
-    ) -> tuple[Observations, int]:
+    ) -> Observations:
         count = int(rows.used[0])
         information, hits = empty_observations(count)
-        refused = np.zeros(self._workers.count, np.int64)
         hit_quanta = self._config.hit_quanta
 
-        def observe(part: int, first: int, last: int) -> None:
-            refused[part] = observe_rows(
+        def observe(_: int, first: int, last: int) -> None:
+            observe_rows(
                 rows,
                 sensor,
                 measured.pose_covariance,
@@ -114,4 +113,4 @@ class ScanIntegrator:
             )
 
         self._workers.run(observe, count)
-        return Observations(rows, information, hits), int(refused.sum())
+        return Observations(rows, information, hits)

@@ -163,7 +163,7 @@ def observe_rows(
     last: int,
     information: Any,
     hits: Any,
-) -> int:
+) -> None:
     """Turn the rows [first, last) into observations.
 
     Args:
@@ -175,17 +175,18 @@ def observe_rows(
         first: first row.
         last: one past the last row.
         information: receives information matrix and vector of each row relative to the voxel's
-            centre, shape (n, 9), float32; the first entry is 0 where there is none.
+            centre, shape (n, 9), float32; the first entry is 0 where a row has
+            no points or its covariance is not positive definite.
         hits: receives the evidence of each row [quanta], int32.
-
-    Returns:
-        Number of rows without a positive definite covariance.
     """
-    refused = 0
     inverse, centre = np.empty(6), np.empty(3)
     sums, t, size = rows.sums, sensor.position, sensor.size
     for row in range(first, last):
+        information[row, 0] = 0.0
+        hits[row] = 0
         count = np.float64(sums[row, 0])
+        if count == 0.0:
+            continue
         share = 1.0 / count
         row_centre(rows.keys[row], size, centre)
         ox, oy, oz = sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share
@@ -204,10 +205,7 @@ def observe_rows(
             ),
             _patch_covariance(nx, ny, nz, size),
         )
-        information[row, 0] = 0.0
-        hits[row] = 0
         if not invert_symmetric(total, inverse):
-            refused += 1
             continue
         inside = min(1.0, np.float64(sums[row, 13]))
         if smooth:
@@ -218,7 +216,6 @@ def observe_rows(
         information[row, 6] = inverse[0] * ox + inverse[1] * oy + inverse[2] * oz
         information[row, 7] = inverse[1] * ox + inverse[3] * oy + inverse[4] * oz
         information[row, 8] = inverse[2] * ox + inverse[4] * oy + inverse[5] * oz
-    return refused
 
 
 def empty_observations(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -189,15 +189,24 @@ def _add_to_row(
 
 
 @njit(cache=True, nogil=True)
-def merge_rows(source: Any, target: Any) -> bool:
-    """Add the rows of one scan part to another; False when the target's storage is full."""
+def absorb_rows(source: Any, target: Any) -> None:
+    """Move what one part of a scan says of the voxels of another part to that part.
+
+    The rows stay in `source`, with no points.
+    """
+    table, keys, sums = target.table, target.keys, target.sums
+    source_keys, source_sums = source.keys, source.sums
     for row in range(source.used[0]):
-        place = row_of(target, source.keys[row])
-        if place < 0:
-            return False
-        for i in range(SUM_COLUMNS):
-            target.sums[place, i] += source.sums[row, i]
-    return True
+        key = source_keys[row]
+        place = table_slot(key, len(table))
+        while table[place] >= 0 and keys[table[place]] != key:
+            place += 1
+            if place == len(table):
+                place = 0
+        if table[place] >= 0:
+            for i in range(SUM_COLUMNS):
+                sums[table[place], i] += source_sums[row, i]
+            source_sums[row, 0] = 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -20,6 +20,7 @@ from infomap_ros.mapping.gaussians import (
 )
 from infomap_ros.mapping.keys import BLOCK_VOXELS
 from infomap_ros.mapping.scan import ScanRows
+from infomap_ros.mapping.workers import Workers
 
 _FREE_BLOCK_BYTES, _ROW_BYTES = 64, 48
 
@@ -39,7 +40,7 @@ class FreeBlocks:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What a scan says of the voxels in which it saw surfaces.
+    """What a part of a scan says of the voxels in which it saw surfaces.
 
     Attributes:
         rows: the voxels.
@@ -82,36 +83,68 @@ class MapStorage:
 class ScanWriter:
     """Writes scans into a `MapStorage`; keeps the scratch memory for it."""
 
-    def __init__(self, config: VoxelMapConfig) -> None:
+    def __init__(self, config: VoxelMapConfig, workers: Workers) -> None:
         self._hit, self._miss = config.hit_quanta, config.miss_quanta
+        self._workers = workers
         self._hit_row = np.full(0, -1, np.int32)
 
-    def write(self, storage: MapStorage, observed: Observations, free: FreeBlocks) -> None:
+    def write(self, storage: MapStorage, parts: list[Observations], free: FreeBlocks) -> None:
         """Add the observations of a scan and the misses of the voxels it sees through."""
-        count, free_count = len(observed.information), len(free.bits)
+        count, free_count = sum(len(part.hits) for part in parts), len(free.bits)
         blocks = with_room(storage.blocks, count + free_count, count + free_count)
-        gaussians = with_gaussian_room(storage.gaussians, count, len(blocks.keys))
+        storage.blocks = blocks
         self._hit_row = grown(self._hit_row, len(blocks.keys), -1)
-        owners = np.empty(count, np.int64)
         hit_bits = np.zeros((count, 8), np.uint64)
-        update.enter_rows(
-            blocks,
-            observed.rows,
-            observed.hits,
-            self._hit_row,
-            hit_bits,
-            owners,
-            -self._miss,
-            self._hit,
-        )
-        merged = 0
-        while merged < count:
-            gaussians = with_table_room(gaussians)
-            merged = update.merge_rows_into_map(
-                blocks, gaussians, owners, observed.information, merged, count
+        owners = self._enter(blocks, parts, hit_bits)
+
+        def merge() -> None:
+            for part, voxels in zip(parts, owners, strict=True):
+                _merge(storage, voxels, part.information)
+
+        def see_through() -> None:
+            update.free_voxels(
+                blocks, free.coordinates, free.bits, free_count, self._hit_row, hit_bits, self._miss
             )
-        update.free_voxels(
-            blocks, free.coordinates, free.bits, free_count, self._hit_row, hit_bits, self._miss
+
+        if len(blocks.dirty):  # both write which voxels changed
+            merge()
+            see_through()
+        else:
+            self._workers.together(merge, see_through)
+        for voxels in owners:
+            self._hit_row[voxels // BLOCK_VOXELS] = -1
+
+    def _enter(
+        self, blocks: BlockArrays, parts: list[Observations], hit_bits: NDArray[np.uint64]
+    ) -> list[NDArray[np.int64]]:
+        """Add the hits; returns the voxel of each row as the Gaussians number it."""
+        owners, hit_blocks = [], 0
+        for part in parts:
+            voxels = np.empty(len(part.hits), np.int64)
+            hit_blocks = update.enter_rows(
+                blocks,
+                part.rows,
+                part.hits,
+                hit_blocks,
+                self._hit_row,
+                hit_bits,
+                voxels,
+                -self._miss,
+                self._hit,
+            )
+            owners.append(voxels)
+        return owners
+
+
+def _merge(
+    storage: MapStorage, owners: NDArray[np.int64], information: NDArray[np.float32]
+) -> None:
+    """Merge observations into the Gaussians of the voxels `owners`."""
+    count, merged = len(owners), 0
+    gaussians = with_gaussian_room(storage.gaussians, count, len(storage.blocks.keys))
+    while merged < count:
+        gaussians = with_table_room(gaussians)
+        merged = update.merge_rows_into_map(
+            storage.blocks, gaussians, owners, information, merged, count
         )
-        self._hit_row[owners // BLOCK_VOXELS] = -1
-        storage.blocks, storage.gaussians = blocks, gaussians
+    storage.gaussians = gaussians

@@ -28,7 +28,15 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @njit(cache=True, nogil=True)
 def enter_rows(
-    blocks: Any, rows: Any, hits: Any, hit_row: Any, hit_bits: Any, owners: Any, down: int, up: int
+    blocks: Any,
+    rows: Any,
+    hits: Any,
+    hit_blocks: int,
+    hit_row: Any,
+    hit_bits: Any,
+    owners: Any,
+    down: int,
+    up: int,
 ) -> int:
     """Make the blocks of a scan's rows and add the hits.
 
@@ -36,8 +44,9 @@ def enter_rows(
         blocks: a `BlockArrays` with room for a block and a plane per row.
         rows: a `ScanRows`.
         hits: evidence of each row [quanta].
-        hit_row: per block the row of `hit_bits` or -1, all -1 before.
-        hit_bits: receives a bit per voxel with a hit, uint64, shape (rows, 8), zero before.
+        hit_blocks: number of blocks that have a hit already.
+        hit_row: per block the row of `hit_bits` or -1.
+        hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8), unused rows zero.
         owners: receives the voxel of each row as the Gaussians number it, int64.
         down: largest decrease of a voxel in this scan [quanta].
         up: largest increase of a voxel in this scan [quanta].
@@ -45,7 +54,6 @@ def enter_rows(
     Returns:
         Number of blocks with a hit.
     """
-    hit_blocks = 0
     last_key, slot = np.int64(-1), np.int64(-1)
     kind, base, plane, narrow = blocks.kind, blocks.base, blocks.plane, blocks.narrow
     tracked = len(blocks.dirty) > 0

@@ -28,3 +28,12 @@ class Workers:
             min(size, math.ceil(size * i / self.count / unit) * unit) for i in range(self.count + 1)
         ]
         list(self._pool.map(task, range(self.count), cuts[:-1], cuts[1:]))
+
+    def together(self, *tasks: Callable[[], None]) -> None:
+        """Run tasks that do not touch each other's data, at once if there are threads."""
+        if self._pool is None:
+            for task in tasks:
+                task()
+            return
+        for running in [self._pool.submit(task) for task in tasks]:
+            running.result()

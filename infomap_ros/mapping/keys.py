@@ -25,7 +25,7 @@ _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 def pack(x: int, y: int, z: int) -> int:
     """Pack three coordinates within the limit into one key."""
     limit = COORDINATE_LIMIT
-    return ((x + limit) << 42) | ((y + limit) << 21) | (z + limit)
+    return ((np.int64(x) + limit) << 42) | ((np.int64(y) + limit) << 21) | (np.int64(z) + limit)
 
 
 @njit(cache=True, nogil=True)

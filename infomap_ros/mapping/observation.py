@@ -27,6 +27,9 @@ from infomap_ros.mapping.scan import row_centre
 _AGREEMENT = 0.7
 """Length of the mean of unit normals below which a voxel holds an edge, not a smooth patch."""
 
+_LEAST_VARIANCE = 1e-18
+"""What is left of a variance that rounding has cancelled [m^2]."""
+
 
 @njit(cache=True, nogil=True)
 def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
@@ -148,7 +151,7 @@ def _share_inside(distance: float, nx: float, ny: float, nz: float, c: Any, size
     variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
     variance += 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
     half = 0.5 * size * (abs(nx) + abs(ny) + abs(nz))
-    scale = 1.0 / math.sqrt(2.0 * variance)
+    scale = 1.0 / math.sqrt(2.0 * max(variance, _LEAST_VARIANCE))
     return 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
 
 

@@ -10,7 +10,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.environment import additions
+from infomap_ros.nodes.environment import additions, reliable_inputs
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from launch import LaunchDescription
 
@@ -68,6 +68,11 @@ def _processes(context) -> list[Node]:
         "acknowledged": truth["acknowledged"],
     }
     clock = {"use_sim_time": bool(bag)}
+    if bag:  # all publishers are our own and reliable, so nothing need be lost
+        images = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
+        range_parameters |= reliable_inputs(images, given["namespace"])
+        clouds = ("points2", "camera_pose", "joint_states")
+        fusion_parameters |= reliable_inputs(clouds, given["namespace"])
     processes = [
         node("stereo_range", range_parameters | clock),
         node("map_fusion", fusion_parameters | clock),

@@ -31,6 +31,7 @@ from infomap_ros.stereo import StereoConfig
 BAG = "bags/rover_rocks"
 _START_TIMEOUT = 300.0  # [s]; kernels are compiled the first time
 _PAIR_TIMEOUT = 10.0  # [s]
+_LEAST_SHARE = 0.9  # of the pairs must be in the map
 
 
 def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[str, object]:
@@ -69,7 +70,11 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
         }
         figures |= {f"dropped: {reason}": count for reason, count in drops.items()}
         drawn = pictures.write(out)
-    return write_results(out, bag, figures, drawn)
+    results = write_results(out, bag, figures, drawn)
+    fused = run.state.count("map_fusion")
+    if fused < _LEAST_SHARE * pairs:
+        raise ProcessError(f"only {fused} of {pairs} pairs were mapped; see {out / 'log'}")
+    return results
 
 
 def count_pairs(bag: Path) -> int:
@@ -114,8 +119,6 @@ def write_results(
 ) -> dict[str, object]:
     """Write .ply, pictures, summary and report from the saved map."""
     voxel_map = VoxelMap.load(out / MAP_FILE)
-    if not voxel_map.surface_voxels:
-        raise ProcessError(f"the map has no surface; see the logs in {out / 'log'}")
     write_ply(voxel_map, out / PLY_FILE)
     draw_map_views(voxel_map, out / "map.png")
     sigmas = surface_vertices(voxel_map)["sigma"]

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from infomap_ros.geometry.resources import find_share
 
 _LARGEST_HEAP_BLOCK = 32 * 1024**2  # [bytes], the most that glibc accepts
 _HEAP_KEPT = 256 * 1024**2  # [bytes]
+_SHARED_MEMORY = Path("/dev/shm")
+_WANTED_SHARED_MEMORY = 512 * 1024**2  # [bytes], for eight processes
 
 
 def process_environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -22,7 +26,8 @@ def process_environment(base: Mapping[str, str] | None = None) -> dict[str, str]
 
     What `base` already sets stays as it is. Added are:
 
-    - ``FASTRTPS_DEFAULT_PROFILES_FILE``: shared memory in which images and clouds fit.
+    - ``FASTRTPS_DEFAULT_PROFILES_FILE``: shared memory in which images and clouds fit, as far as
+      the machine has it.
     - ``MALLOC_MMAP_THRESHOLD_``, ``MALLOC_TRIM_THRESHOLD_``: the C library keeps the memory of a
       freed message for the next one instead of giving it back and clearing it anew.
     - ``RMW_IMPLEMENTATION``: the middleware that the profile is for.
@@ -41,12 +46,36 @@ def additions(base: Mapping[str, str] | None = None) -> dict[str, str]:
     """The variables that `process_environment` adds to `base`."""
     present = os.environ if base is None else base
     wanted = {
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(find_share("config/fastdds.xml")),
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(find_share(f"config/{_profile()}.xml")),
         "MALLOC_MMAP_THRESHOLD_": str(_LARGEST_HEAP_BLOCK),
         "MALLOC_TRIM_THRESHOLD_": str(_HEAP_KEPT),
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     }
     return {name: value for name, value in wanted.items() if name not in present}
+
+
+def _profile() -> str:
+    """Name of the Fast DDS profile for the shared memory that this machine has."""
+    if not _SHARED_MEMORY.is_dir():
+        return "fastdds_small"
+    free = shutil.disk_usage(_SHARED_MEMORY).free
+    return "fastdds" if free >= _WANTED_SHARED_MEMORY else "fastdds_small"
+
+
+def reliable_inputs(topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
+    """Parameters that make a node's subscriptions reliable.
+
+    Within one graph whose publishers are all reliable nothing is lost then, however busy the
+    machine is.
+
+    Args:
+        topics: relative names.
+        namespace: of the node.
+    """
+    prefix = namespace.rstrip("/")
+    return {
+        f"qos_overrides.{prefix}/{topic}.subscription.reliability": "reliable" for topic in topics
+    }
 
 
 if __name__ == "__main__":

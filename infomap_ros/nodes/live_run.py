@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes import qos
+from infomap_ros.nodes.environment import process_environment, reliable_inputs
 from infomap_ros.nodes.processes import NodeProcesses, private_graph
 from infomap_ros.nodes.run_state import RunState
 
@@ -60,9 +61,13 @@ class LiveRun:
             "wait_for_subscribers": [LEFT, RIGHT, "camera_pose"],
             **(player or {}),
         }
-        self._stereo = {"rectify": True, **(stereo or {})}
-        self._fusion = {"map_file": self.map_file, **(fusion or {})}
-        environment = private_graph()
+        images = reliable_inputs((LEFT, RIGHT, "left/camera_info", "right/camera_info"))
+        clouds = reliable_inputs(("points2", "camera_pose", "joint_states"))
+        results = reliable_inputs(("map_updates",))
+        self._player |= results
+        self._stereo = {"rectify": True, **images, **(stereo or {})}
+        self._fusion = {"map_file": self.map_file, **clouds, **(fusion or {})}
+        environment = process_environment(private_graph())
         self._processes = NodeProcesses(out / "log", environment=environment)
         self._context = rclpy.Context()
         self._environment = environment

@@ -21,12 +21,15 @@ from infomap_ros.mapping.voxel_map import VoxelMap
 _LARGEST_SIDE = 1600  # of a view [px]
 _HEADROOM = 2.0  # what lies higher above the floor may be a ceiling [m]
 _OVERHANG_SHARE = 0.1  # it is one when it hides more than this share of the columns
+_LEAST_EVIDENCE = 0.3  # of the median surface voxel's log-odds
 _LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The surface voxels that are more likely occupied than not.
+    """The surface voxels that are more likely occupied than not, without stray ones.
+
+    Voxels with much less evidence than most, for example of one wrong match, are left out.
 
     Attributes:
         points: their centres, shape (K, 3) [m].
@@ -102,7 +105,9 @@ def _limits(values: FloatArray) -> Normalize:
 def _surface(voxel_map: VoxelMap) -> _Surface:
     indices, _, covariances = voxel_map.gaussians()
     centres: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
-    likely = voxel_map.probability(centres) > 0.5
+    evidence = voxel_map.log_odds(centres)
+    usual = float(np.median(evidence)) if len(evidence) else 0.0
+    likely = evidence > max(0.0, _LEAST_EVIDENCE * usual)
     variances, directions = np.linalg.eigh(covariances[likely])
     sigmas = np.sqrt(np.maximum(variances[:, 0], 0.0))
     return _Surface(centres[likely], directions[:, :, 0], sigmas)
@@ -122,10 +127,12 @@ def _cell(points: FloatArray, voxel_size: float) -> float:
 def _below_ceiling(surface: _Surface, voxel_size: float) -> tuple[_Surface, str]:
     """The surface without a ceiling, and a remark where there is one."""
     heights = surface.points[:, 2]
-    cut = float(np.percentile(heights, 1.0)) + _HEADROOM
-    middle = cut - 0.5 * _HEADROOM
     columns = np.floor(surface.points[:, :2] / (2.0 * voxel_size)).astype(np.int64)
     keys = columns[:, 0] * (1 << 32) + columns[:, 1]
+    order = np.argsort(heights)
+    lowest = order[np.unique(keys[order], return_index=True)[1]]
+    cut = float(np.percentile(heights[lowest], 25.0)) + _HEADROOM
+    middle = cut - 0.5 * _HEADROOM
     high, low = np.unique(keys[heights > cut]), np.unique(keys[heights < middle])
     over = np.setdiff1d(high, keys[(heights >= middle) & (heights <= cut)])  # a wall has no gap
     hidden = len(np.intersect1d(over, low, assume_unique=True))

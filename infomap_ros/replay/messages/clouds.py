@@ -78,7 +78,7 @@ def decode_point_cloud(message: object) -> PointCloudRecord:
     if len(cells.data) == 0:
         return PointCloudRecord(stamp, frame_id, np.zeros((0, 3), np.float32))
     points = cells.floats(("x", "y", "z"))
-    points[~np.isfinite(points).all(axis=-1)] = np.nan
+    _blank(points.reshape(-1, 3))
     covariances, colors = _covariances(cells, points), _colors(cells)
     if points.shape[0] == 1:
         points = points[0]
@@ -155,6 +155,17 @@ def _covariances(cells: _Cells, points: NDArray[np.float32]) -> NDArray[np.float
 
 
 @njit(nogil=True, cache=True)
+def _blank(points):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Make all three coordinates NaN where one is not finite."""
+    for i in range(points.shape[0]):
+        if not np.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
+            for j in range(3):
+                if not np.isfinite(points[i, j]):
+                    points[i] = np.nan
+                    break
+
+
+@njit(nogil=True, cache=True)
 def _expand(points, upper, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Write 3x3 matrices from upper triangles; index of the first that is not one, or -1.
 
@@ -169,11 +180,11 @@ def _expand(points, upper, covariances):  # type: ignore[no-untyped-def]  # prag
         yy, yz, zz = float(upper[i, 3]), float(upper[i, 4]), float(upper[i, 5])
         if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
             return i
-        xy_minor, xz_minor, yz_minor = xx * yy - xy * xy, xx * zz - xz * xz, yy * zz - yz * yz
+        slack = 1.0 + 1e-5
+        planar = xy * xy <= slack * xx * yy and xz * xz <= slack * xx * zz
+        yz_minor = yy * zz - yz * yz
         determinant = xx * yz_minor - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-        planar = -1e-5 * np.array([xx * yy, xx * zz, yy * zz])
-        positive = xy_minor >= planar[0] and xz_minor >= planar[1] and yz_minor >= planar[2]
-        if not (positive and determinant >= -1e-5 * xx * yy * zz):
+        if not (planar and yz_minor >= -1e-5 * yy * zz and determinant >= -1e-5 * xx * yy * zz):
             return i
         covariances[i, 0, 0], covariances[i, 1, 1], covariances[i, 2, 2] = xx, yy, zz
         covariances[i, 0, 1] = covariances[i, 1, 0] = xy

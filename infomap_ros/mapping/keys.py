@@ -22,7 +22,7 @@ _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 
 @njit(cache=True, nogil=True)
-def pack(x: int, y: int, z: int) -> int:
+def pack(x: int, y: int, z: int) -> Any:
     """Pack three coordinates within the limit into one key."""
     limit = COORDINATE_LIMIT
     return ((np.int64(x) + limit) << 42) | ((np.int64(y) + limit) << 21) | (np.int64(z) + limit)

@@ -26,6 +26,7 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.replay import messages as ms
+from infomap_ros.replay.messages.clouds import _blank, _expand
 
 STAMP = 1_700_000_000_123_456_789
 TYPES = ms.RosbagsMessageTypes()
@@ -479,3 +480,24 @@ def test_part_of_the_covariance_fields_is_malformed():
     layout = [(n, "f4", 4 * i) for i, n in enumerate(["x", "y", "z", "cov_xx"])]
     with pytest.raises(MalformedMessageError, match="all six"):
         ms.decode_point_cloud(foreign_cloud(layout, 16, 1, 16, [(1, 2, 3, 4)]))
+
+
+def test_kernels_of_clouds_run_uncompiled(rng):
+    original = cloud(rng, (6,))
+    points = original.points.copy()
+    points[3, 1] = np.inf
+    _blank.py_func(points)
+    np.testing.assert_array_equal(np.isnan(points).all(axis=1), [0, 1, 0, 1, 0, 0])
+    upper = np.stack(
+        [
+            original.covariances[..., i, j]
+            for i, j in zip([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2], strict=True)
+        ],
+        axis=-1,
+    )
+    expanded = np.empty((6, 3, 3), np.float32)
+    assert _expand.py_func(points, upper, expanded) == -1
+    measured = [0, 2, 4, 5]
+    np.testing.assert_array_equal(expanded[measured], original.covariances[measured])
+    upper[4, 3] = -1.0
+    assert _expand.py_func(points, upper, expanded) == 4

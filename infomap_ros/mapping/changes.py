@@ -44,7 +44,7 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
     has_gaussian = np.empty(room, np.bool_)
     means, covariances = np.full((room, 3), np.nan), np.full((room, 3, 3), np.nan)
-    queries.take_dirty(
+    found = queries.take_dirty(
         blocks,
         storage.gaussians,
         size,
@@ -55,4 +55,6 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
         means,
         covariances,
     )
-    return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
+    return VoxelChanges(
+        indices[:found], quanta[:found], has_gaussian[:found], means[:found], covariances[:found]
+    )

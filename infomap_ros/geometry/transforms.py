@@ -12,8 +12,10 @@ x, y, z), both expressed in the parent frame. The perturbation model is
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from infomap_ros.errors import InvalidInputError
@@ -24,10 +26,19 @@ _ROTATION_TOLERANCE = 1e-4
 _QUATERNION_TOLERANCE = 1e-2
 
 
-def _float_array(values: ArrayLike, name: str) -> FloatArray:
-    """Copy to float64; what is ragged or no number is an InvalidInputError."""
+def float_array(values: ArrayLike, name: str, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return `values` as a new array of numbers.
+
+    Args:
+        values: array-like of numbers, any shape.
+        name: how an error names it.
+        dtype: type of the result.
+
+    Raises:
+        InvalidInputError: they are not numbers, or not in rows of one length.
+    """
     try:
-        return np.array(values, dtype=np.float64)
+        return np.array(values, dtype=dtype)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(name, f"is not an array of numbers ({error})") from error
 
@@ -46,7 +57,7 @@ def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray
         InvalidInputError: wrong shape, not finite, or the rotation part is not a proper rotation
             within 1e-4.
     """
-    matrix = _float_array(transform, name)
+    matrix = float_array(transform, name)
     if matrix.shape != (4, 4):
         raise InvalidInputError(name, f"shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
@@ -75,7 +86,7 @@ def check_covariance(covariance: ArrayLike, size: int, name: str = "covariance")
     Raises:
         InvalidInputError: wrong shape, not finite, not symmetric, or with a negative eigenvalue.
     """
-    matrix = _float_array(covariance, name)
+    matrix = float_array(covariance, name)
     if matrix.shape != (size, size):
         raise InvalidInputError(name, f"shape {matrix.shape}, expected ({size}, {size})")
     if not np.isfinite(matrix).all():
@@ -119,8 +130,8 @@ def transform_from_quaternion(quaternion: ArrayLike, translation: ArrayLike) -> 
         InvalidInputError: the quaternion or the translation is not finite or has a wrong shape,
             or the quaternion's norm differs from one by more than 1 %.
     """
-    numbers = _float_array(quaternion, "quaternion")
-    offset = _float_array(translation, "translation")
+    numbers = float_array(quaternion, "quaternion")
+    offset = float_array(translation, "translation")
     if numbers.shape != (4,):
         raise InvalidInputError("quaternion", f"shape {numbers.shape}, expected (4,)")
     if offset.shape != (3,) or not np.isfinite(offset).all():

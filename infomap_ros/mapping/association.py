@@ -16,6 +16,9 @@ from numba import njit
 
 from infomap_ros.mapping.keys import COORDINATE_LIMIT
 
+NEAREST = 1e-6
+"""What is nearer to the sensor is no measurement [m]."""
+
 
 class Sensor(NamedTuple):
     """Where the sensor is and how well that is known, for the kernels.

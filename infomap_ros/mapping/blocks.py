@@ -27,6 +27,9 @@ NARROW_UNKNOWN, WIDE_UNKNOWN = -128, -32768
 BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT, NARROW_FREE = range(4)
 """Places in `BlockArrays.counts`."""
 
+BLOCK_BYTES, DIRTY_BYTES, PLANE_BYTES = 17, 64, BLOCK_VOXELS + 4
+"""Memory of a block without voxels, of its record of changes, and of a NARROW plane [bytes]."""
+
 
 class BlockArrays(NamedTuple):
     """The arrays of a `BlockStore`, as the kernels take them.
@@ -121,10 +124,10 @@ def with_room(arrays: BlockArrays, blocks: int, planes: int) -> BlockArrays:
 def block_bytes(arrays: BlockArrays) -> int:
     """Memory in use by occupancy and state [bytes]; the hash table counts in full."""
     counts = arrays.counts
-    per_block = 8 + 4 + 1 + 4 + (64 if len(arrays.dirty) else 0)
+    per_block = BLOCK_BYTES + (DIRTY_BYTES if len(arrays.dirty) else 0)
     return int(
         arrays.table.nbytes
         + counts[BLOCK_COUNT] * per_block
-        + counts[NARROW_COUNT] * (BLOCK_VOXELS + 4)
+        + counts[NARROW_COUNT] * PLANE_BYTES
         + counts[WIDE_COUNT] * BLOCK_VOXELS * 2
     )

@@ -22,6 +22,7 @@ from infomap_ros.mapping.blocks import grown
 from infomap_ros.mapping.keys import BLOCK_VOXELS, table_slot
 
 INFORMATION_SIZE = 9
+GAUSSIAN_BYTES = 4 + 4 * INFORMATION_SIZE
 _MAX_LOAD = 0.85
 _MAX_BLOCKS = 2**32 // BLOCK_VOXELS
 
@@ -79,7 +80,7 @@ def with_table_room(arrays: GaussianArrays) -> GaussianArrays:
 
 def gaussian_bytes(arrays: GaussianArrays) -> int:
     """Memory in use by the Gaussians [bytes]; the hash table counts in full."""
-    return int(arrays.table.nbytes + arrays.counts[0] * (4 + 4 * INFORMATION_SIZE))
+    return int(arrays.table.nbytes + arrays.counts[0] * GAUSSIAN_BYTES)
 
 
 @njit(cache=True, nogil=True)

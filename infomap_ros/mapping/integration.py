@@ -69,8 +69,7 @@ class ScanIntegrator:
         tallies = np.zeros(4, np.int64)
         rows, free = self._gatherer.gather(measured, sensor, tallies)
         observed = [self._observe(part, measured, sensor, correlation) for part in rows]
-        voxels = sum(len(part.hits) for part in observed)
-        storage.check_capacity(voxels, len(free.bits), self._config.memory_limit * 1e9)
+        storage.check_capacity(observed, free, self._config.memory_limit * 1e9)
         self._writer.write(storage, observed, free)
         return IntegrationReport(
             points_used=int(tallies[0]),

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.mapping.association import (
+    NEAREST,
     rotated,
     set_reach,
     variance_along,
@@ -24,14 +25,12 @@ from infomap_ros.mapping.scan import GROUP_SIZE, add_group
 
 TILE = 8
 _LARGEST_WINDOW = 24
-_NEAREST = 1e-6
-"""Depths below this are no measurement: their squares vanish in single precision [m]."""
 
 
 @njit(cache=True, nogil=True)
 def _usable(points: Any, v: int, u: int) -> bool:
     z = points[v, u, 2]
-    return z > _NEAREST and np.isfinite(z)
+    return z > NEAREST and np.isfinite(z)
 
 
 @njit(cache=True, nogil=True)
@@ -238,7 +237,7 @@ def _gather_tile(
                 upper[cell_v, cell_u] = -np.inf
             x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
             squared = x * x + y * y + z * z
-            if not (z > _NEAREST and squared < np.inf):
+            if not (z > NEAREST and squared < np.inf):
                 continue
             depth = z - margin
             if squared > squared_range:

@@ -200,9 +200,12 @@ def take_dirty(
                 blocks.dirty[slot, word] &= ~(_ONE << np.uint64(bit))
                 local = word * 64 + bit
                 owner = slot * BLOCK_VOXELS + local
+                known, evidence = quanta_at(blocks, slot, local)
+                if not known:  # so far only a voxel to which a nearby surface may belong
+                    continue
                 x, y, z = voxel_of(blocks, owner)
                 indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
-                quanta[found] = clipped(quanta_at(blocks, slot, local)[1])
+                quanta[found] = clipped(evidence)
                 row = find_gaussian(gaussians, owner)
                 has_gaussian[found] = row >= 0 and is_surface(
                     blocks, gaussians, row, 0.5 * size, work, mean

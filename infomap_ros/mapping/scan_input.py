@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 
 Columns = tuple[int, int, int, int, int, int]
@@ -57,7 +58,7 @@ def checked_scan(
     uncertainty = np.zeros((6, 6))
     if pose_covariance is not None:
         uncertainty = check_covariance(pose_covariance, 6, "pose_covariance")
-    cloud = np.asarray(points, dtype=np.float32)
+    cloud = points if _is_float32(points) else float_array(points, "points", np.float32)
     if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
         raise InvalidInputError("points", f"shape {cloud.shape}, expected (N, 3) or (H, W, 3)")
     table, columns = _covariance_table(covariances, cloud.shape[:-1], default_sigma)
@@ -77,6 +78,11 @@ def checked_scan(
     return Scan(cloud.reshape(*size, 3), table, columns, pose, uncertainty, camera, outside)
 
 
+def _is_float32(values: object) -> TypeGuard[NDArray[np.float32]]:
+    """Whether values need no conversion, which for a cloud would cost a copy."""
+    return isinstance(values, np.ndarray) and values.dtype == np.float32
+
+
 def _covariance_table(
     covariances: ArrayLike | None, shape: tuple[int, ...], default_sigma: float
 ) -> tuple[NDArray[np.float32], Columns]:
@@ -84,7 +90,9 @@ def _covariance_table(
     if covariances is None:
         row = np.array([[1, 0, 0, 1, 0, 1]], np.float32) * np.float32(default_sigma**2)
         return row, _UPPER
-    array = np.asarray(covariances, dtype=np.float32)
+    array = covariances
+    if not _is_float32(array):
+        array = float_array(array, "covariances", np.float32)
     if array.shape == (*shape, 3, 3):
         return np.ascontiguousarray(array).reshape(-1, 9), _FULL
     if array.shape == (*shape, 6):

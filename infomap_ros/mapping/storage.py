@@ -9,9 +9,20 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
 from infomap_ros.mapping import update
-from infomap_ros.mapping.blocks import BlockArrays, block_bytes, empty_blocks, grown, with_room
+from infomap_ros.mapping.blocks import (
+    BLOCK_BYTES,
+    BLOCK_COUNT,
+    DIRTY_BYTES,
+    PLANE_BYTES,
+    BlockArrays,
+    block_bytes,
+    empty_blocks,
+    grown,
+    with_room,
+)
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.gaussians import (
+    GAUSSIAN_BYTES,
     GaussianArrays,
     empty_gaussians,
     gaussian_bytes,
@@ -21,8 +32,6 @@ from infomap_ros.mapping.gaussians import (
 from infomap_ros.mapping.keys import BLOCK_VOXELS
 from infomap_ros.mapping.scan import ScanRows
 from infomap_ros.mapping.workers import Workers
-
-_FREE_BLOCK_BYTES, _ROW_BYTES = 64, 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +74,41 @@ class MapStorage:
         """Memory in use [bytes]."""
         return block_bytes(self.blocks) + gaussian_bytes(self.gaussians)
 
-    def check_capacity(self, rows: int, free_blocks: int, limit: float) -> None:
-        """Refuse what could make the map larger than `limit` [bytes].
+    def check_capacity(self, parts: list[Observations], free: FreeBlocks, limit: float) -> None:
+        """Refuse a scan that could make the map larger than `limit` [bytes].
 
         Raises:
-            CapacityError: a scan with so many voxels and free blocks might.
+            CapacityError: it could.
         """
-        used = self.memory_bytes()
-        needed = used + free_blocks * _FREE_BLOCK_BYTES + rows * _ROW_BYTES
-        if needed > limit:
+        rows, used = sum(len(part.hits) for part in parts), self.memory_bytes()
+        growth = _growth_bytes(self, rows + len(free.bits), rows + len(free.bits), rows)
+        if used + growth > limit:  # the scan alone does not tell; ask the map
+            counts = np.zeros(2, np.int64)
+            for part in parts:
+                update.count_new_by_rows(self.blocks, part.rows, part.hits, counts)
+            update.count_new_by_free(self.blocks, free.coordinates, free.bits, counts)
+            growth = _growth_bytes(self, int(counts[0]), int(counts[1]), rows)
+        if used + growth > limit:
             raise CapacityError(
                 f"the map holds {used / 1e9:.3g} GB and this scan could bring it to "
-                f"{needed / 1e9:.3g} GB, above the limit of {limit / 1e9:g} GB"
+                f"{(used + growth) / 1e9:.3g} GB, above the limit of {limit / 1e9:g} GB"
             )
+
+
+def _growth_bytes(storage: MapStorage, blocks: int, planes: int, gaussians: int) -> int:
+    """What so many new blocks, planes and Gaussians add to the memory in use, at the most."""
+    table, surface = storage.blocks.table, storage.gaussians
+    block_count = int(storage.blocks.counts[BLOCK_COUNT]) + blocks
+    table_growth = 4 * max(2 * block_count, 2 * len(table)) if 2 * block_count > len(table) else 0
+    surface_growth = 8 * (int(surface.counts[0]) + gaussians) if gaussians else 0
+    per_block = BLOCK_BYTES + (DIRTY_BYTES if len(storage.blocks.dirty) else 0)
+    return (
+        blocks * per_block
+        + planes * PLANE_BYTES
+        + gaussians * GAUSSIAN_BYTES
+        + table_growth
+        + surface_growth
+    )
 
 
 class ScanWriter:

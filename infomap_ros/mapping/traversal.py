@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.mapping.association import set_reach, voxel_position, within_limit
+from infomap_ros.mapping.association import NEAREST, set_reach, voxel_position, within_limit
 from infomap_ros.mapping.block_kernels import find_block, quanta_at
 from infomap_ros.mapping.cloud_normals import CELL_VOXELS, normal_at
 from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
@@ -57,7 +57,7 @@ def gather_cloud(
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         squared = np.float64(x * x + y * y + z * z)
-        if not (0.0 < squared < np.inf):
+        if not (NEAREST * NEAREST < squared < np.inf):
             continue
         norm = np.sqrt(squared)
         if norm > sensor.max_range:

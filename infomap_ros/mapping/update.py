@@ -14,6 +14,7 @@ from numba import njit
 from infomap_ros.mapping.block_kernels import (
     add_quanta,
     add_quanta_to_all,
+    find_block,
     find_or_add_block,
     make_room,
     mark_dirty,
@@ -159,3 +160,42 @@ def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
     for local in range(BLOCK_VOXELS):
         if (bits[local >> 6] >> np.uint64(local & 63)) & _ONE:
             add_quanta(blocks, slot, local, miss)
+
+
+@njit(cache=True, nogil=True)
+def count_new_by_rows(blocks: Any, rows: Any, hits: Any, counts: Any) -> None:
+    """Count blocks and planes that the rows of a scan would make; at most, not exactly.
+
+    Args:
+        blocks: a `BlockArrays`.
+        rows: a `ScanRows`.
+        hits: evidence of each row [quanta].
+        counts: number of blocks and of planes; increased.
+    """
+    last_key, last_plane = np.int64(-1), np.int64(-1)
+    for row in range(rows.used[0]):
+        x, y, z = unpack(rows.keys[row])
+        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        slot = find_block(blocks, key)
+        if key != last_key and slot < 0:
+            counts[0] += 1
+        last_key = key
+        if hits[row] != 0 and key != last_plane:
+            last_plane = key
+            counts[1] += slot < 0 or blocks.kind[slot] < NARROW
+
+
+@njit(cache=True, nogil=True)
+def count_new_by_free(blocks: Any, coordinates: Any, bits: Any, counts: Any) -> None:
+    """Count blocks and planes that the free voxels of a scan would make, as `count_new_by_rows`."""
+    for i in range(len(bits)):
+        anything, everything = np.uint64(0), _ALL
+        for word in range(8):
+            anything |= bits[i, word]
+            everything &= bits[i, word]
+        if anything == 0:
+            continue
+        key = pack(coordinates[i, 0], coordinates[i, 1], coordinates[i, 2])
+        slot = find_block(blocks, key)
+        counts[0] += slot < 0
+        counts[1] += everything != _ALL and (slot < 0 or blocks.kind[slot] < NARROW)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import queries, traversal
 from infomap_ros.mapping.blocks import BLOCK_COUNT
@@ -131,7 +131,10 @@ class VoxelMap:
                 ray leaves the coordinate limits.
         """
         rays = _points(directions, "directions")
-        starts = np.ascontiguousarray(np.broadcast_to(np.asarray(origins, float), rays.shape))
+        starts = float_array(origins, "origins")
+        if starts.shape not in ((3,), rays.shape):
+            raise InvalidInputError("origins", f"shape {starts.shape}, expected {rays.shape}")
+        starts = np.ascontiguousarray(np.broadcast_to(starts, rays.shape))
         lengths = np.linalg.norm(rays, axis=1, keepdims=True)
         if not (np.isfinite(starts).all() and np.isfinite(rays).all() and (lengths > 0.0).all()):
             raise InvalidInputError("rays", "hold NaN, infinity or a direction of length zero")
@@ -167,7 +170,7 @@ class VoxelMap:
             return float(
                 queries.total_entropy(self._storage.blocks, LOG_ODDS_QUANTUM, low, high)[0]
             )
-        box = np.asarray(region, dtype=np.float64)
+        box = float_array(region, "region")
         if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
             raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
         low, high = np.ceil(box / self.config.voxel_size - 0.5).astype(np.int64)
@@ -203,7 +206,7 @@ class VoxelMap:
     def track_changes(self, enabled: bool) -> None:
         """Keep one more bit per voxel, so that `take_changes` knows what changed from now on."""
         blocks = self._storage.blocks
-        rows = len(blocks.keys) if enabled else 0
+        rows = max(1, len(blocks.keys)) if enabled else 0
         self._storage.blocks = blocks._replace(dirty=np.zeros((rows, 8), np.uint64))
 
     def take_changes(self, limit: int = 1 << 20) -> VoxelChanges:
@@ -266,7 +269,7 @@ class VoxelMap:
 
 
 def _points(points: ArrayLike, name: str) -> FloatArray:
-    places = np.ascontiguousarray(points, dtype=np.float64)
+    places = float_array(points, name)
     if places.ndim != 2 or places.shape[1] != 3:
         raise InvalidInputError(name, f"shape {places.shape}, expected (N, 3)")
     return places

@@ -40,11 +40,11 @@ def assemble(
     x_per_z, y_per_z = _rays(camera)
     across = np.array([pixel_sigma / camera.fx, pixel_sigma / camera.fy], np.float32) ** 2
     packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
+    colours = image if image.ndim == 3 else image[..., None]
 
     def work(first: int, end: int) -> None:
-        _pack_colours(image[first:end], packed[first:end])
-        planes = (array[first:end] for array in (depth, variance))
-        _assemble_rays(x_per_z, y_per_z[first:end], *planes, across, packed[first:end])
+        planes = (array[first:end] for array in (y_per_z, depth, variance, colours, packed))
+        _assemble_rays(x_per_z, across, *planes)
 
     bands.run(work)
     return packed
@@ -82,19 +82,14 @@ def assemble_printed(
     unit = (rho * np.outer(per_axis, per_axis))[np.triu_indices(3)].astype(np.float32)
     x_per_z, y_per_z = _rays(camera)
     packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
+    colours = image if image.ndim == 3 else image[..., None]
 
     def work(first: int, end: int) -> None:
-        _pack_colours(image[first:end], packed[first:end])
-        rows = (array[first:end] for array in (y_per_z, depth, packed))
-        _assemble_printed(x_per_z, *rows, unit, np.float32(config.printed_n))
+        planes = (array[first:end] for array in (y_per_z, depth, colours, packed))
+        _assemble_printed(x_per_z, unit, np.float32(config.printed_n), *planes)
 
     bands.run(work)
     return packed
-
-
-def _pack_colours(image: NDArray[np.uint8], packed: NDArray[np.float32]) -> None:
-    colours = image if image.ndim == 3 else image[..., None]
-    _colour_kernel(colours, packed.view(np.uint32))
 
 
 def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -104,21 +99,11 @@ def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float3
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _colour_kernel(colours, packed):  # type: ignore[no-untyped-def]
-    height, width, channels = colours.shape
-    green, blue = (1, 2) if channels == 3 else (0, 0)
-    for v in range(height):
-        for u in range(width):
-            packed[v, u, 3] = (
-                (np.uint32(colours[v, u, 0]) << np.uint32(16))
-                | (np.uint32(colours[v, u, green]) << np.uint32(8))
-                | np.uint32(colours[v, u, blue])
-            )
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _assemble_rays(x_per_z, y_per_z, depth, variance, across, packed):  # type: ignore[no-untyped-def]
+def _assemble_rays(  # type: ignore[no-untyped-def]
+    x_per_z, across, y_per_z, depth, variance, colours, packed
+):
     height, width = depth.shape
+    bits = packed.view(np.uint32)
     for v in range(height):
         b = y_per_z[v]
         for u in range(width):
@@ -128,6 +113,7 @@ def _assemble_rays(x_per_z, y_per_z, depth, variance, across, packed):  # type: 
             packed[v, u, 0] = a * z
             packed[v, u, 1] = b * z
             packed[v, u, 2] = z
+            bits[v, u, 3] = _colour(colours, v, u)
             packed[v, u, 4] = a * a * along + across[0] * square
             packed[v, u, 5] = a * b * along
             packed[v, u, 6] = a * along
@@ -137,8 +123,11 @@ def _assemble_rays(x_per_z, y_per_z, depth, variance, across, packed):  # type: 
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _assemble_printed(x_per_z, y_per_z, depth, packed, unit, exponent):  # type: ignore[no-untyped-def]
+def _assemble_printed(  # type: ignore[no-untyped-def]
+    x_per_z, unit, exponent, y_per_z, depth, colours, packed
+):
     height, width = depth.shape
+    bits = packed.view(np.uint32)
     for v in range(height):
         b = y_per_z[v]
         for u in range(width):
@@ -146,7 +135,17 @@ def _assemble_printed(x_per_z, y_per_z, depth, packed, unit, exponent):  # type:
             packed[v, u, 0] = a * z
             packed[v, u, 1] = b * z
             packed[v, u, 2] = z
+            bits[v, u, 3] = _colour(colours, v, u)
             distance = z * np.sqrt(a * a + b * b + np.float32(1.0))
             scale = distance ** (np.float32(2.0) * exponent)
             for i in range(6):
                 packed[v, u, 4 + i] = unit[i] * scale
+
+
+@njit(nogil=True, cache=True, inline="always", error_model="numpy")
+def _colour(colours, v, u):  # type: ignore[no-untyped-def]
+    """Colour of a pixel as 0x00RRGGBB; a grey image has one channel."""
+    green, blue = (1, 2) if colours.shape[2] == 3 else (0, 0)
+    red_bits = np.uint32(colours[v, u, 0]) << np.uint32(16)
+    green_bits = np.uint32(colours[v, u, green]) << np.uint32(8)
+    return red_bits | green_bits | np.uint32(colours[v, u, blue])

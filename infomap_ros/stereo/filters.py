@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numba import njit
@@ -89,8 +91,17 @@ def edge_free(
     """
     window = np.ones((config.edge_window, config.edge_window), np.uint8)
     low, high = cv2.erode(disparity, window), cv2.dilate(disparity, window)
-    keep = (low > invalid) & (high - low < config.edge_threshold * SUBPIXELS)
-    rim = config.edge_window // 2 + 1
-    keep[:rim] = keep[-rim:] = False
-    keep[:, :rim] = keep[:, -rim:] = False
-    return np.asarray(keep)
+    keep = np.empty(disparity.shape, np.bool_)
+    limit = math.ceil(config.edge_threshold * SUBPIXELS)
+    _smooth_places(low, high, invalid, limit, config.edge_window // 2 + 1, keep)
+    return keep
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _smooth_places(low, high, invalid, limit, rim, keep):  # type: ignore[no-untyped-def]
+    height, width = keep.shape
+    keep[:] = False
+    for v in range(rim, height - rim):
+        for u in range(rim, width - rim):
+            jump = np.int32(high[v, u]) - np.int32(low[v, u])
+            keep[v, u] = (low[v, u] > invalid) & (jump < limit)

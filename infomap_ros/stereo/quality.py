@@ -110,29 +110,32 @@ def _refine_rows(  # type: ignore[no-untyped-def]
 def _sample_row(left, right, disparity, invalid, samples):  # type: ignore[no-untyped-def]
     """Gradient and photometric difference of every match in a row, and their products."""
     width = disparity.size
-    for u in range(width):
-        d = disparity[u]
-        place = np.float32(u) - np.float32(d) * np.float32(1.0 / SUBPIXELS)
-        first = int(np.floor(place))
-        if d <= invalid or u < 1 or u > width - 2 or first < 1 or first > width - 3:
-            for c in range(_CHANNELS):
-                samples[c, u] = 0.0
+    count, gradient, difference, bend = samples[0], samples[1], samples[2], samples[6]
+    samples[:] = 0.0
+    for u in range(1, width - 1):
+        place = SUBPIXELS * u - np.int32(disparity[u])
+        first = place >> 4
+        if disparity[u] <= invalid or first < 1 or first > width - 3:
             continue
-        t = place - np.float32(first)
+        t = np.float32(place & 15) * np.float32(1.0 / SUBPIXELS)
         r0, r1 = np.float32(right[first - 1]), np.float32(right[first])
         r2, r3 = np.float32(right[first + 1]), np.float32(right[first + 2])
         l0, l1, l2 = np.float32(left[u - 1]), np.float32(left[u]), np.float32(left[u + 1])
         slope = (r2 - r0) + t * ((r3 - r1) - (r2 - r0))
-        g = np.float32(0.25) * (slope + (l2 - l0))
-        e = l1 - (r1 + t * (r2 - r1))
-        h = l0 - np.float32(2.0) * l1 + l2
-        samples[0, u] = 1.0
-        samples[1, u] = g
-        samples[2, u] = e
-        samples[3, u] = g * g
-        samples[4, u] = g * e
-        samples[5, u] = e * e
-        samples[6, u] = h * h
+        count[u] = 1.0
+        gradient[u] = np.float32(0.25) * (slope + (l2 - l0))
+        difference[u] = l1 - (r1 + t * (r2 - r1))
+        bend[u] = l0 - np.float32(2.0) * l1 + l2
+    _multiply(gradient, gradient, samples[3])
+    _multiply(gradient, difference, samples[4])
+    _multiply(difference, difference, samples[5])
+    _multiply(bend, bend, bend)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _multiply(first, second, product):  # type: ignore[no-untyped-def]
+    for u in range(product.size):
+        product[u] = first[u] * second[u]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -149,16 +152,27 @@ def _sum_columns(columns, reach, padded, sums):  # type: ignore[no-untyped-def]
     channels, width = columns.shape
     for c in range(channels):
         padded[reach : reach + width] = columns[c]
-        total = sums[c]
-        total[:] = padded[:width]
-        for shift in range(1, 2 * reach, 2):
-            _add_two(total, padded[shift : shift + width], padded[shift + 1 : shift + 1 + width])
+        if reach == 3:
+            _sum_seven(padded, sums[c])
+        else:
+            _sum_neighbours(padded, 2 * reach + 1, sums[c])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _add_two(total, first, second):  # type: ignore[no-untyped-def]
+def _sum_seven(padded, total):  # type: ignore[no-untyped-def]
+    """`_sum_neighbours` for the default window, in one pass."""
     for u in range(total.size):
-        total[u] += first[u] + second[u]
+        first = (padded[u] + padded[u + 1]) + (padded[u + 2] + padded[u + 3])
+        total[u] = first + ((padded[u + 4] + padded[u + 5]) + padded[u + 6])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _sum_neighbours(padded, number, total):  # type: ignore[no-untyped-def]
+    width = total.size
+    total[:] = padded[:width]
+    for shift in range(1, number):
+        for u in range(width):
+            total[u] += padded[u + shift]
 
 
 # One loop per result: the compiler does not vectorise a loop that writes several arrays.

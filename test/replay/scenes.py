@@ -6,7 +6,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
+from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import (
     CameraInfoRecord,
     ImageRecord,
@@ -16,6 +18,7 @@ from infomap_ros.geometry import (
     StereoRig,
     make_transform,
 )
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.sequences.entries import pinhole_calibration, rectified_pair
 from infomap_ros.replay.writer import BagWriter
 
@@ -68,3 +71,16 @@ def write(path: Path, entries: object) -> Path:
         for topic, record in entries:  # type: ignore[attr-defined]
             writer.write(topic, record)
     return path
+
+
+def fill_after(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+    """Let maps have no room after some frames."""
+    integrate, taken = VoxelMap.integrate, []
+
+    def limited(self: VoxelMap, *arguments: object, **named: object) -> object:
+        if len(taken) == frames:
+            raise CapacityError("no room")
+        taken.append(1)
+        return integrate(self, *arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(VoxelMap, "integrate", limited)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from infomap_ros.errors import BagError, ConfigError
+from infomap_ros.errors import BagError, CapacityError, ConfigError
 from infomap_ros.geometry import (
     CameraInfoRecord,
     ImageRecord,
@@ -34,6 +34,7 @@ from .scenes import (
     STEP,
     WALL,
     depth_frames,
+    fill_after,
     pose_at,
     stereo_frames,
     write,
@@ -230,11 +231,18 @@ def test_bag_without_images_says_so(tmp_path):
         mapped(path)
 
 
-def test_full_map_keeps_what_it_has(tmp_path):
-    limit = VoxelMapConfig(voxel_size=0.005, memory_limit=0.03)
-    run = mapped(write(tmp_path / "bag", depth_frames()), map=limit)
-    assert run.full
-    assert 0 < run.frames < 6
+def test_full_map_keeps_what_it_has(tmp_path, monkeypatch):
+    fill_after(monkeypatch, frames=2)
+    run = mapped(write(tmp_path / "bag", depth_frames()))
+    assert run.full == "no room"
+    assert run.frames == 2
+    check_wall(run.map)
+
+
+def test_map_too_small_for_one_frame_says_so(tmp_path):
+    tiny = VoxelMapConfig(voxel_size=0.002, memory_limit=0.001)
+    with pytest.raises(CapacityError, match="not one frame fits"):
+        mapped(write(tmp_path / "bag", depth_frames(1)), map=tiny)
 
 
 def test_settings_by_name():

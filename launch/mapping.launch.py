@@ -1,8 +1,10 @@
 """Map with stereo_range and map_fusion, live or from a bag.
 
 ros2 launch infomap_ros mapping.launch.py bag:=bags/rover_rocks
-ros2 launch infomap_ros mapping.launch.py namespace:=robot1 rectify:=true map_file:=/tmp/map.npz
+ros2 launch infomap_ros mapping.launch.py namespace:=robot1 rectify:=true map_file:=/tmp/map.infomap
 """
+
+from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.conditions import IfCondition
@@ -41,6 +43,8 @@ def _processes(context) -> list[Node]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     truth = {name: value == "true" for name, value in given.items()}
     bag = given["bag"]
+    if bag and not Path(bag).exists():
+        bag = str(find_share(bag))
 
     def node(executable: str, parameters: dict, **options) -> Node:
         return Node(

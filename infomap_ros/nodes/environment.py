@@ -72,7 +72,7 @@ def reliable_inputs(topics: Iterable[str], namespace: str = "/") -> dict[str, st
         topics: relative names.
         namespace: of the node.
     """
-    prefix = namespace.rstrip("/")
+    prefix = "/".join(["", *filter(None, namespace.split("/"))])
     return {
         f"qos_overrides.{prefix}/{topic}.subscription.reliability": "reliable" for topic in topics
     }

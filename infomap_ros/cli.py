@@ -149,7 +149,7 @@ def show(
         "low": None if bounds is None else (bounds[0] * size).round(3).tolist(),
         "high": None if bounds is None else ((bounds[1] + 1) * size).round(3).tolist(),
     }
-    picture = out or map_file.with_suffix(".png")
+    picture = (out or map_file).with_suffix(".png")
     draw_map_views(voxel_map, picture)
     typer.echo(json.dumps(figures | {"picture": str(picture)}))
 

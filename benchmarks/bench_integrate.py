@@ -1,0 +1,199 @@
+"""Integrating one scan, beside OctoMap on the same clouds in the same run; one JSON line.
+
+640x480 organised clouds of the room in `room.py`, 5 m range, everything included: occupancy, one
+Gaussian per surface voxel, pose covariance. OctoMap (pyoctomap) gets the points in the map frame,
+so that turning them is not on its bill, and holds occupancy alone; `insert` is insertPointCloud
+ray by ray, `discretised` merges the rays of one end voxel and leaves the inner nodes alone.
+
+    python benchmarks/bench_integrate.py [--poses 20] [--peer-poses 20 3] [--voxel-sizes 0.05 0.02]
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import room
+
+from infomap_ros.geometry import transform_points
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.blocks import block_bytes
+from infomap_ros.mapping.gaussians import gaussian_bytes
+
+try:
+    import pyoctomap
+except ImportError:
+    sys.exit("bench_integrate needs the peer it measures against: pip install 'pyoctomap>=1.2'")
+
+MAX_RANGE = 5.0
+POSE_COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
+
+Frame = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def depth_camera_covariances(points: np.ndarray) -> np.ndarray:
+    """Covariances (H, W, 6), float32 [m^2]: range sigma of a structured-light camera.
+
+    Along the ray 1.2 mm + 1.9 mm (z - 0.4)^2 (doi:10.1109/3DIMPVT.2012.84), across it 0.8 px.
+    """
+    z = points[..., 2].astype(np.float64)
+    along = 0.0012 + 0.0019 * (z - 0.4) ** 2
+    ray = points / points[..., 2:3]
+    across = (0.8 * z / room.CAMERA.fx) ** 2
+    full = ray[..., :, None] * ray[..., None, :] * (along**2)[..., None, None]
+    full = full + across[..., None, None] * np.eye(3)
+    rows, columns = np.triu_indices(3)
+    return full[..., rows, columns].astype(np.float32)
+
+
+def milliseconds(task: Callable[[], Any]) -> float:
+    """Time that one call takes [ms]."""
+    start = time.perf_counter()
+    task()
+    return 1e3 * (time.perf_counter() - start)
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in use [bytes]."""
+    pages = Path("/proc/self/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def integrate_all(frames: list[Frame], size: float, threads: int) -> tuple[VoxelMap, list[float]]:
+    """Integrate all frames into a new map; a frame is points, pose and covariances."""
+    config = VoxelMapConfig(voxel_size=size, max_range=MAX_RANGE, threads=threads)
+    VoxelMap(config).integrate(*frames[0], POSE_COVARIANCE, room.CAMERA)  # compiled and warm
+    voxel_map = VoxelMap(config)
+    times = [
+        milliseconds(partial(voxel_map.integrate, *frame, POSE_COVARIANCE, room.CAMERA))
+        for frame in frames
+    ]
+    return voxel_map, times
+
+
+def insert_all(frames: list[Frame], size: float, merged: bool) -> tuple[Any, list[float]]:
+    """Insert all frames into a new OctoMap."""
+    tree, times = pyoctomap.OcTree(size), []
+    for points, pose, _ in frames:
+        cloud = transform_points(pose, points.reshape(-1, 3))
+        insert = partial(tree.insertPointCloud, cloud, pose[:3, 3].copy(), MAX_RANGE)
+        times.append(milliseconds(partial(insert, lazy_eval=merged, discretize=merged)))
+    return tree, times
+
+
+def memory_figures(voxel_map: VoxelMap) -> dict[str, float]:
+    """Bytes per voxel of a map: occupancy and state, and Gaussians."""
+    storage = voxel_map._storage
+    stored = len(voxel_map.state()["gaussian_owner"])
+    gaussians = gaussian_bytes(storage.gaussians)
+    return {
+        "known_voxels": voxel_map.known_voxels,
+        "surface_voxels": voxel_map.surface_voxels,
+        "stored_gaussians": stored,
+        "memory_bytes": voxel_map.memory_bytes(),
+        "occupancy_bytes_per_known_voxel": block_bytes(storage.blocks) / voxel_map.known_voxels,
+        "gaussian_bytes_per_stored_gaussian": gaussians / stored,
+        "gaussian_bytes_per_surface_voxel": gaussians / voxel_map.surface_voxels,
+    }
+
+
+def resident_growth(frames: list[Frame], size: float) -> dict[str, float]:
+    """What a map says it grows by, and what the process grows by, after the first scan."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=size, max_range=MAX_RANGE))
+    voxel_map.integrate(*frames[0], POSE_COVARIANCE, room.CAMERA)
+    gc.collect()
+    resident, said = resident_bytes(), voxel_map.memory_bytes()
+    for frame in frames[1:]:
+        voxel_map.integrate(*frame, POSE_COVARIANCE, room.CAMERA)
+    gc.collect()
+    return {
+        "memory_bytes_growth": voxel_map.memory_bytes() - said,
+        "resident_growth": resident_bytes() - resident,
+    }
+
+
+def octomap_memory(tree: Any, size: float) -> dict[str, float]:
+    """OctoMap's own account, and per voxel of the finest level that it knows."""
+    tree.updateInnerOccupancy()
+    known = sum(round(leaf.getSize() / size) ** 3 for leaf in tree.begin_leafs())
+    return {
+        "octomap_bytes": tree.memoryUsage(),
+        "octomap_known_voxels": known,
+        "octomap_bytes_per_known_voxel": tree.memoryUsage() / known,
+    }
+
+
+def compare(stereo: list[Frame], depth: list[Frame], size: float, peers: int) -> dict[str, Any]:
+    """All figures at one voxel size; times are medians [ms]."""
+    voxel_map, one = integrate_all(stereo, size, 1)
+    figures: dict[str, Any] = {"voxel_size": size, "peer_poses": peers}
+    figures["integrate_ms"] = statistics.median(one)
+    two = integrate_all(stereo, size, 2)[1]
+    figures["integrate_2_threads_ms"] = statistics.median(two)
+    figures["integrate_depth_camera_ms"] = statistics.median(integrate_all(depth, size, 1)[1])
+    _, ray_by_ray = insert_all(stereo[:peers], size, merged=False)
+    tree, merged = insert_all(stereo[:peers], size, merged=True)
+    figures["octomap_insert_ms"] = statistics.median(ray_by_ray)
+    figures["octomap_discretised_ms"] = statistics.median(merged)
+    # On the very poses that both have integrated.
+    figures["ratio_to_insert"] = median_ratio(ray_by_ray, one)
+    figures["ratio_to_discretised"] = median_ratio(merged, one)
+    figures["ratio_2_threads"] = median_ratio(one, two)
+    return figures | memory_figures(voxel_map) | octomap_memory(tree, size)
+
+
+def median_ratio(slow: list[float], fast: list[float]) -> float:
+    """Median over the poses of one time divided by the other."""
+    return statistics.median(a / b for a, b in zip(slow, fast, strict=False))
+
+
+def rounded(figures: dict[str, Any]) -> dict[str, Any]:
+    return {k: round(v, 2) if isinstance(v, float) else v for k, v in figures.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--poses", type=int, default=20)
+    parser.add_argument("--voxel-sizes", type=float, nargs="+", default=[0.05, 0.02])
+    parser.add_argument(
+        "--peer-poses", type=int, nargs="+", default=[20, 3], help="per voxel size; OctoMap is slow"
+    )
+    arguments = parser.parse_args()
+    poses = room.poses(arguments.poses)
+    clouds = [room.cloud(pose) for pose in poses]
+    stereo = [(c, p, room.covariances(c)) for c, p in zip(clouds, poses, strict=True)]
+    depth = [(c, p, depth_camera_covariances(c)) for c, p in zip(clouds, poses, strict=True)]
+    load = os.getloadavg()[0]
+    growth = resident_growth(stereo, min(arguments.voxel_sizes))
+    results = [
+        rounded(compare(stereo, depth, size, peers))
+        for size, peers in zip(arguments.voxel_sizes, arguments.peer_poses, strict=True)
+    ]
+    print(
+        json.dumps(
+            {
+                "benchmark": "integrate",
+                "points": clouds[0].shape[0] * clouds[0].shape[1],
+                "poses": arguments.poses,
+                "max_range": MAX_RANGE,
+                "cores": os.cpu_count(),
+                "load_before": round(load, 2),
+                **growth,
+                "results": results,
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

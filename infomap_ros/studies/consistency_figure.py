@@ -1,0 +1,52 @@
+"""The figure of the consistency study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy import stats
+
+from infomap_ros.studies.map_consistency import CONFIDENCE, ConsistencyResult
+
+_LIMIT = 4.0  # of the drawn normalised errors
+_BINS = 48
+_ALL, _INDEPENDENT, _EXPECTED = "#9ecae1", "#08519c", "#d55e00"
+
+
+def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> None:
+    """Draw the normalised errors of each voxel size with the normal distribution they should have.
+
+    Args:
+        results: of `run_study`.
+        path: of the PNG file.
+    """
+    figure = Figure(figsize=(4.0 * len(results), 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, len(results), sharey=True, squeeze=False)[0]
+    x = np.linspace(-_LIMIT, _LIMIT, 200)
+    edges = np.linspace(-_LIMIT, _LIMIT, _BINS + 1)
+    coarse = edges[::4]
+    for axis, result in zip(axes, results, strict=True):
+        clipped = np.clip(result.all_errors, -_LIMIT, _LIMIT)
+        axis.hist(clipped, edges, density=True, color=_ALL, label="all voxels looked at")
+        independent = np.clip(result.independent, -_LIMIT, _LIMIT)
+        axis.hist(
+            independent, coarse, density=True, histtype="step", color=_INDEPENDENT, linewidth=1.4,
+            label="one voxel per scene",
+        )  # fmt: skip
+        axis.plot(x, stats.norm.pdf(x), color=_EXPECTED, linewidth=1.6, label="standard normal")
+        low, high = result.band
+        axis.set_title(
+            f"voxels of {100 * result.voxel_size:g} cm\nmean NEES {result.mean_nees:.2f}, "
+            f"{100 * CONFIDENCE:.0f} % band {low:.2f} to {high:.2f}",
+            fontsize=10,
+        )
+        axis.set_xlabel("error along the normal / predicted sigma [-]")
+        axis.set_xlim(-_LIMIT, _LIMIT)
+    axes[0].set_ylabel("density [-]")
+    axes[0].legend(fontsize=8, loc="upper left")
+    figure.savefig(path, dpi=120)

@@ -76,18 +76,21 @@ def empty_blocks() -> BlockArrays:
     )
 
 
-def grown(array: NDArray[Any], needed: int, fill: int | None = None) -> NDArray[Any]:
+def grown(
+    array: NDArray[Any], needed: int, fill: int | None = None, used: int | None = None
+) -> NDArray[Any]:
     """`array` with room for at least `needed` rows.
 
     Grows by half at least. Pages that were never written cost no memory, so that only used rows
-    count.
+    count; where `used` says how many those are, only they are copied.
     """
     if len(array) >= needed:
         return array
     capacity = max(needed, len(array) + len(array) // 2)
     shape = (capacity, *array.shape[1:])
     larger = np.empty(shape, array.dtype) if fill is None else np.full(shape, fill, array.dtype)
-    larger[: len(array)] = array
+    kept = len(array) if used is None else used
+    larger[:kept] = array[:kept]
     return larger
 
 
@@ -101,7 +104,7 @@ def with_room(arrays: BlockArrays, blocks: int, planes: int) -> BlockArrays:
     """
     from infomap_ros.mapping.block_kernels import rehash
 
-    count = int(arrays.counts[BLOCK_COUNT])
+    count, narrow, wide = (int(arrays.counts[i]) for i in (BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT))
     needed = count + blocks
     table = arrays.table
     if len(table) < 2 * needed:
@@ -110,13 +113,13 @@ def with_room(arrays: BlockArrays, blocks: int, planes: int) -> BlockArrays:
     dirty = arrays.dirty
     return arrays._replace(
         table=table,
-        keys=grown(arrays.keys, needed),
+        keys=grown(arrays.keys, needed, used=count),
         base=grown(arrays.base, needed, 0),
         kind=grown(arrays.kind, needed, UNSEEN),
         plane=grown(arrays.plane, needed, 0),
-        narrow=grown(arrays.narrow, int(arrays.counts[NARROW_COUNT]) + planes),
-        wide=grown(arrays.wide, int(arrays.counts[WIDE_COUNT]) + planes),
-        free_rows=grown(arrays.free_rows, int(arrays.counts[NARROW_COUNT]) + planes),
+        narrow=grown(arrays.narrow, narrow + planes, used=narrow),
+        wide=grown(arrays.wide, wide + planes, used=wide),
+        free_rows=grown(arrays.free_rows, narrow + planes),
         dirty=grown(dirty, needed, 0) if len(dirty) else dirty,
     )
 

@@ -61,9 +61,10 @@ def with_gaussian_room(arrays: GaussianArrays, more: int, blocks: int) -> Gaussi
     """
     if blocks > _MAX_BLOCKS:
         raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
-    needed = int(arrays.counts[0]) + more
+    count = int(arrays.counts[0])
     return arrays._replace(
-        owner=grown(arrays.owner, needed), information=grown(arrays.information, needed)
+        owner=grown(arrays.owner, count + more, used=count),
+        information=grown(arrays.information, count + more, used=count),
     )
 
 

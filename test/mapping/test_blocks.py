@@ -5,6 +5,9 @@ The planes are long enough for the compiler to vectorise the kernels, so a misco
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -213,6 +216,18 @@ def test_blocks_are_found_among_many(rng):
     assert all(find_block(store, key) == slot for slot, key in enumerate(keys))
     assert find_block(store, pack(500, 500, 500)) == -1
     assert len(store.table) <= 8 * len(keys)
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_room_that_is_not_used_costs_no_memory():
+    store, before = empty_blocks(), resident_bytes()
+    for planes in (200_000, 310_000, 480_000):  # 1.5 kB each, were they used
+        store = with_room(store, 10, planes)
+    assert len(store.narrow) >= 480_000 and len(store.wide) >= 480_000
+    assert resident_bytes() - before < 50e6
 
 
 limits = st.integers(-COORDINATE_LIMIT, COORDINATE_LIMIT - 1)

@@ -17,6 +17,9 @@ _FEWEST = 5
 _FLATNESS = 0.1
 """Largest share of the second smallest variance that the smallest may have in a flat cell."""
 
+_BREADTH = 0.01
+"""Smallest share of the largest variance that the second may have: a line has no normal."""
+
 
 @njit(cache=True, nogil=True)
 def cell_row(cells: Any, cell_size: float, x: float, y: float, z: float) -> Any:
@@ -82,7 +85,7 @@ def find_normals(cells: Any) -> None:
             for j in range(3):
                 scatter[i, j] = sums[row, place[i][j]] / count - mean[i] * mean[j]
         values, vectors = np.linalg.eigh(scatter)
-        if values[0] < _FLATNESS * values[1]:
+        if values[0] < _FLATNESS * values[1] and values[1] > _BREADTH * values[2]:
             for i in range(3):
                 sums[row, 10 + i] = vectors[i, 0]
 

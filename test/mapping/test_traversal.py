@@ -237,3 +237,16 @@ def test_rays_through_an_empty_map_meet_nothing():
 def test_impossible_rays_are_refused(origins, directions, max_range):
     with pytest.raises(InvalidInputError):
         VoxelMap().cast_rays(origins, directions, max_range)
+
+
+@pytest.mark.parametrize("length", [0.0, 0.02])
+def test_points_on_a_line_or_in_one_place_are_associated_along_the_line_of_sight(length):
+    # Neither has a normal; noise moves the points along the ray, here nearly along x.
+    points = np.array([1.02, 0.02, 0.075]) + np.linspace(-0.5, 0.5, 200)[:, None] * [0, 0, length]
+    points += np.random.default_rng(3).normal(0.0, 1e-4, points.shape) * (length > 0.0)
+    config = VoxelMapConfig(voxel_size=SIZE, default_sigma=0.02, error_correlation=1.0)
+    voxel_map = VoxelMap(config)
+    voxel_map.integrate(points, np.eye(4))
+    indices, log_odds = voxel_map.voxels()
+    occupied = indices[log_odds > 0.0].tolist()
+    assert sorted(occupied) == [[19, 0, 1], [20, 0, 1], [21, 0, 1]]

@@ -89,8 +89,9 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=1.0)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--interval", type=float, default=60.0, help="between two reports [s]")
+    parser.add_argument("--bag", type=Path, help="where the bag is kept between runs")
     options = parser.parse_args()
-    bag = Path("out/bench") / f"room_{options.frames}"
+    bag = options.bag or Path("out/bench") / f"room_{options.frames}"
     bag.parent.mkdir(parents=True, exist_ok=True)
     write_stereo_bag(bag, options.frames)
     result = soak(bag, 60.0 * options.minutes, options.rate, options.interval)

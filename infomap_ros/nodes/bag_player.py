@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
@@ -22,15 +22,14 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.errors import BagError, InfomapError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes import qos
+from infomap_ros.nodes.bag_topics import advertise_topics
 from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.run import run_node
 from infomap_ros.replay.messages import encode_clock
 from infomap_ros.replay.player import BagPlayer, PlayerConfig, Step
 from infomap_ros.replay.reader import BagReader
 
-_ABSOLUTE = ("/tf", "/tf_static", "/diagnostics")
-_NOT_PLAYED = ("/clock", "/rosout", "/parameter_events")
 _SETTLING = 1.0  # [s]
 _CLOCK_PERIOD = 0.05  # [s]
 
@@ -76,36 +75,16 @@ class BagPlayerNode(MonitoredNode):
         self._config = self.config(BagPlayerNodeConfig)
         self.finished: Future = Future()
         self._reader = BagReader(self._config.bag)
-        self._outlets = self._advertise_all()
+        self._outlets = advertise_topics(self, self._reader, self._config.topics)
         self._clock_publisher = self.advertise(Clock, "/clock", qos.stream(depth=1))
         self._types = RclpyMessageTypes()
         self._acknowledged = threading.Condition()
         self._player = self._make_player()
         if self._player.config.acknowledged:
-            topic = self._config.result_topic
-            self.listen(PointCloud2, topic, self._on_result, qos.sensor_data(depth=100))
+            profile = qos.sensor_data(depth=100)
+            self.listen(PointCloud2, self._config.result_topic, self._on_result, profile)
         self._stopping = False
         self.start_worker(1).submit(self._play)
-
-    def _advertise_all(self) -> dict[str, Publisher]:
-        """One publisher for each topic of the bag whose type is installed."""
-        publishers = {}
-        for name, channel in self._reader.topics.items():
-            wanted = not self._config.topics or name in self._config.topics
-            if not wanted or name in _NOT_PLAYED:
-                continue
-            try:
-                kind = message_class(channel.type_name)
-            except (ModuleNotFoundError, AttributeError):
-                text = f"{name} is not played: {channel.type_name} is not installed"
-                self.get_logger().warning(text)
-                continue
-            profile = qos.latched(depth=100) if channel.latched else qos.stream(depth=20)
-            target = name if name in _ABSOLUTE else name.lstrip("/")
-            publishers[name] = self.advertise(kind, target, profile)
-        if not publishers:
-            raise BagError(f"{self._config.bag} holds no topic to play")
-        return publishers
 
     def _make_player(self) -> BagPlayer:
         paced, topics = self._config.paced_topic, tuple(self._outlets)
@@ -131,7 +110,7 @@ class BagPlayerNode(MonitoredNode):
         """Publish until the bag ends; in the worker thread."""
         status = 0
         try:
-            self._wait_for_subscribers()
+            self._wait_for_others()
             self.get_logger().info(f"playing {self._config.bag}")
             while not self._stopping and not self._publish_step():
                 pass
@@ -159,25 +138,33 @@ class BagPlayerNode(MonitoredNode):
                 self._acknowledged.wait(min(step.wait, _CLOCK_PERIOD))
         return step.finished
 
-    def _wait_for_subscribers(self) -> None:
+    def _wait_for_others(self) -> None:
         wanted = [self.resolve_topic_name(name) for name in self._config.wait_for_subscribers]
         names = wanted or [publisher.topic_name for publisher in self._outlets.values()]
         enough = all if wanted else any
-        while not self._stopping and not enough(self.count_subscribers(name) for name in names):
-            missing = [name for name in names if not self.count_subscribers(name)]
-            text = f"waiting for a subscriber of {', '.join(missing)}"
-            self.get_logger().info(text, throttle_duration_sec=5.0)
-            time.sleep(0.02)
+        self._wait_until(
+            lambda: enough(self.count_subscribers(name) for name in names),
+            lambda: [f"a subscriber of {n}" for n in names if not self.count_subscribers(n)],
+        )
+        if self._player.config.acknowledged:
+            result = self.resolve_topic_name(self._config.result_topic)
+            text = f"a publisher of {result}"
+            self._wait_until(lambda: self.count_publishers(result) > 0, lambda: [text])
         if not wanted:
             time.sleep(_SETTLING)
 
+    def _wait_until(self, met: Callable[[], bool], missing: Callable[[], list[str]]) -> None:
+        while not self._stopping and not met():
+            text = f"waiting for {', '.join(missing())}"
+            self.get_logger().info(text, throttle_duration_sec=5.0)
+            time.sleep(0.02)
+
     def _tell_what_was_wrong(self) -> None:
-        skipped = [f"{count} skipped, {why}" for why, count in self._reader.skipped.items()]
-        for text in [*self._reader.problems, *skipped]:
+        remarks = [f"{count} skipped, {why}" for why, count in self._reader.skipped.items()]
+        if lost := self._player.unacknowledged:
+            remarks.append(f"{lost} messages of {self._config.paced_topic} were lost")
+        for text in [*self._reader.problems, *remarks]:
             self.get_logger().warning(text)
-        lost = self._player.unacknowledged
-        if lost:
-            self.get_logger().warning(f"{lost} messages of {self._config.paced_topic} were lost")
         self.get_logger().info(f"played {self._player.published} messages")
 
     def destroy_node(self) -> None:

@@ -70,6 +70,7 @@ class MonitoredNode(Node):
             kind: declare_config(self, kind, prefix) for kind, prefix in self.CONFIGS
         }
         self._workers: list[Worker] = []
+        self._advertised: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
@@ -111,9 +112,11 @@ class MonitoredNode(Node):
 
     def advertise(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
         """Create a publisher whose quality of service parameters can override."""
-        return self.create_publisher(
+        publisher = self.create_publisher(
             message_type, topic, profile, qos_overriding_options=qos.overridable()
         )
+        self._advertised.append(publisher)
+        return publisher
 
     def start_worker(self, capacity: int) -> Worker:
         """Start a thread for long work; jobs that give way are counted as drops."""
@@ -152,6 +155,9 @@ class MonitoredNode(Node):
     def _publish_diagnostics(self) -> None:
         if not all(worker.alive for worker in self._workers):
             raise RuntimeError("the worker thread has ended by an error, see above")
+        for publisher in self._advertised:
+            name = f"{publisher.topic_name} subscribers"
+            self.health.note(name, str(publisher.get_subscription_count()))
         complaints = self.health.complaints()
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK,

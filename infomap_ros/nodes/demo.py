@@ -56,8 +56,9 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     start = time.monotonic()
     with LiveRun(bag, out, player, fusion=fusion, map_file=out / MAP_FILE) as run:
         pictures = LivePictures(run)
-        run.start()
-        first = follow(run, pairs, console)
+        console.print("starting stereo_range and map_fusion")
+        run.start(_START_TIMEOUT)
+        follow(run, pairs, console)
         console.print(run.call("map_fusion/save"))
         seconds = time.monotonic() - start
         drops = run.state.drops()
@@ -65,7 +66,6 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
             "pairs": pairs,
             "frames": run.state.count("map_fusion"),
             "seconds": round(seconds, 2),
-            "seconds_to_first_scan": round(first, 2),
             "frames_dropped": pairs - run.state.count("map_fusion"),
         }
         figures |= {f"dropped: {reason}": count for reason, count in drops.items()}
@@ -90,17 +90,16 @@ def count_pairs(bag: Path) -> int:
         return channel.count
 
 
-def follow(run: LiveRun, pairs: int, console: Console) -> float:
-    """Show progress until the bag has been played and fused; returns the time to the first scan."""
+def follow(run: LiveRun, pairs: int, console: Console) -> None:
+    """Show progress until the bag has been played and fused."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    begin = time.monotonic()
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task("starting bag_player, stereo_range, map_fusion", total=pairs)
+        task = progress.add_task("starting bag_player", total=pairs)
 
         def show() -> None:
             voxels = run.state.figures.get("map_fusion", {}).get("known voxels", "0")
@@ -108,10 +107,8 @@ def follow(run: LiveRun, pairs: int, console: Console) -> float:
             progress.update(task, completed=run.state.count("map_fusion"), description=text)
 
         run.spin_until(lambda: run.state.count("map_fusion") > 0, "the first scan", _START_TIMEOUT)
-        first = time.monotonic() - begin
         run.spin_until(lambda: run.settled, "the end", _PAIR_TIMEOUT * pairs, show)
         show()
-    return first
 
 
 def write_results(

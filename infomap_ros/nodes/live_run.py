@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +16,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -55,6 +57,7 @@ class LiveRun:
     ) -> None:
         self.state = RunState()
         self.pids: dict[str, int] = {}
+        self._watched: Counter[str] = Counter()
         self.map_file = (map_file or out / "map.infomap").absolute()
         self._player = {
             "bag": bag.absolute(),
@@ -101,6 +104,10 @@ class LiveRun:
         """Note when each left image arrives."""
         self._watch(LEFT, Image, self.state.images)
 
+    def watch_clock(self) -> None:
+        """Listen to the clock of the bag."""
+        self.subscribe(Clock, "/clock", lambda _: None)
+
     def _watch(self, topic: str, kind: type, arrivals: dict[int, float]) -> None:
         def receive(message: Any) -> None:
             stamp = message.header.stamp
@@ -110,16 +117,36 @@ class LiveRun:
 
     def subscribe(self, kind: type, topic: str, receive: Callable[[Any], None]) -> None:
         """Listen to a topic of the run."""
+        self._watched[topic] += 1
         self._node.create_subscription(kind, topic, receive, qos.stream(depth=100))
 
-    def start(self) -> None:
-        """Start the three nodes."""
-        for name, parameters in (
-            ("map_fusion", self._fusion),
-            ("stereo_range", self._stereo),
-            ("bag_player", self._player),
-        ):
-            self.pids[name] = self._processes.start(name, parameters)
+    def start(self, timeout: float = 300.0) -> None:
+        """Start stereo_range and map_fusion, and when they have found each other the player.
+
+        Args:
+            timeout: for the two nodes to be ready [s]; kernels may have to be compiled.
+
+        Raises:
+            ProcessError: a node does not start.
+        """
+        self.start_nodes()
+        self.spin_until(self._connected, "stereo_range and map_fusion to connect", timeout)
+        self.start_player()
+
+    def start_nodes(self) -> None:
+        """Start stereo_range and map_fusion."""
+        self.pids["map_fusion"] = self._processes.start("map_fusion", self._fusion)
+        self.pids["stereo_range"] = self._processes.start("stereo_range", self._stereo)
+
+    def start_player(self) -> None:
+        """Start bag_player."""
+        self.pids["bag_player"] = self._processes.start("bag_player", self._player)
+
+    def _connected(self) -> bool:
+        """Whether the clouds have a listener, and the updates all of this process."""
+        clouds = self.state.count("stereo_range", "/points2 subscribers")
+        updates = self.state.count("map_fusion", "/map_updates subscribers")
+        return clouds >= 1 + self._watched["points2"] and updates >= self._watched["map_updates"]
 
     def spin_until(
         self,

@@ -4,8 +4,9 @@ Callbacks only receive: a cloud waits until the pose at its stamp is known and t
 worker thread, which owns the map: it integrates, publishes, saves, loads and resets, in the order
 in which it is told. So no lock is needed and no callback blocks.
 
-When the clock jumps back (a bag that loops), what waits for a pose is dropped and the map is kept,
-or reset where ``reset_on_clock_jump`` says so.
+When the clock jumps back (a bag that loops), the map is kept, or reset where
+``reset_on_clock_jump`` says so. What becomes of clouds and poses then says
+`infomap_ros.nodes.scan_gate`.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from infomap_ros.mapping.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.clock_jumps import JumpingBuffer
 from infomap_ros.replay.messages import decode_joint_state, decode_text
 
 
@@ -47,7 +48,8 @@ class RobotBody:
 
     def __init__(self, node: MonitoredNode, on_news: Callable[[], None]) -> None:
         self._on_news = on_news
-        self._joints = JointBuffer(node.config(JointBufferConfig))
+        config = node.config(JointBufferConfig)
+        self._joints = JumpingBuffer(lambda: JointBuffer(config), round(config.max_gap * 1e9))
         self._robot: RobotModel | None = None
         self._log = node.get_logger()
         if node.config(RobotBodyConfig).remove_body:
@@ -86,9 +88,9 @@ class RobotBody:
         positions = self._joints.at(stamp) if self._robot.joints else {}
         return self._robot.solids_in(frame, positions)
 
-    def clear(self) -> None:
-        """Forget the joint positions: the clock has jumped."""
-        self._joints.clear()
+    def clouds_have_jumped(self, stamp: int) -> None:
+        """The clock of the clouds has jumped back to `stamp` [ns]."""
+        self._joints.others_have_jumped(stamp)
 
     def _on_description(self, message: String) -> None:
         self._robot = RobotModel.from_urdf(decode_text(message).text)

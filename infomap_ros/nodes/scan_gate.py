@@ -1,7 +1,7 @@
 """Clouds wait here until the pose of the camera and the place of the robot's body are known.
 
-When the clock jumps back (a bag that loops), what waits is dropped, and poses and joint states
-from before the jump are forgotten.
+When the clock jumps back (a bag that loops), clouds from before the jump still get the poses from
+before it, and those after it never do. What still waits when the clouds have jumped is dropped.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.clock_jumps import JumpingBuffer
 from infomap_ros.nodes.robot_body import RobotBody
 from infomap_ros.replay.messages import POINT_CLOUD, decode_pose_with_covariance
 from infomap_ros.replay.messages.fields import MessageFields
+
+_NO_POSE = "no pose at the stamp"
+_REASONS = {"time went backwards": "time went backwards"}
 
 
 @dataclass(frozen=True)
@@ -78,12 +82,12 @@ class ScanGate:
         self._on_scan, self._on_clock_jump = on_scan, on_clock_jump
         self._map_frame = node.config(ScanGateConfig).map_frame
         self._camera_frame = node.config(ScanGateConfig).camera_frame
-        self._poses = PoseBuffer(node.config(PoseBufferConfig))
-        waiting = node.config(WaitingQueueConfig)
+        poses, waiting = node.config(PoseBufferConfig), node.config(WaitingQueueConfig)
+        self._poses = JumpingBuffer(lambda: PoseBuffer(poses), round(poses.max_gap * 1e9))
         self._jump = round(waiting.max_wait * 1e9)
         self._newest = 0
         self._waiting: WaitingQueue[PointCloud2] = WaitingQueue(
-            self._pose_at, waiting, lambda _, why: node.drop("no pose at the stamp", why)
+            self._pose_at, waiting, lambda _, why: node.drop(_REASONS.get(why, _NO_POSE), why)
         )
         self._body = RobotBody(node, on_news=self._let_through)
         node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
@@ -94,8 +98,7 @@ class ScanGate:
         pose = decode_pose_with_covariance(message)
         if pose.frame_id != self._map_frame:
             raise FrameError(f"pose in frame '{pose.frame_id}', the map is '{self._map_frame}'")
-        if self._poses.add(pose):
-            self._waiting.drop_all("time went backwards")
+        self._poses.add(pose)
         self._let_through()
 
     def _on_cloud(self, message: PointCloud2) -> None:
@@ -110,12 +113,12 @@ class ScanGate:
         self._let_through()
 
     def _jump_back(self, stamp: int) -> None:
-        """The rule of the module; poses stay where they have jumped already."""
+        """The clouds have jumped: see the module."""
         self._node.get_logger().warning("time went backwards")
         self._newest = stamp
-        if (self._poses.newest_stamp or 0) > stamp + self._jump:
-            self._poses.clear()
-            self._body.clear()
+        self._waiting.drop_all("time went backwards")
+        self._poses.others_have_jumped(stamp)
+        self._body.clouds_have_jumped(stamp)
         self._on_clock_jump()
 
     def _pose_at(self, stamp: int) -> PoseRecord:

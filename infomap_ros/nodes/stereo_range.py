@@ -4,14 +4,13 @@ Callbacks only receive and pair; the worker thread measures and publishes. Its q
 where images come faster than they can be measured, the oldest waiting ones give way and are
 counted, so that what comes out is never older than the queue is long.
 
-When the clock jumps back (a bag that loops), images that wait for their partner or for a camera
-info are dropped; nothing else is remembered between images.
+When the clock jumps back (a bag that loops), images pair only with images from the same side of
+the jump; nothing else is remembered between images.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,9 +19,9 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.pairing import StampPairing
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.clock_jumps import JumpingPairs
 from infomap_ros.nodes.range_outputs import RangeOutputs
 from infomap_ros.nodes.range_sources import (
     DepthSource,
@@ -85,12 +84,10 @@ class StereoRangeNode(MonitoredNode):
         self._source: RangeSource = self._make_source(config)
         seconds = seconds_to_warm_up(self._source)
         self.get_logger().info(f"kernels ready after {seconds:.1f} s")
-        self._pairing: StampPairing[ImageRecord, ImageRecord] = StampPairing(
-            round(config.pairing_tolerance * 1e9)
-        )
+        tolerance = round(config.pairing_tolerance * 1e9)
+        self._pairs = JumpingPairs(tolerance, _CLOCK_JUMP, self.drop)
         self._infos: dict[str, CameraInfoRecord] = {}
         self._uncalibrated: deque[Images] = deque(maxlen=config.queue_size)
-        self._newest = 0
         self._outputs = RangeOutputs(self)
         self._worker = self.start_worker(config.queue_size)
         self._listen()
@@ -104,15 +101,8 @@ class StereoRangeNode(MonitoredNode):
         for topic in self._source.info_topics:
             handle = partial(self._on_info, topic)
             self.listen(CameraInfo, topic, handle, qos.sensor_data())
-        topics = self._source.image_topics
-        adders: tuple[Callable[[ImageRecord], Images | None], ...] = (
-            self._pairing.add_first,
-            self._pairing.add_second,
-        )
-        if len(topics) == 1:
-            adders = (lambda image: (image,),)
-        for topic, add in zip(topics, adders, strict=True):
-            self.listen(Image, topic, partial(self._on_image, add), qos.sensor_data())
+        for side, topic in enumerate(self._source.image_topics):
+            self.listen(Image, topic, partial(self._on_image, side), qos.sensor_data())
 
     def _on_info(self, topic: str, message: CameraInfo) -> None:
         self._infos[topic] = decode_camera_info(message)
@@ -120,24 +110,12 @@ class StereoRangeNode(MonitoredNode):
             while self._uncalibrated:
                 self._hand_over(self._uncalibrated.popleft())
 
-    def _on_image(self, add: Callable[[ImageRecord], Images | None], message: Image) -> None:
+    def _on_image(self, side: int, message: Image) -> None:
         image = decode_image(message)
-        if image.stamp < self._newest - _CLOCK_JUMP:
-            self._on_clock_jump(image.stamp)
-        self._newest = max(self._newest, image.stamp)
-        before = self._pairing.unpaired
-        images = add(image)
-        for _ in range(self._pairing.unpaired - before):
-            self.drop("no partner", f"up to stamp {image.stamp} ns")
-        if images is not None:
-            self._hand_over(images)
-
-    def _on_clock_jump(self, stamp: int) -> None:
-        self.get_logger().warning("time went backwards")
-        self._newest = stamp
-        for _ in range(self._pairing.clear() + len(self._uncalibrated)):
-            self.drop("time went backwards")
-        self._uncalibrated.clear()
+        if len(self._source.image_topics) == 1:
+            self._hand_over((image,))
+        elif (pair := self._pairs.add(side, image)) is not None:
+            self._hand_over(pair)
 
     def _hand_over(self, images: Images) -> None:
         """Give images to the worker, once the cameras are known."""

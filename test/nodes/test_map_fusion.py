@@ -280,6 +280,29 @@ def test_a_clock_that_jumps_back_keeps_the_map_and_goes_on(graph: Any) -> None:
     bench.wait_for_map(as_replica(expected_map(cloud(), cloud())))
 
 
+def test_a_cloud_that_is_late_for_a_jump_still_gets_its_pose(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(pose(), pose(START + SECOND // 20), pose(START - 100 * SECOND))
+
+    bench.send(cloud())
+
+    bench.wait_for_results(1)
+    bench.wait_for_map(as_replica(expected_map(cloud())))
+    assert bench.node.health.drops() == {}
+
+
+def test_a_cloud_after_a_jump_never_gets_a_pose_from_before_it(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(pose(START - 100 * SECOND), pose(), cloud())
+    bench.wait_for_results(1)
+    early = START - 100 * SECOND
+    # The clouds jump first, to where an old pose would fit; then comes a pose that does not.
+    bench.send(cloud(early), pose(early - SECOND), cloud(early + 2 * SECOND))
+
+    bench.wait_for_drop("no pose at the stamp")
+    assert bench.node.health.results() == 1
+
+
 def test_a_clock_that_jumps_back_resets_the_map_where_that_is_wanted(graph: Any) -> None:
     bench = Bench(graph, reset_on_clock_jump=True)
     bench.send(pose(), cloud())

@@ -48,5 +48,6 @@ def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> N
         axis.set_xlabel("error along the normal / predicted sigma [-]")
         axis.set_xlim(-_LIMIT, _LIMIT)
     axes[0].set_ylabel("density [-]")
+    axes[0].set_ylim(0.0, 0.65)  # room for the legend
     axes[0].legend(fontsize=8, loc="upper left")
     figure.savefig(path, dpi=120)

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import room
@@ -56,11 +56,18 @@ def depth_camera_covariances(points: np.ndarray) -> np.ndarray:
     return full[..., rows, columns].astype(np.float32)
 
 
-def milliseconds(task: Callable[[], Any]) -> float:
-    """Time that one call takes [ms]."""
-    start = time.perf_counter()
-    task()
-    return 1e3 * (time.perf_counter() - start)
+class Times(NamedTuple):
+    """What calls took, one entry each [ms]; other processes disturb processor time less."""
+
+    wall: list[float]
+    processor: list[float]
+
+    def add(self, task: Callable[[], Any]) -> None:
+        """Call and note how long it took."""
+        wall, processor = time.perf_counter(), time.process_time()
+        task()
+        self.processor.append(1e3 * (time.process_time() - processor))
+        self.wall.append(1e3 * (time.perf_counter() - wall))
 
 
 def resident_bytes() -> int:
@@ -69,25 +76,23 @@ def resident_bytes() -> int:
     return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
-def integrate_all(frames: list[Frame], size: float, threads: int) -> tuple[VoxelMap, list[float]]:
+def integrate_all(frames: list[Frame], size: float, threads: int) -> tuple[VoxelMap, Times]:
     """Integrate all frames into a new map; a frame is points, pose and covariances."""
     config = VoxelMapConfig(voxel_size=size, max_range=MAX_RANGE, threads=threads)
     VoxelMap(config).integrate(*frames[0], POSE_COVARIANCE, room.CAMERA)  # compiled and warm
-    voxel_map = VoxelMap(config)
-    times = [
-        milliseconds(partial(voxel_map.integrate, *frame, POSE_COVARIANCE, room.CAMERA))
-        for frame in frames
-    ]
+    voxel_map, times = VoxelMap(config), Times([], [])
+    for frame in frames:
+        times.add(partial(voxel_map.integrate, *frame, POSE_COVARIANCE, room.CAMERA))
     return voxel_map, times
 
 
-def insert_all(frames: list[Frame], size: float, merged: bool) -> tuple[Any, list[float]]:
+def insert_all(frames: list[Frame], size: float, merged: bool) -> tuple[Any, Times]:
     """Insert all frames into a new OctoMap."""
-    tree, times = pyoctomap.OcTree(size), []
+    tree, times = pyoctomap.OcTree(size), Times([], [])
     for points, pose, _ in frames:
         cloud = transform_points(pose, points.reshape(-1, 3))
         insert = partial(tree.insertPointCloud, cloud, pose[:3, 3].copy(), MAX_RANGE)
-        times.append(milliseconds(partial(insert, lazy_eval=merged, discretize=merged)))
+        times.add(partial(insert, lazy_eval=merged, discretize=merged))
     return tree, times
 
 
@@ -136,24 +141,31 @@ def octomap_memory(tree: Any, size: float) -> dict[str, float]:
 def compare(stereo: list[Frame], depth: list[Frame], size: float, peers: int) -> dict[str, Any]:
     """All figures at one voxel size; times are medians [ms]."""
     voxel_map, one = integrate_all(stereo, size, 1)
-    figures: dict[str, Any] = {"voxel_size": size, "peer_poses": peers}
-    figures["integrate_ms"] = statistics.median(one)
     two = integrate_all(stereo, size, 2)[1]
-    figures["integrate_2_threads_ms"] = statistics.median(two)
-    figures["integrate_depth_camera_ms"] = statistics.median(integrate_all(depth, size, 1)[1])
-    _, ray_by_ray = insert_all(stereo[:peers], size, merged=False)
     tree, merged = insert_all(stereo[:peers], size, merged=True)
-    figures["octomap_insert_ms"] = statistics.median(ray_by_ray)
-    figures["octomap_discretised_ms"] = statistics.median(merged)
-    # On the very poses that both have integrated.
-    figures["ratio_to_insert"] = median_ratio(ray_by_ray, one)
-    figures["ratio_to_discretised"] = median_ratio(merged, one)
-    figures["ratio_2_threads"] = median_ratio(one, two)
-    return figures | memory_figures(voxel_map) | octomap_memory(tree, size)
+    ray_by_ray = insert_all(stereo[:peers], size, merged=False)[1]
+    depth_camera = integrate_all(depth, size, 1)[1]
+    return {
+        "voxel_size": size,
+        "peer_poses": peers,
+        "integrate_ms": statistics.median(one.wall),
+        "integrate_2_threads_ms": statistics.median(two.wall),
+        "integrate_depth_camera_ms": statistics.median(depth_camera.wall),
+        "octomap_insert_ms": statistics.median(ray_by_ray.wall),
+        "octomap_discretised_ms": statistics.median(merged.wall),
+        "ratio_to_insert": median_ratio(ray_by_ray.wall, one.wall),
+        "ratio_to_discretised": median_ratio(merged.wall, one.wall),
+        "ratio_2_threads": median_ratio(one.wall, two.wall),
+        "integrate_processor_ms": statistics.median(one.processor),
+        "processor_ratio_to_insert": median_ratio(ray_by_ray.processor, one.processor),
+        "processor_ratio_to_discretised": median_ratio(merged.processor, one.processor),
+        **memory_figures(voxel_map),
+        **octomap_memory(tree, size),
+    }
 
 
 def median_ratio(slow: list[float], fast: list[float]) -> float:
-    """Median over the poses of one time divided by the other."""
+    """Median of one time divided by the other, over the poses that both have seen."""
     return statistics.median(a / b for a, b in zip(slow, fast, strict=False))
 
 

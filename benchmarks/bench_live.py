@@ -3,7 +3,7 @@
 Prints one JSON line: dropped pairs and the delay from the arrival of an image to the arrival of the
 last map update of its stamp, both at a listener in a process of its own.
 
-    python benchmarks/bench_live.py [--frames 100] [--rate 1.0] [--voxel-size 0.05]
+    python benchmarks/bench_live.py [--frames 60] [--rate 1.0] [--voxel-size 0.05]
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def rounded(values: Mapping[str, object]) -> dict[str, object]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--rate", type=float, default=1.0)
     parser.add_argument("--voxel-size", type=float, default=0.05)
     parser.add_argument("--bag", type=Path, help="where the bag is kept between runs")

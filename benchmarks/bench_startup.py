@@ -36,7 +36,7 @@ def seconds_to_first_update(bag: Path) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--bag", type=Path, help="where the bag is kept between runs")
     options = parser.parse_args()
     bag = options.bag or Path("out/bench") / f"room_{options.frames}"

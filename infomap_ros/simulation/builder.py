@@ -206,8 +206,8 @@ class SceneBuilder:
             name="sky",
             type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=(0.80, 0.74, 0.68),
-            rgb2=(0.93, 0.86, 0.78),
+            rgb1=(0.96, 0.92, 0.87),
+            rgb2=(1.0, 0.98, 0.94),
             width=64,
             height=384,
         )

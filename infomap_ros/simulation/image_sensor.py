@@ -25,7 +25,7 @@ class ImageSensorConfig:
         0.25, "Share of light that is lost in the corners", low=0.0, high=0.95
     )
     target_level: float = parameter(
-        105.0, "Mean grey value that the exposure control aims at", low=1.0, high=254.0
+        115.0, "Median grey value that the exposure control aims at", low=1.0, high=254.0
     )
     exposure_step: float = parameter(
         0.125, "Step of the exposure control, as power of two", low=0.001, high=2.0
@@ -62,8 +62,8 @@ class ImageSensor:
         Args:
             light: light on the pixels, 1 = white in full light, any shape.
         """
-        mean = max(float(np.mean(light)), 1e-6)
-        wanted = np.log2(self.config.target_level / (255.0 * mean)) / self.config.exposure_step
+        median = max(float(np.median(light)), 1e-6)
+        wanted = np.log2(self.config.target_level / (255.0 * median)) / self.config.exposure_step
         if self._steps is None:
             self._steps = round(wanted)
         else:
@@ -81,7 +81,6 @@ class ImageSensor:
         """
         config = self.config
         electrons = config.full_well * self.exposure * gain * light * self._falloff(light.shape)
-        electrons = np.minimum(electrons, config.full_well)
         noisy = self._rng.normal(electrons, np.sqrt(electrons + config.read_noise**2))
         return np.clip(np.rint(255.0 * noisy / config.full_well), 0, 255).astype(np.uint8)
 

@@ -42,7 +42,7 @@ from infomap_ros.simulation.robot import (
     read_description,
     stereo_baseline,
 )
-from infomap_ros.simulation.scenes import SceneConfig, rover_rocks
+from infomap_ros.simulation.scenes import SceneConfig, build_scene, describe_scene
 from infomap_ros.simulation.stereo_camera import StereoCamera, StereoCameraConfig
 from infomap_ros.simulation.survey import Survey
 
@@ -107,7 +107,8 @@ class Recorder:
     def __init__(self, config: RecorderConfig | None = None) -> None:
         self.config = config = config or RecorderConfig()
         self.description = read_description(find_share(config.description), config.baseline or None)
-        self.world: World = rover_rocks(config.scene, self.description)
+        self.scene = describe_scene("rover_rocks", config.scene)
+        self.world: World = build_scene(self.scene, self.description)
         self.camera = StereoCamera(config.camera, stereo_baseline(self.description))
         self._data = self.world.new_data()
         self._robot = RobotState(self.world.model, self._data)
@@ -127,7 +128,9 @@ class Recorder:
 
     def records(self) -> Iterator[tuple[str, Record]]:
         """Topic and record of all other topics, in order of time. Runs once."""
-        yield "/robot_description", TextRecord(self._stamp(0.0), "", self.description)
+        start = self._stamp(0.0)
+        yield "/robot_description", TextRecord(start, "", self.description)
+        yield "/ground_truth/scene", TextRecord(start, "", self.scene)
         with self.camera.renderer(self.world.model) as renderer:
             for time, is_image in _schedule(self.config):
                 duration = time - self._time

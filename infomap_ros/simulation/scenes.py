@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform, transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
@@ -63,6 +67,29 @@ def rover_rocks(config: SceneConfig | None = None, description: str = "") -> Wor
     if description:
         builder.add_robot(description, "paint")
     return builder.compile()
+
+
+SCENES: dict[str, Callable[[SceneConfig, str], World]] = {"rover_rocks": rover_rocks}
+"""Worlds by name."""
+
+
+def describe_scene(name: str, config: SceneConfig) -> str:
+    """Name and parameters of a world as JSON, from which `build_scene` makes it again."""
+    return json.dumps({"scene": name, "config": dataclasses.asdict(config)})
+
+
+def build_scene(text: str, description: str = "") -> World:
+    """Build the world that `describe_scene` described, the robot of `description` in it.
+
+    Raises:
+        InvalidInputError: the text is not such a description or names an unknown scene.
+        ConfigError: a parameter is out of range.
+    """
+    try:
+        content = json.loads(text)
+        return SCENES[content["scene"]](SceneConfig(**content["config"]), description)
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise InvalidInputError("scene", f"{error!r}; known: {', '.join(SCENES)}") from error
 
 
 def _add_materials(builder: SceneBuilder, size: int, rng: np.random.Generator) -> None:

@@ -37,14 +37,12 @@ class SurveyState:
         y: of the base in the world [m].
         heading: yaw of the base, along the way [rad].
         joints: arm joint angles by name [rad].
-        joint_rates: their rates [rad/s].
     """
 
     x: float
     y: float
     heading: float
     joints: dict[str, float]
-    joint_rates: dict[str, float]
 
 
 class Survey:
@@ -64,21 +62,17 @@ class Survey:
         self._way = _smooth(times, keys[:, 1:3])
         self._arm = PchipInterpolator(times, arm)
         self._way_rate = self._way.derivative()
-        self._arm_rate = self._arm.derivative()
 
     def at(self, time: float) -> SurveyState:
         """State at a time [s] from the start; held still before the start and after the end."""
         inside = float(np.clip(time, 0.0, self.duration))
-        moving = 1.0 if inside == time else 0.0
         x, y = self._way(inside)
         direction = self._way_rate(inside)
-        angles, rates = self._arm(inside), self._arm_rate(inside) * moving
         return SurveyState(
             float(x),
             float(y),
             float(np.arctan2(direction[1], direction[0])),
-            dict(zip(ARM_JOINTS, angles.tolist(), strict=True)),
-            dict(zip(ARM_JOINTS, rates.tolist(), strict=True)),
+            dict(zip(ARM_JOINTS, self._arm(inside).tolist(), strict=True)),
         )
 
 

@@ -89,7 +89,9 @@ def draw_map_views(voxel_map: VoxelMap, path: str | Path) -> None:
     sigmas = LogNorm(*_sigma_limits(surface.sigmas))
     figure = Figure(figsize=(15.0, 8.0), layout="constrained")
     FigureCanvasAgg(figure)
-    parts = figure.subplot_mosaic([["top", "side"], ["top", "sigma"]], width_ratios=(1.0, 1.5))
+    parts: dict[str, Axes] = figure.subplot_mosaic(
+        [["top", "side"], ["top", "sigma"]], width_ratios=(1.0, 1.5)
+    )
     axes = [parts[name] for name in ("top", "side", "sigma")]
     cell = _cell(surface.points, voxel_map.config.voxel_size)
     _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "height [m]")

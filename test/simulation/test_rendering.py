@@ -55,7 +55,8 @@ def test_pixel_centres_are_where_the_camera_model_says(world: World, renderer: R
             world.model, data, POSE[:3, 3].copy(), POSE[:3, :3] @ ray, drawn, True, -1, hit, None
         )
         expected = np.nan if length < 0.0 else length
-        assert np.isclose(depth[v, u], expected, atol=1e-4, equal_nan=True)
+        # Half a pixel is 2 to 10 mm on the ground; the depth buffer resolves less than 0.4 mm.
+        assert np.isclose(depth[v, u], expected, atol=4e-4, equal_nan=True)
         assert geoms[v, u] == hit[0]
         compared += 1
     assert compared > 100

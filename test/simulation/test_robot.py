@@ -19,8 +19,10 @@ from infomap_ros.simulation.robot import (
     read_description,
     stereo_baseline,
 )
+from infomap_ros.simulation.survey import ARM_JOINTS
 
 PATH = find_share("config/rover.urdf")
+UPRIGHT = dict.fromkeys(ARM_JOINTS, 0.0)
 ZEROS = dict.fromkeys(
     ("arm_pan_joint", "arm_shoulder_joint", "arm_elbow_joint", "arm_wrist_joint"), 0.0
 )

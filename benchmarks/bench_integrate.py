@@ -3,7 +3,8 @@
 640x480 organised clouds of the room in `room.py`, 5 m range, everything included: occupancy, one
 Gaussian per surface voxel, pose covariance. OctoMap (pyoctomap) gets the points in the map frame,
 so that turning them is not on its bill, and holds occupancy alone; `insert` is insertPointCloud
-ray by ray, `discretised` merges the rays of one end voxel and leaves the inner nodes alone.
+ray by ray on one thread, `discretised` merges the rays of one end voxel and leaves the inner nodes
+alone.
 
     python benchmarks/bench_integrate.py [--poses 20] [--peer-poses 20 3] [--voxel-sizes 0.05 0.02]
 """
@@ -30,6 +31,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.blocks import block_bytes
 from infomap_ros.mapping.gaussians import gaussian_bytes
 
+os.environ["OMP_NUM_THREADS"] = "1"  # OctoMap traces rays on all cores otherwise
 try:
     import pyoctomap
 except ImportError:

@@ -2,14 +2,23 @@
 
 The observation is the mean of the voxel's points with covariance
 
-    C = R (c + (1 - c) / n) C_points R^T  +  J C_pose J^T  +  s^2 / 12 (I - m m^T)
+    v n n^T  +  max(v, s^2 / 12) (I - n n^T),    v = n^T (A + B) n
 
-The first term is the range noise of n points whose errors correlate by c (eqs. 2 and 3 of Sujan and
-Dubowsky 2005, with the frame change in its correct form R C R^T). The second is the error of the
-pose, J = [I, -skew(R x)], added once per scan. The third says that the points may be any of the
-surface patch within the voxel of size s: across the normal m it lies anywhere, along m it does
-not. Without it two views that sample different points of one patch would be triangulated as if
-they had seen the same point.
+    A = R (c + (1 - c) / k) C_points R^T,    B = J C_pose J^T
+
+A is the range noise of k points whose errors correlate by c (eqs. 2 and 3 of Sujan and Dubowsky
+2005, with the frame change in its correct form R C R^T). B is the error of the pose, J = [I,
+-skew(R x)], added once per scan. n is the surface normal, s the voxel size.
+
+Of an error only its part along the normal counts. An error e along the ray moves a point along the
+surface too, but there the point is gathered with those of the voxel where it ends up: the mean of
+the voxel's points is off by n^T e along the normal and by nothing across it. To keep the
+correlation of the two in A would make each scan a thin needle along its rays, and several scans
+would be triangulated to a certainty that none of them has. Across the normal the points may be any
+of the patch within the voxel, s^2 / 12; it is not taken thinner than v, so that normals that differ
+from scan to scan by their noise triangulate nothing either.
+
+Where a voxel holds an edge, no normal is known, and the covariance is A + B + s^2 / 12 I.
 """
 
 from __future__ import annotations
@@ -28,7 +37,7 @@ _AGREEMENT = 0.7
 """Length of the mean of unit normals below which a voxel holds an edge, not a smooth patch."""
 
 _LEAST_VARIANCE = 1e-18
-"""What is left of a variance that rounding has cancelled [m^2]."""
+"""A variance along the normal of no more than this is what rounding left of one [m^2]."""
 
 
 @njit(cache=True, nogil=True)
@@ -97,16 +106,23 @@ def _pose_covariance(p: Any, x: float, y: float, z: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _patch_covariance(nx: float, ny: float, nz: float, size: float) -> Any:
-    """``size^2 / 12 (I - m m^T)`` as (xx, xy, xz, yy, yz, zz)."""
-    s = size * size / 12.0
+def _variance_along(c: Any, nx: float, ny: float, nz: float) -> float:
+    """``n^T C n`` of C = (xx, xy, xz, yy, yz, zz)."""
+    variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
+    return variance + 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
+
+
+@njit(cache=True, nogil=True)
+def _plane_matrix(along: float, across: float, nx: float, ny: float, nz: float) -> Any:
+    """``along n n^T + across (I - n n^T)`` as (xx, xy, xz, yy, yz, zz)."""
+    d = along - across
     return (
-        s * (1.0 - nx * nx),
-        -s * nx * ny,
-        -s * nx * nz,
-        s * (1.0 - ny * ny),
-        -s * ny * nz,
-        s * (1.0 - nz * nz),
+        across + d * nx * nx,
+        d * nx * ny,
+        d * nx * nz,
+        across + d * ny * ny,
+        d * ny * nz,
+        across + d * nz * nz,
     )
 
 
@@ -124,20 +140,15 @@ def _covariance_sums(sums: Any, row: int) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _sum_of_three(a: Any, b: Any, c: Any) -> Any:
-    """Sum of three symmetric matrices given by their upper triangles."""
-    return (
-        a[0] + b[0] + c[0],
-        a[1] + b[1] + c[1],
-        a[2] + b[2] + c[2],
-        a[3] + b[3] + c[3],
-        a[4] + b[4] + c[4],
-        a[5] + b[5] + c[5],
-    )
+def _sum(a: Any, b: Any) -> Any:
+    """Sum of two symmetric matrices given by their upper triangles."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5])
 
 
 @njit(cache=True, nogil=True)
-def _share_inside(distance: float, nx: float, ny: float, nz: float, c: Any, size: float) -> float:
+def _share_inside(
+    distance: float, nx: float, ny: float, nz: float, variance: float, size: float
+) -> float:
     """Probability that the surface lies in the voxel, along the normal.
 
     Args:
@@ -145,13 +156,11 @@ def _share_inside(distance: float, nx: float, ny: float, nz: float, c: Any, size
         nx: unit normal, likewise ny and nz.
         ny: see nx.
         nz: see nx.
-        c: covariance (xx, xy, xz, yy, yz, zz) [m^2].
+        variance: of that distance [m^2].
         size: of the voxel [m].
     """
-    variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
-    variance += 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
     half = 0.5 * size * (abs(nx) + abs(ny) + abs(nz))
-    scale = 1.0 / math.sqrt(2.0 * max(variance, _LEAST_VARIANCE))
+    scale = 1.0 / math.sqrt(2.0 * variance)
     return 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
 
 
@@ -199,20 +208,23 @@ def observe_rows(
         scale = 1.0 / length if smooth else 0.0
         nx, ny, nz = nx * scale, ny * scale, nz * scale
         points = _covariance_sums(sums, row)
-        total = _sum_of_three(
+        total = _sum(
             _rotate_symmetric(
                 sensor.rotation, points, (correlation + (1.0 - correlation) * share) * share
             ),
             _pose_covariance(
                 pose_covariance, centre[0] + ox - t[0], centre[1] + oy - t[1], centre[2] + oz - t[2]
             ),
-            _patch_covariance(nx, ny, nz, size),
         )
-        if not invert_symmetric(total, inverse):
+        inside, patch = min(1.0, np.float64(sums[row, 13])), size * size / 12.0
+        if not invert_symmetric(_sum(total, (patch, 0.0, 0.0, patch, 0.0, patch)), inverse):
             continue
-        inside = min(1.0, np.float64(sums[row, 13]))
         if smooth:
-            inside = _share_inside(ox * nx + oy * ny + oz * nz, nx, ny, nz, total, size)
+            variance = _variance_along(total, nx, ny, nz)
+            if not variance > _LEAST_VARIANCE:
+                continue
+            inside = _share_inside(ox * nx + oy * ny + oz * nz, nx, ny, nz, variance, size)
+            inverse[:] = _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
         hits[row] = int(hit_quanta * inside + 0.5)
         for i in range(6):
             information[row, i] = inverse[i]

@@ -238,5 +238,8 @@ def point_covariance(
         size: of a voxel [m].
     """
     jacobian = np.hstack([np.eye(3), -skew(arm)])
-    patch = size**2 / 12.0 * (np.eye(3) - np.outer(normal, normal))
-    return rotation @ covariance @ rotation.T + jacobian @ pose_covariance @ jacobian.T + patch
+    total = rotation @ covariance @ rotation.T + jacobian @ pose_covariance @ jacobian.T
+    along = normal @ total @ normal
+    across = max(along, size**2 / 12.0)
+    plane = np.outer(normal, normal)
+    return np.asarray(along * plane + across * (np.eye(3) - plane))

@@ -129,9 +129,12 @@ def test_covariance_of_a_voxel_is_that_of_the_formula(rng, count, correlation):
 def test_the_pose_error_does_not_shrink_with_the_number_of_points(rng):
     pose = poses_around(rng, 1)[0]
     noise = random_covariance(rng, 0.01)
-    turned = pose[:3, :3] @ noise @ pose[:3, :3].T
+    sight = VOXEL_CENTRE - pose[:3, 3]
+    sight /= np.linalg.norm(sight)
+    of_one_point = sight @ pose[:3, :3] @ noise @ pose[:3, :3].T @ sight
     one, thousand = covariance_of(1, noise, pose), covariance_of(1000, noise, pose)
-    np.testing.assert_allclose(one - turned, thousand - turned / 1000.0, rtol=1e-3, atol=1e-6)
+    lost = sight @ (one - thousand) @ sight
+    assert lost == pytest.approx(of_one_point * 0.999, rel=1e-2)
     assert np.linalg.eigvalsh(thousand)[0] > POSE_COVARIANCE[0, 0]
     doubled = covariance_of(2000, noise, pose)
     np.testing.assert_allclose(doubled, thousand, rtol=1e-2, atol=1e-6)

@@ -51,7 +51,7 @@ class VoxelMapConfig:
         high=6.0,
     )
     association_limit: float = parameter(
-        4.0, "Limit of that distance, in voxels.", low=0.0, high=64.0
+        3.0, "Limit of that distance, in voxels.", low=0.0, high=64.0
     )
     error_correlation: float = parameter(
         0.0,

@@ -112,6 +112,7 @@ def find_free_blocks(
     top: int,
     blocks: Any,
     states: Any,
+    limit: int,
 ) -> int:
     """List the blocks in which the scan may free voxels.
 
@@ -123,6 +124,7 @@ def find_free_blocks(
         top: the search starts with cubes of 2^top blocks.
         blocks: receives block coordinates, int32, shape (n, 3).
         states: receives FREE or MIXED, uint8, shape (n,).
+        limit: the search ends when more blocks than this are found.
 
     Returns:
         Number of blocks found; only the first n are stored.
@@ -134,16 +136,20 @@ def find_free_blocks(
         for by in range((lowest[1] >> top) << top, highest[1] + 1, side):
             for bx in range((lowest[0] >> top) << top, highest[0] + 1, side):
                 stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = bx, by, bz, top
-                found = _descend(view, pyramid, stack, blocks, states, found)
+                found = _descend(view, pyramid, stack, blocks, states, found, limit)
+                if found > limit:
+                    return found
     return found
 
 
 @njit(cache=True, nogil=True)
-def _descend(view: Any, pyramid: Any, stack: Any, blocks: Any, states: Any, found: int) -> int:
+def _descend(
+    view: Any, pyramid: Any, stack: Any, blocks: Any, states: Any, found: int, limit: int
+) -> int:
     """Work off a stack of cubes (block coordinates, level); see `find_free_blocks`."""
     depth = 1
     edge = BLOCK_SIDE * view.size
-    while depth > 0:
+    while depth > 0 and found <= limit:
         depth -= 1
         bx, by, bz, level = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
         side = 1 << level

@@ -128,10 +128,11 @@ class ScanGatherer:
             config.voxel_size,
         )
         lowest, highest = _frustum_blocks(measured, config)
+        limit = int(config.memory_limit * 1e9 / _FREE_BLOCK_BYTES)
         while True:
             states = np.empty(len(self._blocks), np.uint8)
             count = free_space.find_free_blocks(
-                view, self._pyramid, lowest, highest, _TOP_LEVEL, self._blocks, states
+                view, self._pyramid, lowest, highest, _TOP_LEVEL, self._blocks, states, limit
             )
             if count <= len(self._blocks):
                 break
@@ -192,7 +193,7 @@ class ScanGatherer:
         limit = self._config.memory_limit * 1e9
         if count * _FREE_BLOCK_BYTES > limit:
             raise CapacityError(
-                f"one scan sees through {count} blocks of {BLOCK_SIDE}^3 voxels, too many for the "
+                f"one scan sees through {count} blocks or more of {BLOCK_SIDE}^3 voxels, too many for the "
                 f"memory limit of {self._config.memory_limit:g} GB: reduce max_range or enlarge "
                 "voxel_size"
             )

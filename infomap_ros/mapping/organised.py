@@ -92,6 +92,9 @@ def tile_normal(
 def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
     """A usable pixel of a tile, as near its middle as there is; (-1, -1) when there is none."""
     height, width = points.shape[0], points.shape[1]
+    v, u = min(v0 + TILE // 2, height - 1), min(u0 + TILE // 2, width - 1)
+    if _usable(points, v, u):
+        return v, u
     best, best_v, best_u = 1e9, -1, -1
     for v in range(v0, min(v0 + TILE, height)):
         for u in range(u0, min(u0 + TILE, width)):
@@ -143,6 +146,8 @@ def gather_organised(
     reach, axis, normal = np.zeros(3), np.zeros(3), np.zeros(3)
     groups = np.zeros((TILE * TILE + 1, GROUP_SIZE))
     shared = len(covariances) == 1
+    lower[first_row >> 1 : (last_row + 1) >> 1] = np.inf
+    upper[first_row >> 1 : (last_row + 1) >> 1] = -np.inf
     for v0 in range(first_row, last_row, TILE):
         for u0 in range(0, width, TILE):
             v, u = _tile_centre(points, v0, u0)
@@ -189,24 +194,34 @@ def _depth_margin(sensor: Any, c: Any, variance: float, dx: float, dy: float, dz
 
 
 @njit(cache=True, nogil=True)
-def _slot_of(groups: Any, last: int, i: float, j: float, k: float) -> Any:
-    """Slot of the group of voxel (i, j, k); the first free slot if there is none yet.
-
-    Args:
-        groups: of the tile, a free slot has no points.
-        last: slot of the pixel before, tried first.
-        i: voxel, likewise j and k.
-        j: see i.
-        k: see i.
-    """
-    if groups[last, 1] == i and groups[last, 2] == j and groups[last, 3] == k:
-        return last
+def _slot_of(groups: Any, i: float, j: float, k: float) -> Any:
+    """Slot of the group of voxel (i, j, k), made if need be."""
     slot = 0
     while groups[slot, 0] > 0.0:
         if groups[slot, 1] == i and groups[slot, 2] == j and groups[slot, 3] == k:
             return slot
         slot += 1
+    groups[slot, 1], groups[slot, 2], groups[slot, 3] = i, j, k
     return slot
+
+
+@njit(cache=True, nogil=True)
+def _add_run(groups: Any, i: float, j: float, k: float, run: Any) -> None:
+    """Add consecutive points of voxel (i, j, k) to its group.
+
+    Args:
+        groups: of the tile, a free slot has no points.
+        i: voxel, likewise j and k.
+        j: see i.
+        k: see i.
+        run: number of points, sums of their offsets (3) and covariances (6).
+    """
+    if run[0] == 0.0:
+        return
+    slot = _slot_of(groups, i, j, k)
+    groups[slot, 0] += run[0]
+    for n in range(1, 10):
+        groups[slot, 3 + n] += run[n]
 
 
 @njit(cache=True, nogil=True)
@@ -228,13 +243,10 @@ def _gather_tile(
     c0, c1, c2, c3, c4, c5 = columns
     squared_range = sensor.max_range**2
     stride = 0 if len(covariances) == 1 else 1
-    last = 0
+    i = j = k = np.inf
+    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
     for v in range(v0, min(v0 + TILE, height)):
         for u in range(u0, min(u0 + TILE, width)):
-            cell_v, cell_u = v >> 1, u >> 1
-            if (v & 1) | (u & 1) == 0:
-                lower[cell_v, cell_u] = np.inf
-                upper[cell_v, cell_u] = -np.inf
             x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
             squared = x * x + y * y + z * z
             if not (z > NEAREST and squared < np.inf):
@@ -245,28 +257,28 @@ def _gather_tile(
                 tallies[1] += 1
             else:
                 row = stride * (v * width + u)
-                xx, yy, zz = covariances[row, c0], covariances[row, c3], covariances[row, c5]
-                if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
+                a, d, f = covariances[row, c0], covariances[row, c3], covariances[row, c5]
+                if not (a > 0.0 and d > 0.0 and f > 0.0 and a + d + f < np.inf):
                     tallies[3] += 1
                     continue
                 mx, my, mz = voxel_position(sensor, x, y, z)
                 if not within_limit(mx, my, mz):
                     tallies[2] += 1
                     continue
-                tallies[0] += 1
-                i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
-                last = _slot_of(groups, last, i, j, k)
-                if groups[last, 0] == 0.0:
-                    groups[last, 1], groups[last, 2], groups[last, 3] = i, j, k
-                groups[last, 0] += 1.0
-                groups[last, 4] += mx - i - 0.5
-                groups[last, 5] += my - j - 0.5
-                groups[last, 6] += mz - k - 0.5
-                groups[last, 7] += xx
-                groups[last, 8] += covariances[row, c1]
-                groups[last, 9] += covariances[row, c2]
-                groups[last, 10] += yy
-                groups[last, 11] += covariances[row, c4]
-                groups[last, 12] += zz
-            lower[cell_v, cell_u] = min(lower[cell_v, cell_u], depth)
-            upper[cell_v, cell_u] = max(upper[cell_v, cell_u], depth)
+                dx, dy, dz = mx - i, my - j, mz - k
+                if not (0.0 <= dx < 1.0 and 0.0 <= dy < 1.0 and 0.0 <= dz < 1.0):
+                    _add_run(groups, i, j, k, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz))
+                    tallies[0] += int(count)
+                    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
+                    i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
+                    dx, dy, dz = mx - i, my - j, mz - k
+                count += 1.0
+                ox, oy, oz = ox + (dx - 0.5), oy + (dy - 0.5), oz + (dz - 0.5)
+                xx, yy, zz = xx + a, yy + d, zz + f
+                xy += covariances[row, c1]
+                xz += covariances[row, c2]
+                yz += covariances[row, c4]
+            lower[v >> 1, u >> 1] = min(lower[v >> 1, u >> 1], depth)
+            upper[v >> 1, u >> 1] = max(upper[v >> 1, u >> 1], depth)
+    _add_run(groups, i, j, k, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz))
+    tallies[0] += int(count)

@@ -193,8 +193,8 @@ class ScanGatherer:
         limit = self._config.memory_limit * 1e9
         if count * _FREE_BLOCK_BYTES > limit:
             raise CapacityError(
-                f"one scan sees through {count} blocks or more of {BLOCK_SIDE}^3 voxels, too many for the "
-                f"memory limit of {self._config.memory_limit:g} GB: reduce max_range or enlarge "
+                f"one scan sees through {count} blocks or more of {BLOCK_SIDE}^3 voxels, too "
+                f"many for the memory limit of {self._config.memory_limit:g} GB: reduce max_range or enlarge "
                 "voxel_size"
             )
 

@@ -194,8 +194,8 @@ class ScanGatherer:
         if count * _FREE_BLOCK_BYTES > limit:
             raise CapacityError(
                 f"one scan sees through {count} blocks or more of {BLOCK_SIDE}^3 voxels, too "
-                f"many for the memory limit of {self._config.memory_limit:g} GB: reduce max_range or enlarge "
-                "voxel_size"
+                f"many for the memory limit of {self._config.memory_limit:g} GB: reduce max_range "
+                "or enlarge voxel_size"
             )
 
 

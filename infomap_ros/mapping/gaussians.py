@@ -2,7 +2,7 @@
 
 A row holds the information matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and the information vector
 [1/m] of the surface point relative to the voxel's centre, float32. Merging two estimates is a sum
-(eq. 4 of Sujan and Dubowsky 2005, https://doi.org/10.1177/0278364905052391, in its symmetric form
+(eq. 4 of Sujan and Dubowsky 2005, https://doi.org/10.1177/0278364905051774, in its symmetric form
 ``C = (C1^-1 + C2^-1)^-1``), so the order of measurements does not matter.
 
 Voxels are found through an open-addressing table whose size need not be a power of two; it stays

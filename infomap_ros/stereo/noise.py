@@ -5,7 +5,7 @@ bound) plus that of matching, a power law of the photometric residual and of the
 texture (see `sigma_from_quality`). With
 ``D = d + principal_offset`` (zero at infinity), ``z = f B / D`` and ``r = sigma_d / D`` the range
 statistics are taken to second order, because a first-order covariance is biased and too small at
-long range (Sibley, Matthies, Sukhatme 2005, DOI 10.1109/IROS.2005.1545270):
+long range (Sibley, Matthies, Sukhatme, ISRR 2005):
 
     E[f B / (D + e)] = z (1 + r^2 + ...),  so z_hat = (f B / D) (1 - r^2)
     Var[z_hat] = z^2 r^2 (1 + 2 r^2 + ...)

@@ -42,19 +42,20 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     count = int(blocks.counts[BLOCK_COUNT])
     room = min(limit, int(np.bitwise_count(blocks.dirty[:count]).sum()))
     indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
-    has_gaussian = np.empty(room, np.bool_)
-    means, covariances = np.full((room, 3), np.nan), np.full((room, 3, 3), np.nan)
-    found = queries.take_dirty(
+    owners = np.empty(room, np.int64)
+    found = queries.list_dirty(blocks, room, indices, quanta, owners)
+    indices, quanta, owners = indices[:found], quanta[:found], owners[:found]
+    has_gaussian = np.empty(found, np.bool_)
+    means, covariances = np.full((found, 3), np.nan), np.full((found, 3, 3), np.nan)
+    queries.describe_surface(
         blocks,
         storage.gaussians,
         size,
-        room,
         indices,
         quanta,
+        owners,
         has_gaussian,
         means,
         covariances,
     )
-    return VoxelChanges(
-        indices[:found], quanta[:found], has_gaussian[:found], means[:found], covariances[:found]
-    )
+    return VoxelChanges(indices, quanta, has_gaussian, means, covariances)

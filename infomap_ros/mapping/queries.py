@@ -173,46 +173,72 @@ def total_entropy(blocks: Any, quantum: float, low: Any, high: Any) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
-def take_dirty(
+def list_dirty(blocks: Any, limit: int, indices: Any, quanta: Any, owners: Any) -> int:
+    """List up to `limit` known voxels that changed, and forget that they changed.
+
+    Args:
+        blocks: a `BlockArrays` that tracks changes.
+        limit: room in the arrays below.
+        indices: receives voxel coordinates, shape (limit, 3).
+        quanta: receives the clipped evidence, shape (limit,).
+        owners: receives block slot * 512 + local index, shape (limit,).
+
+    Returns:
+        Number of voxels listed.
+    """
+    dirty, kinds, bases, planes = blocks.dirty, blocks.kind, blocks.base, blocks.plane
+    narrow, wide, keys = blocks.narrow, blocks.wide, blocks.keys
+    found = 0
+    for slot in range(blocks.counts[BLOCK_COUNT]):
+        kind, base, row = kinds[slot], np.int64(bases[slot]), planes[slot]
+        x, y, z = unpack(keys[slot])
+        for word in range(8):
+            bits = dirty[slot, word]
+            bit = 0
+            while bits != 0 and found < limit:
+                if bits & _ONE:
+                    local = word * 64 + bit
+                    known, evidence = kind == UNIFORM, base
+                    if kind == NARROW:
+                        known = narrow[row, local] != NARROW_UNKNOWN
+                        evidence = base + narrow[row, local]
+                    elif kind == WIDE:
+                        known = wide[row, local] != WIDE_UNKNOWN
+                        evidence = base + wide[row, local]
+                    if known:  # else so far a voxel to which a nearby surface may belong
+                        indices[found, 0] = x * BLOCK_SIDE + (local & 7)
+                        indices[found, 1] = y * BLOCK_SIDE + ((local >> 3) & 7)
+                        indices[found, 2] = z * BLOCK_SIDE + (local >> 6)
+                        quanta[found] = clipped(evidence)
+                        owners[found] = slot * BLOCK_VOXELS + local
+                        found += 1
+                bits >>= _ONE
+                bit += 1
+            dirty[slot, word] = (bits << np.uint64(bit)) if bits != 0 else np.uint64(0)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def describe_surface(
     blocks: Any,
     gaussians: Any,
     size: float,
-    limit: int,
     indices: Any,
     quanta: Any,
+    owners: Any,
     has_gaussian: Any,
     means: Any,
     covariances: Any,
-) -> int:
-    """List up to `limit` changed voxels and forget that they changed; returns their number."""
+) -> None:
+    """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
     work, mean = np.empty(6), np.empty(3)
-    found = 0
-    for slot in range(blocks.counts[BLOCK_COUNT]):
-        for word in range(8):
-            bits = blocks.dirty[slot, word]
-            if bits == 0:
-                continue
-            for bit in range(64):
-                if not (bits >> np.uint64(bit)) & _ONE:
-                    continue
-                if found == limit:
-                    return found
-                blocks.dirty[slot, word] &= ~(_ONE << np.uint64(bit))
-                local = word * 64 + bit
-                owner = slot * BLOCK_VOXELS + local
-                known, evidence = quanta_at(blocks, slot, local)
-                if not known:  # so far only a voxel to which a nearby surface may belong
-                    continue
-                x, y, z = voxel_of(blocks, owner)
-                indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
-                quanta[found] = clipped(evidence)
-                row = find_gaussian(gaussians, owner)
-                has_gaussian[found] = row >= 0 and is_surface(
-                    blocks, gaussians, row, 0.5 * size, work, mean
-                )
-                if has_gaussian[found]:
-                    for i in range(3):
-                        means[found, i] = (indices[found, i] + 0.5) * size + mean[i]
-                    store_covariance(work, covariances[found])
-                found += 1
-    return found
+    for voxel in range(len(quanta)):
+        has_gaussian[voxel] = False
+        if quanta[voxel] <= 0:
+            continue
+        row = find_gaussian(gaussians, owners[voxel])
+        if row >= 0 and is_surface(blocks, gaussians, row, 0.5 * size, work, mean):
+            has_gaussian[voxel] = True
+            for i in range(3):
+                means[voxel, i] = (indices[voxel, i] + 0.5) * size + mean[i]
+            store_covariance(work, covariances[voxel])

@@ -14,10 +14,10 @@ from numba import njit
 from infomap_ros.mapping.block_kernels import (
     add_quanta,
     add_quanta_to_all,
+    clipped,
     find_block,
     find_or_add_block,
     make_room,
-    mark_dirty,
 )
 from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN
 from infomap_ros.mapping.gaussians import INFORMATION_SIZE, gaussian_row
@@ -92,8 +92,8 @@ def merge_rows_into_map(
         First row that was not merged because the table is full, or `last`.
     """
     table, owner = gaussians.table, gaussians.owner
-    stored, counts = gaussians.information, gaussians.counts
-    tracked = len(blocks.dirty) > 0
+    stored, counts, dirty = gaussians.information, gaussians.counts, blocks.dirty
+    tracked = len(dirty) > 0
     for row in range(first, last):
         if information[row, 0] > 0.0:
             place = gaussian_row(table, owner, counts, owners[row], stored)
@@ -102,7 +102,8 @@ def merge_rows_into_map(
             for i in range(INFORMATION_SIZE):
                 stored[place, i] += information[row, i]
             if tracked:
-                mark_dirty(blocks, owners[row] >> 9, owners[row] & 511)
+                bit = np.uint64(owners[row] & 63)
+                dirty[owners[row] >> 9, (owners[row] & 511) >> 6] |= _ONE << bit
     return last
 
 
@@ -145,21 +146,37 @@ def free_voxels(
 
 @njit(cache=True, nogil=True)
 def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
-    if blocks.kind[slot] == NARROW and len(blocks.dirty) == 0:
-        plane = blocks.narrow[blocks.plane[slot]]
-        origin = np.int8(-blocks.base[slot])
-        step = np.int8(miss)
-        for word in range(8):
-            pattern = bits[word]
-            for i in range(64):
-                delta = plane[word * 64 + i]
-                old = origin if delta == NARROW_UNKNOWN else delta
-                is_free = (pattern >> np.uint64(i)) & _ONE
-                plane[word * 64 + i] = np.int8(old + step) if is_free else delta
+    """Add a miss to the voxels of a block whose bits are set."""
+    if blocks.kind[slot] != NARROW:
+        for local in range(BLOCK_VOXELS):
+            if (bits[local >> 6] >> np.uint64(local & 63)) & _ONE:
+                add_quanta(blocks, slot, local, miss)
         return
-    for local in range(BLOCK_VOXELS):
-        if (bits[local >> 6] >> np.uint64(local & 63)) & _ONE:
-            add_quanta(blocks, slot, local, miss)
+    plane = blocks.narrow[blocks.plane[slot]]
+    base = np.int64(blocks.base[slot])
+    if len(blocks.dirty):
+        _mark_freed(blocks.dirty[slot], plane, base, bits, miss)
+    origin, step = np.int8(-base), np.int8(miss)
+    for word in range(8):
+        pattern = bits[word]
+        for i in range(64):
+            delta = plane[word * 64 + i]
+            old = origin if delta == NARROW_UNKNOWN else delta
+            is_free = (pattern >> np.uint64(i)) & _ONE
+            plane[word * 64 + i] = np.int8(old + step) if is_free else delta
+
+
+@njit(cache=True, nogil=True)
+def _mark_freed(dirty: Any, plane: Any, base: int, bits: Any, miss: int) -> None:
+    """Mark the voxels of a NARROW block that a miss will change."""
+    for word in range(8):
+        pattern, changed = bits[word], np.uint64(0)
+        for i in range(64):
+            delta = np.int64(plane[word * 64 + i])
+            told = clipped(base + delta) != clipped(base + delta + miss)
+            if delta == NARROW_UNKNOWN or told:
+                changed |= _ONE << np.uint64(i)
+        dirty[word] |= changed & pattern
 
 
 @njit(cache=True, nogil=True)

@@ -75,30 +75,31 @@ class ScanGatherer:
         upper = levels.upper[:ground].reshape(shape)
         part_tallies = np.zeros((len(self._parts), 4), np.int64)
 
-        def gather(part: int, first: int, last: int) -> None:
+        def gather(part: int, first: int, last: int) -> bool:
+            return gather_organised(
+                self._parts[part],
+                sensor,
+                measured.pose_covariance,
+                measured.points,
+                measured.covariances,
+                measured.columns,
+                camera.fx,
+                first,
+                last,
+                lower,
+                upper,
+                part_tallies[part],
+            )
+
+        def gather_strips(part: int, strips: list[tuple[int, int]]) -> None:
             while True:
                 scan.clear_rows(self._parts[part])
                 part_tallies[part] = 0
-                if gather_organised(
-                    self._parts[part],
-                    sensor,
-                    measured.pose_covariance,
-                    measured.points,
-                    measured.covariances,
-                    measured.columns,
-                    camera.fx,
-                    first,
-                    last,
-                    lower,
-                    upper,
-                    part_tallies[part],
-                ):
+                if all(gather(part, first, last) for first, last in strips):
                     return
                 self._parts[part] = scan.empty_rows(2 * len(self._parts[part].keys))
 
-        for part in self._parts:
-            scan.clear_rows(part)
-        self._workers.run(gather, camera.height, TILE)
+        self._workers.deal(gather_strips, camera.height, TILE)
         pyramid.build_pyramid(levels)
         pyramid.spread_pyramid(levels)
         tallies += part_tallies.sum(axis=0)

@@ -65,11 +65,15 @@ def _processes(context) -> list[Node]:
         "voxel_size": float(given["voxel_size"]),
         "error_correlation": sensor.error_correlation,
     }
+    left_image = "left/image_raw" if truth["rectify"] else "left/image_rect"
+    image = "depth/image_rect" if given["source"] == "depth" else left_image
     player_parameters = {
         "bag": bag,
         "rate": float(given["rate"]),
         "loop": truth["loop"],
         "acknowledged": truth["acknowledged"],
+        # One of each node: the first start compiles, and nothing should be played before.
+        "wait_for_subscribers": [image, "camera_pose"],
     }
     clock = {"use_sim_time": bool(bag)}
     if bag:  # all publishers are our own and reliable, so nothing need be lost

@@ -87,7 +87,8 @@ def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleTy
         known = node_parameters(configs)
         for key, value in settings_of(nodes[name]).items():
             if key != "use_sim_time" and not key.startswith("qos_overrides"):
-                assert isinstance(value, type(known[key][0])), key
+                kind = type(known[key][0])
+                assert isinstance(value, list if kind is tuple else kind), key
         assert nodes[name].parameters[0] == str(find_share(f"config/{name}.yaml"))
 
 
@@ -98,3 +99,19 @@ def test_processes_get_the_environment_of_large_messages(
 
     for node in nodes_of(launch_file).values():
         assert node.additional_env["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith(".xml")
+
+
+@pytest.mark.parametrize(
+    ("given", "image"),
+    [
+        ({}, "left/image_raw"),
+        ({"rectify": "false"}, "left/image_rect"),
+        ({"source": "depth"}, "depth/image_rect"),
+    ],
+)
+def test_the_player_waits_for_both_nodes(
+    launch_file: ModuleType, given: dict[str, str], image: str
+) -> None:
+    nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)
+
+    assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [image, "camera_pose"]

@@ -30,8 +30,8 @@ class IntegrationReport:
     Attributes:
         points_used: points that informed the map.
         points_out_of_range: points beyond ``max_range``; they only free space.
-        points_refused: points outside the coordinate limits or the camera's image, or with a
-            covariance that is not positive.
+        points_refused: points outside the coordinate limits or the camera's image, behind another
+            point in their pixel, or with a covariance that is not positive.
         voxels_observed: voxels that received an observation.
         blocks_seen_through: blocks in which voxels were freed.
     """

@@ -29,7 +29,7 @@ class Scan:
         transform: T_map_sensor, shape (4, 4).
         pose_covariance: shape (6, 6); zero where none was given.
         camera: or None for an unorganised cloud.
-        outside: points that the camera cannot have seen.
+        outside: points that the camera cannot have seen, beside its image or behind another point.
     """
 
     points: NDArray[np.float32]
@@ -120,4 +120,5 @@ def _organise(
         spread = np.zeros((camera.height * camera.width, table.shape[1]), np.float32)
         spread[place] = table[order]
         table = spread
-    return organised, table, int(np.count_nonzero(finite & ~seen))
+    used = int(np.count_nonzero(np.isfinite(organised[:, 2])))
+    return organised, table, int(np.count_nonzero(finite)) - used

@@ -227,3 +227,9 @@ def test_no_numbers_bring_the_map_down(camera, points, variances, offset):
     assert distances.max(initial=0.0) < 3.0 + 8 * 0.1 * 2
     _, means, covariances = voxel_map.gaussians()
     assert np.isfinite(means).all() and np.isfinite(covariances).all()
+
+
+def test_points_behind_another_in_their_pixel_are_counted() -> None:
+    near = WALL.reshape(-1, 3)[[40, 41, 42]]
+    report = mapped().integrate(np.concatenate([near, 1.5 * near]), np.eye(4), camera=CAMERA)
+    assert (report.points_used, report.points_refused) == (3, 3)

@@ -7,8 +7,11 @@ BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 READY := $(STAMPS)/package $(STAMPS)/tf2
 
+OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'
-HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libEGL_mesa.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
+HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libOpenGL.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
+RENDER = from infomap_ros.simulation.backend import select_backend; select_backend(); import mujoco; \
+	mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
 HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
@@ -25,7 +28,7 @@ setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels,
 demo: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo
 	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
 
-test: $(READY) $(STAMPS)/opengl  ## every test
+test: $(READY) $(STAMPS)/rendering  ## every test
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)
 
 lint: $(READY)  ## style
@@ -60,7 +63,7 @@ $(STAMPS)/venv:
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
 	$(HAS_HEADERS) || missing="$$missing python3-dev"; \
 	command -v c++ >/dev/null || missing="$$missing g++"; \
-	$(HAS_OPENGL) || missing="$$missing libegl1 libegl-mesa0"; \
+	$(HAS_OPENGL) || missing="$$missing $(OPENGL)"; \
 	test -z "$$missing" || echo "missing outside Python: sudo apt-get install$$missing" >&2; \
 	case "$$missing" in *venv*) exit 1 ;; esac
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -69,7 +72,8 @@ $(STAMPS)/venv:
 
 $(STAMPS)/packages: requirements.lock | $(STAMPS)/venv
 	@echo "installing the Python packages of requirements.lock into $(VENV), one to three minutes"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 \
+		-r requirements.lock
 	@touch $@
 
 $(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
@@ -83,6 +87,7 @@ $(STAMPS)/tf2: | $(STAMPS)/package
 	else echo "going on without tf2_msgs: the nodes publish no tf" >&2; fi
 
 # The simulated camera renders off screen; recorded bags are mapped without.
-$(STAMPS)/opengl: | $(STAMPS)/venv
-	@$(HAS_OPENGL) || { echo "OpenGL is missing: sudo apt-get install libegl1 libegl-mesa0" >&2; exit 1; }
+$(STAMPS)/rendering: | $(STAMPS)/package
+	@$(BIN)/python -c '$(RENDER)' 2>/dev/null || \
+		{ echo "rendering needs: sudo apt-get install $(OPENGL)" >&2; exit 1; }
 	@touch $@

@@ -11,8 +11,9 @@ import os
 import sys
 
 ADVICE = (
-    "MuJoCo cannot draw images on this machine: neither EGL nor OSMesa works. On Debian or "
-    "Ubuntu run 'apt-get install libegl1 libegl-mesa0', or 'apt-get install libosmesa6'."
+    "MuJoCo cannot draw images on this machine: neither EGL nor OSMesa works. On Debian or Ubuntu "
+    "run 'apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0', or 'apt-get install "
+    "libosmesa6'."
 )
 
 _VARIABLE = "MUJOCO_GL"

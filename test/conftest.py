@@ -34,6 +34,6 @@ def package_copy(tmp_path: Path) -> Path:
     leave_out = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
     for folder in ("infomap_ros", "resource", "config", "launch", "bags"):
         shutil.copytree(REPOSITORY / folder, copy / folder, ignore=leave_out)
-    for name in ("package.xml", "setup.py", "setup.cfg", "README.md", "LICENSE"):
+    for name in ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(REPOSITORY / name, copy / name)
     return copy

@@ -87,8 +87,7 @@ def test_pip_puts_the_command_on_the_path(package_copy: Path, tmp_path: Path) ->
     options = ("--no-deps", "--no-build-isolation", "--no-index", "--prefix", prefix)
     pip = (sys.executable, "-m", "pip", "install", "--quiet", "--ignore-installed")
     run(*pip, *options, package_copy, cwd=tmp_path)
-    root = prefix / "local" if (prefix / "local").is_dir() else prefix  # Debian's pip adds it
-    scripts = {path.name for path in (root / "bin").iterdir()}
+    scripts = {path.name for path in (prefix / "bin").iterdir()}
     assert {"infomap", "stereo_range", "map_fusion", "bag_player"} <= scripts
-    assert (root / "share" / "ament_index/resource_index/packages/infomap_ros").is_file()
-    assert (root / "share" / "infomap_ros" / "config" / "fastdds.xml").is_file()
+    assert (prefix / "share" / "ament_index/resource_index/packages/infomap_ros").is_file()
+    assert (prefix / "share" / "infomap_ros" / "config" / "fastdds.xml").is_file()

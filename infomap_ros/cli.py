@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
@@ -46,10 +46,10 @@ def map_bag(
         Path, typer.Argument(help="rosbag2 folder, .mcap, .db3, or ROS 1 .bag", show_default=False)
     ],
     out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
-    voxel_size: Annotated[float | None, typer.Option(help="edge of a voxel [m]")] = None,
-    max_range: Annotated[float | None, typer.Option(help="farthest mapped point [m]")] = None,
-    source: Annotated[str | None, typer.Option(help="auto, stereo or depth")] = None,
-    rectify: Annotated[str | None, typer.Option(help="auto, yes or no")] = None,
+    voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel [m]")] = None,
+    max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
+    source: Annotated[Optional[str], typer.Option(help="auto, stereo or depth")] = None,
+    rectify: Annotated[Optional[str], typer.Option(help="auto, yes or no")] = None,
     left_image: _Topic = "",
     right_image: _Topic = "",
     left_info: _Topic = "",
@@ -58,13 +58,15 @@ def map_bag(
     info: _Topic = "",
     pose_topic: _Topic = "",
     joints: _Topic = "",
-    map_frame: Annotated[str | None, typer.Option(help="frame of the map")] = None,
-    pose_frame: Annotated[str | None, typer.Option(help="whose pose the pose topic tells")] = None,
+    map_frame: Annotated[Optional[str], typer.Option(help="frame of the map")] = None,
+    pose_frame: Annotated[
+        Optional[str], typer.Option(help="whose pose the pose topic tells")
+    ] = None,
     robot: Annotated[
         str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")
     ] = "",
     setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
+        Optional[list[str]], typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
     ] = None,
     settings: Annotated[
         bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
@@ -133,7 +135,7 @@ def _remarks(run: MapRun, reader: BagReader) -> list[str]:
 @app.command()
 def show(
     map_file: Annotated[Path, typer.Argument(help="a map file", show_default=False)],
-    out: Annotated[Path | None, typer.Option(help="picture to write (.png)")] = None,
+    out: Annotated[Optional[Path], typer.Option(help="picture to write (.png)")] = None,
 ) -> None:
     """Print what a map file holds, and draw it."""
     from infomap_ros.mapping.pictures import draw_map_views
@@ -181,7 +183,8 @@ def calibrate_noise(
     ],
     out: Annotated[Path, typer.Option(help="folder for plot and summary.json", show_default=False)],
     setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="stereo.NAME=VALUE", help="of the sensor")
+        Optional[list[str]],
+        typer.Option("--set", metavar="stereo.NAME=VALUE", help="of the sensor"),
     ] = None,
     half_sizes: Annotated[bool, typer.Option(help="fit to the pairs at half size too")] = True,
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
@@ -40,7 +41,7 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     if len(blocks.dirty) == 0:
         raise InvalidInputError("take_changes", "changes are not tracked")
     count = int(blocks.counts[BLOCK_COUNT])
-    room = min(limit, int(np.bitwise_count(blocks.dirty[:count]).sum()))
+    room = min(limit, int(_count_bits(blocks.dirty[:count].reshape(-1))))
     indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
     owners = np.empty(room, np.int64)
     found = queries.list_dirty(blocks, room, indices, quanta, owners)
@@ -59,3 +60,18 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
         covariances,
     )
     return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
+
+
+@njit(nogil=True, cache=True)
+def _count_bits(words: NDArray[np.uint64]) -> int:
+    """Number of ones, for words of 64 bits (numpy has it from 2.0 on, ROS Jazzy has numpy 1.26)."""
+    total = 0
+    for word in words:
+        pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+        low, high = pairs & np.uint64(0x3333333333333333), pairs >> np.uint64(2)
+        fours = low + (high & np.uint64(0x3333333333333333))
+        octets = (fours + (fours >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+        sixteens = (octets + (octets >> np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
+        halves = (sixteens + (sixteens >> np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
+        total += int((halves + (halves >> np.uint64(32))) & np.uint64(0xFFFFFFFF))
+    return total

@@ -109,7 +109,9 @@ def random_scene(rng: np.random.Generator) -> AnalyticScene:
     planes = np.array([[*floor, -0.3], [*wall, -rng.uniform(0.7, 1.2)]])
     solids = []
     for i in range(6):
-        place = make_transform(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.5, 0.5, size=3))
+        place = make_transform(
+            Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.5, 0.5, size=3)
+        )
         if i < 3:
             x, y, z = rng.uniform(0.1, 0.6, size=3)
             solids.append(PlacedSolid(Box((x, y, z)), place, f"box {i}"))

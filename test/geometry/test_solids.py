@@ -142,7 +142,10 @@ def scattered_solids(rng: np.random.Generator) -> list[PlacedSolid]:
     solids.append(ConvexPolytope.from_points(0.3 * rng.normal(size=(30, 3))))
     return [
         PlacedSolid(
-            s, make_transform(Rotation.random(rng=rng).as_matrix(), rng.uniform(-1, 1, size=3))
+            s,
+            make_transform(
+                Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, size=3)
+            ),
         )
         for s in solids
     ]

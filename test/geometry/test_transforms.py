@@ -22,7 +22,7 @@ from infomap_ros.geometry import (
 
 
 def random_transform(rng: np.random.Generator) -> np.ndarray:
-    return make_transform(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    return make_transform(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
 
 
 def test_points_move_as_homogeneous_coordinates_say(rng):

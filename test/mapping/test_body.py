@@ -27,7 +27,7 @@ def make_solid(name: str, rng: np.random.Generator) -> PlacedSolid:
         "cylinder": Cylinder(0.2, 0.9),
         "polytope": ConvexPolytope.from_points(0.3 * rng.normal(size=(30, 3))),
     }[name]
-    pose = make_transform(Rotation.random(rng=rng).as_matrix(), rng.uniform(-1, 1, size=3))
+    pose = make_transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, size=3))
     return PlacedSolid(solid, pose, name)
 
 

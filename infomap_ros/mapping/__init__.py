@@ -4,12 +4,26 @@ from infomap_ros.mapping.changes import VoxelChanges
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport
 from infomap_ros.mapping.voxel_map import VoxelMap
+from infomap_ros.mapping.window import (
+    FREE,
+    OCCUPIED,
+    UNCERTAIN,
+    UNKNOWN,
+    OccupancyThresholds,
+    VoxelWindow,
+)
 
 __all__ = [
+    "FREE",
     "LOG_ODDS_QUANTUM",
+    "OCCUPIED",
     "SHARED_LOG_ODDS_LIMIT",
+    "UNCERTAIN",
+    "UNKNOWN",
     "IntegrationReport",
+    "OccupancyThresholds",
     "VoxelChanges",
     "VoxelMap",
     "VoxelMapConfig",
+    "VoxelWindow",
 ]

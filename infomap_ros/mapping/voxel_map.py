@@ -23,6 +23,7 @@ from infomap_ros.mapping.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scan_input import checked_scan
 from infomap_ros.mapping.state import storage_from_state, storage_state
 from infomap_ros.mapping.storage import MapStorage
+from infomap_ros.mapping.window import VoxelWindow, window_of
 
 
 class VoxelMap:
@@ -111,6 +112,14 @@ class VoxelMap:
         indices, quanta = np.empty((count, 3), np.int32), np.empty(count, np.int32)
         queries.list_known(self._storage.blocks, indices, quanta)
         return indices, quanta.astype(np.float32) * np.float32(LOG_ODDS_QUANTUM)
+
+    def window(self, low: ArrayLike, high: ArrayLike) -> VoxelWindow:
+        """Dense copy of the voxels that the box from `low` to `high`, shape (3,) [m], touches.
+
+        Raises:
+            InvalidInputError: it is not a box, or too large for an array.
+        """
+        return window_of(self._storage.blocks, self.config.voxel_size, low, high)
 
     def cast_rays(
         self, origins: ArrayLike, directions: ArrayLike, max_range: float

@@ -1,5 +1,7 @@
 """Robot models, and where they and what they carry can go."""
 
-from infomap_ros.motion.robot_model import JointLimits, RobotModel
+from infomap_ros.motion.chain import KinematicChain
+from infomap_ros.motion.joint_limits import JointLimits
+from infomap_ros.motion.robot_model import RobotModel
 
-__all__ = ["JointLimits", "RobotModel"]
+__all__ = ["JointLimits", "KinematicChain", "RobotModel"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +14,10 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import PlacedSolid, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.body_shapes import BodyShape, body_shapes
+from infomap_ros.motion.chain import KinematicChain
+from infomap_ros.motion.chain_builder import chain_between
+from infomap_ros.motion.joint_limits import JointLimits, joint_limits
 from infomap_ros.motion.urdf import read_urdf
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """A joint that has a position of its own.
-
-    Attributes:
-        name: as in the URDF.
-        lower: smallest position [rad or m]; -inf for a continuous joint.
-        upper: largest position [rad or m]; inf for a continuous joint.
-        velocity: largest speed [rad/s or m/s]; inf where the URDF gives none.
-        is_continuous: turns without end.
-    """
-
-    name: str
-    lower: float
-    upper: float
-    velocity: float
-    is_continuous: bool = False
 
 
 class RobotModel:
@@ -49,6 +33,7 @@ class RobotModel:
         base_frame: frame in which `forward_kinematics` answers.
         camera_frame: optical frame of the camera, empty if none was given.
         joints: the joints that have a position, in the model's order.
+        arm_joints: joints that `arm` moves, empty for all between base and camera.
         model: the Pinocchio model, not to be written to.
     """
 
@@ -58,6 +43,7 @@ class RobotModel:
         shapes: Sequence[BodyShape] = (),
         base_frame: str = "",
         camera_frame: str = "",
+        arm_joints: Sequence[str] = (),
     ) -> None:
         self.model = model
         self.name = str(model.name)
@@ -75,9 +61,12 @@ class RobotModel:
             str(name): index for index, name in enumerate(model.names) if model.joints[index].nq > 0
         }
         self._joint_ids.pop("universe", None)
-        self.joints = tuple(_limits(model, *item) for item in self._joint_ids.items())
+        self.joints = tuple(joint_limits(model, index) for index in self._joint_ids.values())
         body = {self._base_joint} | {shape.joint for shape in self._shapes}
         self._needed_by_body = self._joints_above(body)
+        self.arm_joints = tuple(arm_joints)
+        if self.arm_joints:
+            self.chain(self.arm_joints)
 
     @classmethod
     def from_urdf(
@@ -86,6 +75,7 @@ class RobotModel:
         camera_frame: str = "",
         base_frame: str = "",
         package_folders: Sequence[str | Path] = (),
+        arm_joints: Sequence[str] = (),
     ) -> RobotModel:
         """Read a robot from its URDF.
 
@@ -95,10 +85,12 @@ class RobotModel:
             base_frame: link whose frame is the base; the root link where empty.
             package_folders: where ``package://name/...`` and relative mesh files are looked for,
                 besides the URDF's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
+            arm_joints: joints that `arm` moves; all between base and camera where empty.
 
         Raises:
             RobotModelError: the URDF is missing or malformed, holds a joint or collision shape of
-                an unknown type, a mesh is not found, or a frame is unknown; names the culprit.
+                an unknown type, a mesh is not found, a frame is unknown, or a joint of the arm does
+                not move the camera; names the culprit.
         """
         description = read_urdf(path_or_xml)
         try:
@@ -106,7 +98,35 @@ class RobotModel:
         except (ValueError, RuntimeError) as error:
             raise RobotModelError(f"malformed URDF: {error}") from error
         shapes = body_shapes(model, description, package_folders)
-        return cls(model, shapes, base_frame, camera_frame)
+        return cls(model, shapes, base_frame, camera_frame, arm_joints)
+
+    @cached_property
+    def arm(self) -> KinematicChain:
+        """The chain of `arm_joints` from the base to the camera, the joints between them held.
+
+        Raises:
+            RobotModelError: the robot has no camera frame.
+        """
+        return self.chain(self.arm_joints)
+
+    def chain(
+        self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None
+    ) -> KinematicChain:
+        """A chain of joints from the base to the camera.
+
+        Args:
+            joints: names of those that move; all between base and camera where empty.
+            held: where the others stand [rad or m]; where not given, at zero or at their limit
+                nearest to it. Joints that are not on the way do not matter.
+
+        Raises:
+            RobotModelError: the robot has no camera frame, a joint of `joints` does not move the
+                camera, or a position of `held` is not finite or is that of an unknown joint.
+        """
+        if not self.camera_frame:
+            raise RobotModelError(f"robot '{self.name}' was given no camera frame")
+        ends = self._frame_id(self.base_frame), self._frame_id(self.camera_frame)
+        return chain_between(self.model, *ends, joints, held)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -239,15 +259,3 @@ class RobotModel:
     def _root_frame(self, data: pinocchio.Data, frame: str) -> FloatArray:
         item = self.model.frames[self._frame_id(frame)]
         return np.asarray((data.oMi[item.parentJoint] * item.placement).homogeneous)
-
-
-def _limits(model: pinocchio.Model, name: str, index: int) -> JointLimits:
-    joint = model.joints[index]
-    speed = float(model.upperVelocityLimit[joint.idx_v])
-    speed = speed if speed > 0.0 else math.inf
-    if joint.nq == 2:
-        return JointLimits(name, -math.inf, math.inf, speed, True)
-    lower, upper = (
-        float(x[joint.idx_q]) for x in (model.lowerPositionLimit, model.upperPositionLimit)
-    )
-    return JointLimits(name, lower, upper, speed)

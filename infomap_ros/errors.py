@@ -86,6 +86,18 @@ class MapFileError(InfomapError):
     """A map file is corrupt, truncated, or of an unknown version."""
 
 
+class MissionFileError(InfomapError):
+    """A mission file is missing, corrupt, or holds impossible numbers."""
+
+
+class RunLogError(InfomapError, ValueError):
+    """A run log cannot be read: missing, empty, or not the log of an exploration."""
+
+
+class ExplorationError(InfomapError, RuntimeError):
+    """An exploration cannot go on; says what failed."""
+
+
 class CapacityError(InfomapError, MemoryError):
     """An operation would need more memory than the configuration allows."""
 

@@ -39,6 +39,11 @@ class ArmPath:
         return cls(joint_names, np.array(q, dtype=np.float64)[None], np.zeros(1))
 
     @property
+    def moves(self) -> bool:
+        """Whether the arm moves at all."""
+        return len(self.positions) > 1
+
+    @property
     def duration(self) -> float:
         """Time from start to end [s]; 0 without knots."""
         return float(self.times[-1]) if len(self.times) else 0.0

@@ -1,0 +1,247 @@
+"""The loop of Fig. 3 of Sujan and Dubowsky 2005: look, choose, move, until it is enough."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import Choice, Interrupted, Motion, Planner, Robot
+from infomap_ros.exploration.run_log import RunLog
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.route import Route
+
+
+class EndReason(Enum):
+    """Why an exploration has ended."""
+
+    DONE = "done"
+    NOTHING_LEFT = "nothing left worth its cost"
+    BUDGET_SPENT = "budget spent"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The end of an exploration.
+
+    Attributes:
+        reason: in one of five kinds.
+        detail: in words and numbers.
+    """
+
+    reason: EndReason
+    detail: str
+
+
+class Exploration:
+    """Explores until expanse and resolution suffice, or it is plain that they cannot.
+
+    Args:
+        robot: moves and looks.
+        planner: chooses the next best view.
+        task: what is to be mapped and what it may cost.
+        log: receives every step.
+        control: requests of the user.
+        mission: account of a mission that goes on; a new one where not given.
+        plan_only: choose again and again, and move nothing.
+        on_step: called after each step, for example to save the mission and report the status.
+        clock: seconds; only differences count.
+
+    Attributes:
+        state: what it is doing, in words.
+        last_reason: of the last choice or failure.
+        progress: of the map at the last choice; None before.
+        mission: the account so far.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        planner: Planner,
+        task: TaskConfig,
+        log: RunLog,
+        control: Control | None = None,
+        mission: Mission | None = None,
+        plan_only: bool = False,
+        on_step: Callable[[Exploration], None] = lambda _: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.task, self.mission = task, mission or Mission()
+        self.control = control or Control()
+        self.state, self.last_reason = "starting", ""
+        self.progress: MapProgress | None = None
+        self._robot, self._planner, self._log = robot, planner, log
+        self._plan_only, self._on_step, self._clock = plan_only, on_step, clock
+        self._failures, self._marked = 0, clock()
+
+    def run(self) -> Ending:
+        """Explore to the end; says why it ended.
+
+        What a robot may meet (a view that fails, a way that is blocked) ends in an `Ending`;
+        errors of the robot or planner objects pass through.
+        """
+        self._initialise()
+        ending = self._look()
+        while ending is None:
+            ending = self._obey() or self._take_next_view()
+        self._enter(f"ended: {ending.reason.value}", ending.detail)
+        self._log.write("end", reason=ending.reason.value, detail=ending.detail)
+        return ending
+
+    def _take_next_view(self) -> Ending | None:
+        """Select a camera configuration, move there, acquire and merge what it sees."""
+        choice = self._choose()
+        ending = self._enough(choice.progress)
+        if ending or self.control.interrupted():
+            return ending
+        if choice.pose is None or choice.route is None:
+            return Ending(EndReason.NOTHING_LEFT, choice.reason)
+        if self._plan_only:
+            return self._wait()
+        problem = self._follow(choice.route, self.control.interrupted)
+        if problem and not self.control.interrupted():
+            self._planner.failed(choice.pose, problem)
+            return self._fail(problem)
+        return None if problem else self._look()
+
+    def _initialise(self) -> None:
+        """Note where the mission began."""
+        if not self.mission.home_base:
+            state = self._robot.state()
+            self.mission.home_base = list(planar_pose(state.T_map_base))
+            self.mission.home_joints = dict(state.joints)
+
+    def _look(self) -> Ending | None:
+        """Acquire a view and have it fused."""
+        self._enter("looking")
+        problem = self._robot.look(self.control.interrupted)
+        self._log.write("motion", action="look", outcome=problem, path=[])
+        if self.control.interrupted():
+            return None
+        if problem:
+            return self._fail(f"look: {problem}")
+        self.mission.views += 1
+        self._failures = 0
+        return None
+
+    def _choose(self) -> Choice:
+        """Select the next view, and write down what there is to know about the choice."""
+        self._enter("choosing")
+        choice = self._planner.choose(self._robot.state())
+        self.progress, self.last_reason = choice.progress, choice.reason
+        account = {"views": self.mission.views, "distance": self.mission.distance}
+        self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
+        self._log.write("decision", view=self.mission.views, **choice.explanation)
+        return choice
+
+    def _follow(self, route: Route, interrupted: Interrupted) -> str:
+        """Move arm, base and arm; returns empty, or why it did not come to the end."""
+        robot, problem = self._robot, ""
+        if route.arm_before.moves:
+            problem = self._move("arm", robot.move_arm(route.arm_before, interrupted))
+        if route.moves_base and not problem:
+            problem = self._move("drive", robot.drive(route.base_path, interrupted))
+        if route.arm_after.moves and not problem:
+            problem = self._move("arm", robot.move_arm(route.arm_after, interrupted))
+        return problem
+
+    def _move(self, action: str, motion: Motion) -> str:
+        if action == "drive":
+            self.mission.distance += way_length(motion.path)
+        self._log.write("motion", action=action, outcome=motion.outcome, path=motion.path)
+        self._step()
+        return f"{action}: {motion.outcome}" if motion.outcome else ""
+
+    def _wait(self) -> Ending | None:
+        """Plan only: others move the robot, which looks again after a while."""
+        self._enter("waiting: plan only")
+        self.control.wait(1.0)
+        return self._look()
+
+    def _enough(self, progress: MapProgress) -> Ending | None:
+        """Whether expanse and resolution suffice, or the budget is spent."""
+        task, mission = self.task, self.mission
+        known, sigma = progress.known_fraction, progress.mean_sigma
+        state = (
+            f"{100.0 * known:.1f} % of the reachable surface is known, "
+            f"mean sigma {1e3 * sigma:.1f} mm"
+        )
+        if known >= task.known_fraction and sigma <= task.mean_sigma:
+            return Ending(EndReason.DONE, state)
+        budgets = (
+            (f"{mission.views} views", mission.views >= task.max_views),
+            (f"{mission.distance:.1f} m", mission.distance >= task.max_distance),
+            (f"{mission.seconds:.0f} s", mission.seconds >= task.max_time),
+        )
+        spent = [text for text, is_spent in budgets if is_spent]
+        if spent:
+            return Ending(EndReason.BUDGET_SPENT, f"{' and '.join(spent)} used; {state}")
+        return None
+
+    def _fail(self, reason: str) -> Ending | None:
+        """Count a failure; the end where there are too many."""
+        self._failures += 1
+        self.last_reason = reason
+        self._log.write("message", text=reason, level="warning")
+        if self._failures < self.task.max_failures:
+            return None
+        detail = f"{self._failures} failures one after the other, the last: {reason}"
+        return Ending(EndReason.FAILED, detail)
+
+    def _obey(self) -> Ending | None:
+        """Carry out what the user asks for, until that is to go on or to stop."""
+        while self.control.interrupted():
+            if self.control.request is Request.STOP:
+                return Ending(EndReason.STOPPED, "asked to")
+            if self.control.request is Request.HOME:
+                self._go_home()
+                self.control.answered(Request.HOME, Request.PAUSE)
+            else:
+                self._enter("paused")
+                self.control.wait_while_paused()
+        return None
+
+    def _go_home(self) -> None:
+        """Go to where the mission began; where that fails, say so and stay."""
+        self._enter("going home")
+        home = self.mission.home_base, self.mission.home_joints
+        choice = self._planner.way_home(self._robot.state(), *home)
+        problem = choice.reason
+        if choice.route is not None:
+            control = self.control
+            problem = self._follow(choice.route, lambda: control.request is not Request.HOME)
+        self._log.write("motion", action="home", outcome=problem, path=[])
+        self.last_reason = f"home: {problem}" if problem else "at home"
+
+    def _enter(self, state: str, reason: str | None = None) -> None:
+        self.state = state
+        self.last_reason = self.last_reason if reason is None else reason
+        self._step()
+
+    def _step(self) -> None:
+        now = self._clock()
+        self.mission.seconds += now - self._marked
+        self._marked = now
+        self._on_step(self)
+
+
+def planar_pose(T_map_base: FloatArray) -> tuple[float, float, float]:
+    """x, y [m] and yaw [rad] of a pose, shape (4, 4)."""
+    yaw = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
+    return float(T_map_base[0, 3]), float(T_map_base[1, 3]), yaw
+
+
+def way_length(path: ArrayLike) -> float:
+    """Length of a way through points, shape (n, 3) [m]."""
+    points = np.asarray(path, dtype=np.float64)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) if len(points) > 1 else 0.0

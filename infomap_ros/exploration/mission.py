@@ -1,0 +1,75 @@
+"""What a mission has done so far: survives the process."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from infomap_ros.errors import MissionFileError
+
+
+@dataclass
+class Mission:
+    """The account of a mission.
+
+    Attributes:
+        views: taken so far.
+        distance: way of the base so far [m].
+        seconds: spent so far [s].
+        home_base: base pose at the start (x, y, yaw) [m, rad]; empty before the start.
+        home_joints: joint positions at the start [rad or m].
+    """
+
+    views: int = 0
+    distance: float = 0.0
+    seconds: float = 0.0
+    home_base: list[float] = field(default_factory=list)
+    home_joints: dict[str, float] = field(default_factory=dict)
+
+    def save(self, path: Path) -> None:
+        """Write the account, atomically.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        beside = path.with_name(path.name + ".new")
+        with beside.open("w", encoding="utf-8") as file:
+            json.dump(dataclasses.asdict(self), file)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Mission:
+        """Read an account that `save` wrote.
+
+        Raises:
+            MissionFileError: the file is missing, malformed, or holds impossible numbers.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            mission = cls(
+                int(content["views"]),
+                float(content["distance"]),
+                float(content["seconds"]),
+                [float(number) for number in content["home_base"]],
+                {str(name): float(q) for name, q in content["home_joints"].items()},
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise MissionFileError(f"mission file {path}: {error!r}") from error
+        numbers = (
+            mission.views,
+            mission.distance,
+            mission.seconds,
+            *mission.home_base,
+            *mission.home_joints.values(),
+        )
+        if not all(map(math.isfinite, numbers)) or min(numbers[:3]) < 0.0:
+            raise MissionFileError(f"mission file {path}: holds impossible numbers")
+        if len(mission.home_base) not in (0, 3):
+            raise MissionFileError(f"mission file {path}: home_base is not (x, y, yaw)")
+        return mission

@@ -1,0 +1,94 @@
+"""What the exploration asks of a robot and of what chooses the views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.route import ArmPath, Route
+
+Interrupted = Callable[[], bool]
+"""Whether what is going on is to be broken off."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """Where the robot is.
+
+    Attributes:
+        T_map_base: pose of its base, shape (4, 4).
+        T_map_camera: pose of the left optical frame, shape (4, 4).
+        pose_covariance: of the camera's pose, shape (6, 6), convention of `geometry.transforms`.
+        joints: positions by name [rad or m].
+    """
+
+    T_map_base: FloatArray
+    T_map_camera: FloatArray
+    pose_covariance: FloatArray
+    joints: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What became of a motion.
+
+    Attributes:
+        outcome: empty when the goal was reached, else why not.
+        path: places that the base (or for the arm, the camera) came by, shape (n, 3) [m, map].
+    """
+
+    outcome: str
+    path: Sequence[Sequence[float]] = ()
+
+
+class Robot(Protocol):
+    """A robot with an arm, a base and a stereo camera. Every call is bounded in time."""
+
+    def state(self) -> RobotState:
+        """Where it is now."""
+
+    def look(self, interrupted: Interrupted) -> str:
+        """Take a view from where it is and have it fused; returns empty, or why it failed."""
+
+    def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
+        """Move the arm."""
+
+    def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
+        """Drive through base poses (x, y, yaw), shape (K, 3), map frame [m, rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What the planner says.
+
+    Attributes:
+        progress: state of the map.
+        pose: the chosen view, ``T_map_camera``, shape (4, 4); None when there is none.
+        route: the way there; None when there is none.
+        reason: why this view, or why none.
+        explanation: the entry of the run log, see `run_log`.
+    """
+
+    progress: MapProgress
+    pose: FloatArray | None
+    route: Route | None
+    reason: str
+    explanation: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Planner(Protocol):
+    """Chooses the next best view and the way there. Every call is bounded in time."""
+
+    def choose(self, state: RobotState) -> Choice:
+        """The next best view from `state`."""
+
+    def way_home(
+        self, state: RobotState, base: Sequence[float], joints: Mapping[str, float]
+    ) -> Choice:
+        """The way to a base pose (x, y, yaw) and arm posture."""
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        """Tell that a chosen view could not be reached, so that it is not chosen again at once."""

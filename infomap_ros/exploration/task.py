@@ -1,0 +1,65 @@
+"""What is to be mapped, how well, and what it may cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """A mapping task.
+
+    It is done when expanse and resolution suffice (Fig. 3 of Sujan and Dubowsky 2005): the
+    `known_fraction` of the reachable surface is in the map, and the map's mean standard deviation
+    is at most `mean_sigma`.
+
+    Raises:
+        ConfigError: a value is out of its range, or the region is empty.
+    """
+
+    region_low: tuple[float, ...] = parameter(
+        (-3.0, -3.0, -0.6), "Lower corner of the box that is to be mapped, map frame.", unit="m"
+    )
+    region_high: tuple[float, ...] = parameter(
+        (3.0, 3.0, 1.4), "Upper corner of the box that is to be mapped, map frame.", unit="m"
+    )
+    known_fraction: float = parameter(
+        0.95, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
+    )
+    mean_sigma: float = parameter(
+        0.03,
+        "The map's mean standard deviation along the surface normal must not be larger.",
+        unit="m",
+        low=1e-5,
+        high=10.0,
+    )
+    max_views: int = parameter(80, "Budget of views.", low=1, high=100000)
+    max_distance: float = parameter(
+        300.0, "Budget of the way of the base.", unit="m", low=0.0, high=1e6
+    )
+    max_time: float = parameter(7200.0, "Budget of time.", unit="s", low=1.0, high=1e7)
+    max_failures: int = parameter(
+        5,
+        "So many views or motions that fail one after the other end the exploration.",
+        low=1,
+        high=1000,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        for name in ("region_low", "region_high"):
+            if len(getattr(self, name)) != 3:
+                raise ConfigError(name, getattr(self, name), "three coordinates x, y, z")
+        if not all(low < high for low, high in zip(self.region_low, self.region_high, strict=True)):
+            raise ConfigError("region_high", self.region_high, f"above {self.region_low}")
+
+    @property
+    def region(self) -> FloatArray:
+        """The box as (low, high), shape (2, 3), map frame [m]."""
+        return np.array([self.region_low, self.region_high])

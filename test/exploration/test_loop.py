@@ -1,0 +1,233 @@
+"""The loop ends for a reason, obeys, and writes down what it does."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import ConfigError, MissionFileError
+from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.loop import EndReason, Exploration, planar_pose, way_length
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry import make_transform
+from .fakes import FakePlanner, FakeRobot, Notes, nothing, view
+
+
+class Run:
+    """An exploration with its parts at hand."""
+
+    def __init__(self, *script: object, task: TaskConfig | None = None, **options: object) -> None:
+        self.robot, self.notes, self.control = FakeRobot(), Notes(), Control()
+        self.planner = FakePlanner(*script)  # type: ignore[arg-type]
+        self.states: list[str] = []
+        self.exploration = Exploration(
+            self.robot,
+            self.planner,
+            task or TaskConfig(),
+            self.notes,
+            self.control,
+            on_step=lambda run: self.states.append(run.state),
+            **options,  # type: ignore[arg-type]
+        )
+
+
+def test_done_when_expanse_and_resolution_suffice() -> None:
+    run = Run(view(1.0), view(2.0, known=0.97, sigma=0.02))
+    ending = run.exploration.run()
+    assert ending.reason is EndReason.DONE
+    assert "97.0 %" in ending.detail and "20.0 mm" in ending.detail
+    assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]
+    assert run.exploration.mission.views == 2
+    assert run.exploration.mission.distance == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("known", "sigma"), [(0.97, 0.05), (0.9, 0.01), (0.97, float("nan"))])
+def test_not_done_while_one_of_them_is_short(known: float, sigma: float) -> None:
+    ending = Run(view(1.0, known, sigma), nothing()).exploration.run()
+    assert ending.reason is EndReason.NOTHING_LEFT
+
+
+def test_ends_when_nothing_is_worth_its_cost_and_says_why() -> None:
+    ending = Run(view(1.0), nothing("the best view tells 3 bits")).exploration.run()
+    assert ending == type(ending)(EndReason.NOTHING_LEFT, "the best view tells 3 bits")
+
+
+@pytest.mark.parametrize(
+    ("budget", "word"),
+    [({"max_views": 3}, "3 views"), ({"max_distance": 5.0}, "6.0 m"), ({"max_time": 1.0}, " s ")],
+)
+def test_ends_when_a_budget_is_spent(budget: dict[str, float], word: str) -> None:
+    ticks = iter(np.arange(0.0, 1e4, 0.1))
+    script = [view(x) for x in (1.0, 3.0, 6.0, 7.0)]
+    run = Run(*script, task=TaskConfig(**budget), clock=lambda: float(next(ticks)))
+    ending = run.exploration.run()
+    assert ending.reason is EndReason.BUDGET_SPENT
+    assert word in ending.detail
+
+
+@pytest.mark.parametrize("deed", ["look", "drive", "arm"])
+def test_repeated_failure_ends_with_its_name(deed: str) -> None:
+    run = Run(view(1.0), task=TaskConfig(max_failures=3))
+    run.robot.problems[deed] = "broken cable"
+    ending = run.exploration.run()
+    assert ending.reason is EndReason.FAILED
+    assert f"{deed}: broken cable" in ending.detail and "3 failures" in ending.detail
+    assert run.notes.of("message")[0]["text"] == f"{deed}: broken cable"
+
+
+def test_view_that_could_not_be_reached_is_reported_to_the_planner() -> None:
+    run = Run(view(1.0), view(2.0), nothing())
+    problems = iter(["wheel stuck", ""])
+    run.robot.during = lambda deed: run.robot.problems.update(
+        {"drive": next(problems)} if deed == "drive" else {}
+    )
+    assert run.exploration.run().reason is EndReason.NOTHING_LEFT
+    assert run.planner.failures == ["drive: wheel stuck"]
+    assert run.robot.place == (2.0, 0.0)
+
+
+def test_a_success_in_between_resets_the_count_of_failures() -> None:
+    run = Run(view(1.0), task=TaskConfig(max_failures=2, max_views=5))
+    drives = iter([True, False] * 50)
+
+    def every_other(deed: str) -> None:
+        if deed == "drive":
+            run.robot.problems["drive"] = "slipped" if next(drives) else ""
+
+    run.robot.during = every_other
+    assert run.exploration.run().reason is EndReason.BUDGET_SPENT
+
+
+def test_stop_while_driving_ends_and_moves_no_more() -> None:
+    run = Run(view(1.0))
+    run.robot.during = lambda deed: deed == "drive" and run.control.ask(Request.STOP)  # type: ignore[return-value, func-returns-value]
+    ending = run.exploration.run()
+    assert ending.reason is EndReason.STOPPED
+    assert run.robot.deeds == ["look", "arm", "drive"]
+    assert run.planner.failures == []
+    assert not run.control.ask(Request.RUN)
+
+
+def test_pause_and_resume_choose_anew() -> None:
+    run = Run(view(1.0), view(2.0), nothing())
+    paused = threading.Event()
+
+    def pause_once(deed: str) -> None:
+        if deed == "drive" and not paused.is_set():
+            run.control.ask(Request.PAUSE)
+            threading.Timer(0.0, paused.set).start()
+
+    def resume() -> None:
+        paused.wait()
+        run.control.ask(Request.RUN)
+
+    run.robot.during = pause_once
+    thread = threading.Thread(target=resume)
+    thread.start()
+    assert run.exploration.run().reason is EndReason.NOTHING_LEFT
+    thread.join()
+    assert len(run.planner.states) == 3
+
+
+def test_home_drives_to_where_the_mission_began_and_waits() -> None:
+    run = Run(view(1.0), view(2.0))
+    looks = iter(range(100))
+
+    def ask(deed: str) -> None:
+        if deed == "look" and next(looks) == 2:
+            run.control.ask(Request.HOME)
+
+    def when_home(exploration: Exploration) -> None:
+        if exploration.state == "paused":
+            run.control.ask(Request.STOP)
+
+    run.robot.during = ask
+    run.exploration._on_step = when_home
+    assert run.exploration.run().reason is EndReason.STOPPED
+    assert run.robot.place == (0.0, 0.0)
+    assert run.exploration.mission.distance == pytest.approx(1.0 + 1.0 + 2.0)
+    assert run.exploration.last_reason != ""
+
+
+def test_home_that_cannot_be_reached_is_said() -> None:
+    run = Run(view(1.0))
+    run.planner.home = nothing("no path: a rock")
+    run.robot.during = lambda deed: deed == "drive" and run.control.ask(Request.HOME)  # type: ignore[return-value, func-returns-value]
+    reasons: list[str] = []
+
+    def when_paused(exploration: Exploration) -> None:
+        if exploration.state == "paused":
+            reasons.append(exploration.last_reason)
+            run.control.ask(Request.STOP)
+
+    run.exploration._on_step = when_paused
+    run.exploration.run()
+    assert reasons == ["home: no path: a rock"]
+
+
+def test_plan_only_moves_nothing() -> None:
+    run = Run(view(1.0), view(2.0), view(3.0), nothing(), plan_only=True)
+    run.exploration.control.wait = lambda seconds: None  # type: ignore[method-assign]
+    assert run.exploration.run().reason is EndReason.NOTHING_LEFT
+    assert set(run.robot.deeds) == {"look"}
+    assert len(run.notes.of("decision")) == 4
+
+
+def test_every_step_is_in_the_log() -> None:
+    run = Run(view(1.0), nothing())
+    run.exploration.run()
+    kinds = [kind for kind, _ in run.notes.entries]
+    look, choose = ["motion"], ["progress", "decision"]
+    assert kinds == look + choose + ["motion"] * 3 + look + choose + ["end"]
+    assert [entry["action"] for entry in run.notes.of("motion")] == run.robot.deeds
+    assert run.notes.of("progress")[1]["views"] == 2
+    assert {"looking", "choosing"} <= set(run.states)
+
+
+def test_mission_survives_the_process(tmp_path: Path) -> None:
+    path = tmp_path / "mission.json"
+    first = Run(view(1.0), view(2.0), task=TaskConfig(max_views=3))
+    first.exploration.run()
+    first.exploration.mission.save(path)
+    again = Mission.load(path)
+    assert again == first.exploration.mission
+    second = Run(view(3.0), task=TaskConfig(max_views=4), mission=again)
+    second.robot.place = (2.0, 0.0)
+    second.exploration.run()
+    assert second.exploration.mission.views == 4
+    assert second.exploration.mission.home_base == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"views": 1}', '{"views": -1, "distance": 0, "seconds": 0}', "[1, 2]"]
+)
+def test_bad_mission_file_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mission.json"
+    path.write_text(text)
+    with pytest.raises(MissionFileError, match=r"mission\.json"):
+        Mission.load(path)
+
+
+def test_planar_pose_and_way_length() -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(planar_pose(make_transform(turn, (1, 2, 3))), (1, 2, np.pi / 2))
+    assert way_length([[0, 0, 0], [3, 4, 0], [3, 4, 2]]) == pytest.approx(7.0)
+    assert way_length([]) == 0.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"region_low": (0.0, 0.0)},
+        {"region_high": (-9.0, 3.0, 1.0)},
+        {"known_fraction": 1.5},
+        {"max_views": 0},
+    ],
+)
+def test_impossible_task_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        TaskConfig(**wrong)  # type: ignore[arg-type]

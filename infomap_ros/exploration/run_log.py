@@ -65,7 +65,7 @@ class RunLogFile:
             OSError: the file cannot be written.
         """
         seconds = self._before + self._clock() - self._start
-        entry = {"t": round(seconds, 3), "kind": kind, **_plain(content)}
+        entry = {"t": round(seconds, 3), "kind": kind, **plain(content)}
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
         if self._on_entry:
@@ -84,14 +84,14 @@ def last_time(path: Path) -> float:
     return 0.0
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A value as JSON has it; floats with 6 significant digits."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):

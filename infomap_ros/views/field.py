@@ -1,0 +1,162 @@
+"""The map as rays see it: one small code per voxel, and whole blocks where all voxels agree.
+
+Rays of many views run through the same part of the map, so it is prepared once. A code says all
+that matters to a view: how likely the voxel hides what is behind it, and, through a table by
+distance, what it has to tell. Most blocks of a map are empty or unknown throughout, or were seen
+through by the same scans; such a block is one entry of a dense directory, and a ray crosses it in
+one step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
+from infomap_ros.mapping.block_kernels import find_block
+from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
+from infomap_ros.mapping.keys import BLOCK_SIDE, BLOCK_VOXELS, pack
+
+EMPTY, UNKNOWN, SOLID, UNCERTAIN = 0, 1, 2, 3
+"""Codes of voxels; an uncertain one has UNCERTAIN + evidence + `UNCERTAIN_QUANTA`."""
+
+UNCERTAIN_QUANTA = 40
+"""Largest evidence of an uncertain voxel [quanta]; p = 0.00005 .. 0.99995."""
+
+CODE_COUNT = UNCERTAIN + 2 * UNCERTAIN_QUANTA + 1
+
+_TABLE_QUANTA = 64
+_LARGEST = 1 << 27
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleField:
+    """Part of a map, prepared for rays.
+
+    Attributes:
+        directory: per block of 8 x 8 x 8 voxels the row in `codes`, or -1 - code where all voxels
+            of the block have the same; int32, indexed [x, y, z]. Beyond it everything is unknown.
+        first: block coordinates of ``directory[0, 0, 0]``, shape (3,).
+        codes: per voxel, uint8, shape (rows, 512), in the order of `mapping.keys.local_index`.
+        voxel_size: [m].
+    """
+
+    directory: NDArray[np.int32]
+    first: NDArray[np.int64]
+    codes: NDArray[np.uint8]
+    voxel_size: float
+
+
+def code_probabilities() -> FloatArray:
+    """Probability of occupancy of each code, shape (CODE_COUNT,)."""
+    evidence = np.arange(-UNCERTAIN_QUANTA, UNCERTAIN_QUANTA + 1) * LOG_ODDS_QUANTUM
+    return np.concatenate([[0.0, 0.5, 1.0], 1.0 / (1.0 + np.exp(-evidence))])
+
+
+def visible_field(
+    m: VoxelMap, low: ArrayLike, high: ArrayLike, certain_probability: float
+) -> VisibleField:
+    """Prepare the part of a map that lies in a box.
+
+    Args:
+        m: the map.
+        low: corner of the box, shape (3,), map frame [m].
+        high: opposite corner.
+        certain_probability: known voxels less likely occupied are EMPTY, less likely empty SOLID.
+
+    Raises:
+        InvalidInputError: the box is none, or too large for a dense directory of blocks.
+    """
+    corners = np.stack([float_array(low, "low"), float_array(high, "high")])
+    if corners.shape != (2, 3) or not np.isfinite(corners).all() or (corners[1] < corners[0]).any():
+        raise InvalidInputError("field", f"{corners.tolist()} is not a box")
+    size, bounds = m.config.voxel_size, m.bounds()
+    if bounds is None:
+        bounds = (np.zeros(3, np.int64), np.zeros(3, np.int64))
+    first = np.maximum(np.floor(corners[0] / size).astype(np.int64), bounds[0]) // BLOCK_SIDE
+    last = np.minimum(np.floor(corners[1] / size).astype(np.int64), bounds[1]) // BLOCK_SIDE
+    shape = np.maximum(last - first + 1, 1)
+    if float(np.prod(shape.astype(float))) > _LARGEST:
+        raise InvalidInputError("field", f"of {shape.tolist()} blocks is too large")
+    directory = np.full(tuple(shape), -1 - UNKNOWN, np.int32)
+    blocks, table = m._storage.blocks, _evidence_codes(certain_probability)
+    rows = _enter_blocks(blocks, first, table, directory)
+    codes = np.empty((rows, BLOCK_VOXELS), np.uint8)
+    _fill_codes(blocks, first, table, directory, codes)
+    return VisibleField(directory, first, codes, size)
+
+
+def _evidence_codes(certain_probability: float) -> NDArray[np.uint8]:
+    """Code of known voxels by evidence, from -_TABLE_QUANTA to _TABLE_QUANTA."""
+    certain = math.log(1.0 / certain_probability - 1.0) / LOG_ODDS_QUANTUM
+    limit = min(math.ceil(certain - 1e-9) - 1, UNCERTAIN_QUANTA)
+    quanta = np.arange(-_TABLE_QUANTA, _TABLE_QUANTA + 1)
+    codes = UNCERTAIN + UNCERTAIN_QUANTA + quanta
+    codes[quanta < -limit], codes[quanta > limit] = EMPTY, SOLID
+    return codes.astype(np.uint8)
+
+
+@njit(cache=True, nogil=True)
+def _code(table: Any, quanta: int) -> Any:
+    return table[min(max(quanta, -_TABLE_QUANTA), _TABLE_QUANTA) + _TABLE_QUANTA]
+
+
+@njit(cache=True, nogil=True)
+def _enter_blocks(blocks: Any, first: Any, table: Any, directory: Any) -> int:
+    """Enter what is known of each block: its one code, or its row; returns the number of rows."""
+    nx, ny, nz = directory.shape
+    kinds, bases, rows = blocks.kind, blocks.base, 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                slot = find_block(blocks, pack(first[0] + i, first[1] + j, first[2] + k))
+                if slot < 0 or kinds[slot] == UNSEEN:
+                    continue
+                if kinds[slot] == UNIFORM:
+                    directory[i, j, k] = -1 - np.int32(_code(table, np.int64(bases[slot])))
+                else:
+                    directory[i, j, k] = rows
+                    rows += 1
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _fill_codes(blocks: Any, first: Any, table: Any, directory: Any, codes: Any) -> None:
+    """Fill the rows; blocks all of whose voxels turn out alike lose theirs again."""
+    nx, ny, nz = directory.shape
+    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
+    narrow, wide = blocks.narrow, blocks.wide
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                row = directory[i, j, k]
+                if row < 0:
+                    continue
+                slot = find_block(blocks, pack(first[0] + i, first[1] + j, first[2] + k))
+                base, plane = np.int64(bases[slot]), planes[slot]
+                if kinds[slot] == NARROW:
+                    alike = _fill_row(narrow[plane], NARROW_UNKNOWN, base, table, codes[row])
+                else:
+                    alike = _fill_row(wide[plane], WIDE_UNKNOWN, base, table, codes[row])
+                if alike:
+                    directory[i, j, k] = -1 - np.int32(codes[row, 0])
+
+
+@njit(cache=True, nogil=True)
+def _fill_row(deltas: Any, unknown: int, base: int, table: Any, row: Any) -> bool:
+    """Codes of one block; returns whether all are the same."""
+    low, high = np.uint8(255), np.uint8(0)
+    for local in range(BLOCK_VOXELS):
+        delta = np.int64(deltas[local])
+        code = np.uint8(UNKNOWN) if delta == unknown else _code(table, base + delta)
+        row[local] = code
+        low, high = min(low, code), max(high, code)
+    return low == high

@@ -1,0 +1,89 @@
+"""Configuration of what a view is expected to tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from infomap_ros.geometry import StereoRig
+from infomap_ros.geometry.config import check_config, parameter
+
+
+@dataclass(frozen=True)
+class InformationConfig:
+    """How rays are laid, what the sensor can tell from afar, and what hides what.
+
+    The noise law is that of eq. (1) of Sujan and Dubowsky (2005), ``sigma = S L^n`` of the distance
+    L, and does not depend on the image that a camera of the same opening happens to have: a view's
+    bits are the same for the full and for a reduced image.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    ray_spacing: float = parameter(
+        0.0125,
+        "Largest angle between neighbouring rays. Finer rays change nothing but the sampling "
+        "error.",
+        unit="rad",
+        low=1e-4,
+        high=0.5,
+    )
+    min_range: float = parameter(
+        0.3, "Nearest distance at which the sensor measures.", unit="m", low=0.0, high=100.0
+    )
+    range_noise: float = parameter(
+        0.004,
+        "Standard deviation of the range of one pixel at 1 m, S of eq. (1); for a stereo pair "
+        "disparity sigma / (focal length x baseline).",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    range_exponent: float = parameter(
+        2.0, "Growth of that deviation with distance, n of eq. (1).", low=0.0, high=4.0
+    )
+    pixel_angle: float = parameter(
+        0.002, "Angle between the sensor's own pixels.", unit="rad", low=1e-5, high=0.5
+    )
+    certain_probability: float = parameter(
+        0.05,
+        "A known voxel less likely occupied than this counts as empty, and one less likely empty "
+        "than this as solid: neither has anything more to tell.",
+        low=1e-4,
+        high=0.45,
+    )
+    least_visibility: float = parameter(
+        0.05,
+        "Where a place can be seen with a lower probability than this, it counts as hidden.",
+        low=0.0,
+        high=0.5,
+    )
+    unknown_occlusion: float = parameter(
+        0.0,
+        "Probability that unknown space hides what is one max_range behind it. With 0 only known "
+        "obstacles hide something, as in the paper, and the information grows with every unknown "
+        "voxel in view.",
+        low=0.0,
+        high=0.99,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+    @classmethod
+    def of_stereo(
+        cls, rig: StereoRig, disparity_sigma: float = 0.2, min_range: float = 0.5
+    ) -> InformationConfig:
+        """Configuration with the noise law of a rectified pair.
+
+        Args:
+            rig: the pair, with its full image.
+            disparity_sigma: standard deviation of a disparity [px].
+            min_range: nearest distance that its disparity search reaches [m].
+        """
+        focal_length = rig.left.fx
+        return cls(
+            min_range=min_range,
+            range_noise=disparity_sigma / (focal_length * rig.baseline),
+            pixel_angle=1.0 / focal_length,
+        )

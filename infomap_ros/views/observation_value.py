@@ -1,0 +1,104 @@
+"""What one observation of a voxel is expected to tell, in bits.
+
+A voxel is occupied with probability p. A scan that looks at it adds either the evidence of a hit or
+that of a miss, h and m nats, to its log-odds. For the map to be right about its probabilities the
+two must be likelihood ratios of one and the same observation:
+
+    e^h = P(hit | occupied) / P(hit | empty),    e^m = P(miss | occupied) / P(miss | empty)
+
+which fixes both likelihoods. What the observation is expected to take off the voxel's entropy is
+then the mutual information of voxel and observation,
+
+    I = H(p) - P(hit) H(p | hit) - P(miss) H(p | miss)
+
+never negative, largest near p = 1/2.
+
+From afar it tells less. The mean of the n pixels that see the voxel's face has a standard deviation
+along the ray, by eq. (1) of Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) and with the
+correlation c of the errors of neighbouring pixels,
+
+    sigma^2 = (S L^n)^2 (c + (1 - c) / n_pixels)
+
+The map gives a voxel only the share of a hit's evidence with which the surface lies in it,
+erf(s / sqrt(8) sigma) for a voxel of size s looked at squarely; and where pixels are farther apart
+than voxels are wide, only that share of the voxels is seen at all.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import erf
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMapConfig
+from infomap_ros.views.information_config import InformationConfig
+
+
+def entropy_of(probability: ArrayLike) -> FloatArray:
+    """Entropy of binary variables [bits], any shape; 0 for certain ones."""
+    p = np.clip(np.asarray(probability, dtype=np.float64), 1e-300, 1.0)
+    q = np.clip(1.0 - np.asarray(probability, dtype=np.float64), 1e-300, 1.0)
+    return np.asarray(-(p * np.log2(p) + q * np.log2(q)))
+
+
+def expected_reduction(probability: ArrayLike, hit: ArrayLike, miss: float) -> FloatArray:
+    """Mutual information of a voxel and one observation of it [bits].
+
+    Args:
+        probability: that the voxel is occupied, any shape.
+        hit: log-odds that a hit adds, at least 0 [nats]; broadcasts against `probability`.
+        miss: log-odds that a miss adds, below 0 [nats].
+    """
+    p, h = np.broadcast_arrays(np.asarray(probability, float), np.asarray(hit, float))
+    ratio_hit, ratio_miss = np.exp(h), np.exp(miss)
+    hit_if_empty = (1.0 - ratio_miss) / (ratio_hit - ratio_miss)
+    hit_if_occupied = ratio_hit * hit_if_empty
+    p_hit = hit_if_occupied * p + hit_if_empty * (1.0 - p)
+    p_miss = 1.0 - p_hit
+    after_hit = hit_if_occupied * p / p_hit
+    after_miss = (1.0 - hit_if_occupied) * p / np.maximum(p_miss, 1e-300)
+    left = p_hit * entropy_of(after_hit) + p_miss * entropy_of(np.minimum(after_miss, 1.0))
+    return np.maximum(entropy_of(p) - left, 0.0)
+
+
+def sensor_quality(
+    distances: ArrayLike, voxel_size: float, correlation: float, config: InformationConfig
+) -> tuple[FloatArray, FloatArray]:
+    """How well the sensor sees a voxel at some distance.
+
+    Args:
+        distances: from the camera, any shape [m].
+        voxel_size: [m].
+        correlation: of the range errors of neighbouring pixels, in [0, 1].
+        config: noise law and angle between pixels.
+
+    Returns:
+        Share of the evidence of a hit that a voxel gets, and probability that a pixel looks at it;
+        of the shape of `distances`, in [0, 1].
+    """
+    length = np.maximum(np.asarray(distances, dtype=np.float64), 1e-9)
+    pixels = (voxel_size / (config.pixel_angle * length)) ** 2
+    averaged = correlation + (1.0 - correlation) / np.maximum(pixels, 1.0)
+    sigma = config.range_noise * length**config.range_exponent * np.sqrt(averaged)
+    share = erf(voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * voxel_size))
+    return np.asarray(share), np.minimum(pixels, 1.0)
+
+
+def voxel_bits(
+    probability: ArrayLike, distances: ArrayLike, grid: VoxelMapConfig, config: InformationConfig
+) -> FloatArray:
+    """Bits that one scan is expected to take off voxels that nothing hides.
+
+    Args:
+        probability: of the voxels, broadcasts against `distances`.
+        distances: from the camera [m].
+        grid: of the map: voxel size, evidence of a hit and a miss, correlation of errors.
+        config: of the sensor.
+    """
+    share, seen = sensor_quality(distances, grid.voxel_size, grid.error_correlation, config)
+    hit: Any = grid.hit_quanta * LOG_ODDS_QUANTUM * share
+    miss = grid.miss_quanta * LOG_ODDS_QUANTUM
+    return np.asarray(seen * expected_reduction(probability, hit, miss))

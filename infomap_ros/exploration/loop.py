@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from infomap_ros.errors import InfomapError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
@@ -87,15 +88,21 @@ class Exploration:
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
 
-        What a robot may meet (a view that fails, a way that is blocked) ends in an `Ending`;
-        errors of the robot or planner objects pass through.
+        What goes wrong with the robot or the planner ends in an `Ending` that names it.
         """
+        try:
+            ending = self._explore()
+        except InfomapError as error:
+            ending = Ending(EndReason.FAILED, str(error))
+        self._enter(f"ended: {ending.reason.value}", ending.detail)
+        self._log.write("end", reason=ending.reason.value, detail=ending.detail)
+        return ending
+
+    def _explore(self) -> Ending:
         self._initialise()
         ending = self._look()
         while ending is None:
             ending = self._obey() or self._take_next_view()
-        self._enter(f"ended: {ending.reason.value}", ending.detail)
-        self._log.write("end", reason=ending.reason.value, detail=ending.detail)
         return ending
 
     def _take_next_view(self) -> Ending | None:

@@ -81,6 +81,10 @@ class JointBuffer:
         if len(series.stamps) > self.config.capacity:
             del series.stamps[0], series.positions[0]
 
+    def newest(self) -> dict[str, float]:
+        """Newest position of each joint, by name [rad or m]; empty before the first."""
+        return {name: series.positions[-1] for name, series in self._series.items()}
+
     def at(self, stamp: int) -> dict[str, float]:
         """Positions of all known joints at a time, by name [rad or m].
 

@@ -1,0 +1,88 @@
+"""The message on exploration_status, written by explorer and read by next_best_view."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from infomap_ros.errors import InvalidInputError, MalformedMessageError
+from infomap_ros.exploration.loop import Exploration
+from infomap_ros.geometry import check_transform
+from infomap_ros.geometry.transforms import FloatArray
+
+_NAME = "exploration"
+_TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
+
+
+@dataclass(frozen=True, eq=False)
+class ExplorationNews:
+    """What next_best_view learns from exploration_status.
+
+    Attributes:
+        views: taken so far.
+        home_base: base pose of the beginning (x, y, yaw) [m, rad]; empty where not yet known.
+        home_joints: joint positions of the beginning [rad or m].
+        failed_view: ``T_map_camera`` of the last view that could not be reached, shape (4, 4).
+        failure: why.
+    """
+
+    views: int = 0
+    home_base: tuple[float, ...] = ()
+    home_joints: dict[str, float] = field(default_factory=dict)
+    failed_view: FloatArray | None = None
+    failure: str = ""
+
+
+def status_message(
+    exploration: Exploration, failed_view: tuple[FloatArray, str] | None
+) -> DiagnosticStatus:
+    """State, figures and last reason of an exploration."""
+    progress, mission = exploration.progress, exploration.mission
+    figures: dict[str, object] = {
+        "state": exploration.state,
+        "last reason": exploration.last_reason,
+        "views": mission.views,
+        "distance [m]": round(mission.distance, 2),
+        "home base": json.dumps(mission.home_base),
+        "home joints": json.dumps(mission.home_joints),
+    }
+    if progress is not None:
+        figures |= {
+            "known fraction": round(progress.known_fraction, 4),
+            "remaining entropy [bits]": round(progress.entropy_bits, 1),
+            "mean sigma [m]": round(progress.mean_sigma, 5),
+            "surface voxels": progress.surface_voxels,
+        }
+    if failed_view is not None:
+        figures |= {"failed view": json.dumps(failed_view[0].tolist()), "failure": failed_view[1]}
+    failed = exploration.state == "ended: failed"
+    return DiagnosticStatus(
+        level=DiagnosticStatus.ERROR if failed else DiagnosticStatus.OK,
+        name=_NAME,
+        message=exploration.state,
+        values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+    )
+
+
+def read_status(message: DiagnosticStatus) -> ExplorationNews:
+    """Read what `status_message` wrote.
+
+    Raises:
+        MalformedMessageError: a value is missing or impossible.
+    """
+    values = {pair.key: pair.value for pair in message.values}
+    try:
+        home = tuple(float(number) for number in json.loads(values["home base"]))
+        joints = {str(k): float(q) for k, q in json.loads(values["home joints"]).items()}
+        failed = values.get("failed view")
+        view = None if failed is None else check_transform(np.array(json.loads(failed)))
+        if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
+            raise ValueError("home is not a finite pose")
+        views = int(values["views"])
+        return ExplorationNews(views, home, joints, view, values.get("failure", ""))
+    except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
+        raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error

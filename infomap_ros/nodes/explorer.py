@@ -1,0 +1,202 @@
+"""Node ``explorer``: runs the loop of Fig. 3 and moves the robot.
+
+The loop runs in a thread of its own, which may block; callbacks only receive. What next_best_view
+plans, the loop has the robot carry out on base_path and arm_trajectory, and it waits until pose and
+joints say that it is done. The account of the mission is kept in a file, so that a restarted
+explorer can go on with it.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import Trigger
+
+from infomap_ros.errors import ExplorationError, InfomapError
+from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.loop import Exploration
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.run_log import RunLogFile
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.exploration_status import status_message
+from infomap_ros.nodes.remote_planner import RemotePlanner, RemotePlannerConfig
+from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.ros_robot import RosRobot, RosRobotConfig
+from infomap_ros.nodes.run import run_node
+
+_STATUS_PERIOD = 0.5  # [s]
+
+
+@dataclass(frozen=True)
+class ExplorerConfig:
+    """How the explorer is started and what it leaves.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    autostart: bool = parameter(False, "Begin at once, without ~/start.")
+    plan_only: bool = parameter(
+        False, "Choose views and ways again and again, and move nothing: others move the robot."
+    )
+    mission_file: str = parameter(
+        "mission.json", "File with the account of the mission, relative to the working directory."
+    )
+    log_file: str = parameter(
+        "exploration.jsonl", "Log of the run, one JSON object per line, for the report."
+    )
+    resume: bool = parameter(False, "Go on with the mission of mission_file, where there is one.")
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class ExplorerNode(MonitoredNode):
+    """See the module."""
+
+    CONFIGS = (
+        (ExplorerConfig, ""),
+        (TaskConfig, "task."),
+        (RosRobotConfig, ""),
+        (RemotePlannerConfig, ""),
+        (RobotTrackerConfig, ""),
+        (AssumedPoseConfig, ""),
+        (JointBufferConfig, "joints."),
+    )
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("explorer", **node_arguments)
+        self._config = self.config(ExplorerConfig)
+        self._tracker = RobotTracker(self, infos=("left/camera_info",))
+        self._robot = RosRobot(self, self._tracker)
+        self._planner = RemotePlanner(self, self._on_failed_view)
+        self._mission_file = Path(self._config.mission_file).absolute()
+        self._exploration: Exploration | None = None
+        self._thread: threading.Thread | None = None
+        self._failed_view: tuple[FloatArray, str] | None = None
+        self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
+        orders: dict[str, Callable[[], str]] = {
+            "start": self._start,
+            "pause": partial(self._ask, Request.PAUSE, "pausing"),
+            "resume": partial(self._ask, Request.RUN, "going on"),
+            "home": partial(self._ask, Request.HOME, "going home"),
+            "stop": partial(self._ask, Request.STOP, "stopping"),
+        }
+        for name, order in orders.items():
+            self.create_service(Trigger, f"~/{name}", partial(self._serve, order))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_STATUS_PERIOD, self._publish_status, clock=steady)
+        if self._config.autostart:
+            self.get_logger().info(self._start())
+
+    @property
+    def _running(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _serve(
+        self, order: Callable[[], str], _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Carry out an order of the user, none of which takes long."""
+        try:
+            response.message, response.success = order(), True
+        except InfomapError as error:
+            response.message, response.success = str(error), False
+        self.get_logger().info(response.message)
+        return response
+
+    def _start(self) -> str:
+        """Begin a mission, or go on with the one of the mission file.
+
+        Raises:
+            ExplorationError: one runs already.
+            MissionFileError: the mission file cannot be read.
+        """
+        if self._running:
+            raise ExplorationError("the exploration is running already")
+        goes_on = self._config.resume and self._mission_file.exists()
+        mission = Mission.load(self._mission_file) if goes_on else Mission()
+        log = RunLogFile(Path(self._config.log_file).absolute(), append=goes_on)
+        log.write("start", task=asdict(self.config(TaskConfig)), robot=self.get_namespace())
+        self._exploration = Exploration(
+            self._robot,
+            self._planner,
+            self.config(TaskConfig),
+            log,
+            Control(),
+            mission,
+            self._config.plan_only,
+            self._on_step,
+        )
+        self._thread = threading.Thread(target=self._explore, name="exploration", daemon=True)
+        self._thread.start()
+        return f"going on after {mission.views} views" if goes_on else "exploration begins"
+
+    def _explore(self) -> None:
+        """The thread of the loop."""
+        assert self._exploration is not None
+        self._tracker.wait_until(self._tracker.is_complete, math.inf, self._stopped)
+        ending = self._exploration.run()
+        self.get_logger().info(f"exploration ended: {ending.reason.value}: {ending.detail}")
+
+    def _stopped(self) -> bool:
+        assert self._exploration is not None
+        return self._exploration.control.request is Request.STOP
+
+    def _ask(self, request: Request, answer: str) -> str:
+        """Pass a request on.
+
+        Raises:
+            ExplorationError: nothing runs that could carry it out.
+        """
+        if not self._running or self._exploration is None:
+            raise ExplorationError("no exploration is running")
+        self._exploration.control.ask(request)
+        self._tracker.notify()
+        return answer
+
+    def _on_step(self, exploration: Exploration) -> None:
+        """Save the account of the mission; called in the exploration's thread."""
+        try:
+            exploration.mission.save(self._mission_file)
+        except OSError as error:
+            self.get_logger().error(
+                f"cannot write {self._mission_file}: {error.strerror}", throttle_duration_sec=10.0
+            )
+
+    def _on_failed_view(self, pose: FloatArray, reason: str) -> None:
+        self._failed_view = pose, reason
+
+    def _publish_status(self) -> None:
+        """Say what is being done; next_best_view learns from it what failed and where home is."""
+        if self._exploration is not None:
+            self._status.publish(status_message(self._exploration, self._failed_view))
+
+    def destroy_node(self) -> None:
+        """Stop the robot, then the node."""
+        if self._exploration is not None and self._thread is not None:
+            self._exploration.control.ask(Request.STOP)
+            self._thread.join(5.0)
+        super().destroy_node()
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(ExplorerNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

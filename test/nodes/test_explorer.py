@@ -1,0 +1,230 @@
+"""The explorer across DDS: a robot on paper and a planner with one view stand at the other end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Path as PathMessage
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from infomap_ros.errors import MalformedMessageError
+from infomap_ros.exploration.choice_text import choice_to_text
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import Choice
+from infomap_ros.geometry import (
+    CameraCalibration,
+    CameraInfoRecord,
+    JointStateRecord,
+    PoseRecord,
+    TextRecord,
+    make_transform,
+)
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.route import ArmPath, Route
+from infomap_ros.nodes.exploration_status import read_status
+from infomap_ros.nodes.explorer import ExplorerNode
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.replay.messages import (
+    encode_camera_info,
+    encode_joint_state,
+    encode_pose,
+    encode_text,
+)
+from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.team import OCCUPANCY_ROW
+
+CAMERA = "left_camera_optical_frame"
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TYPES = RclpyMessageTypes()
+
+
+class PaperRover:
+    """Obeys at once: jumps to the end of each path and trajectory, and publishes its state."""
+
+    def __init__(self, graph: Any) -> None:
+        from geometry_msgs.msg import PoseWithCovarianceStamped
+        from sensor_msgs.msg import CameraInfo
+
+        self.graph = graph
+        self.text = find_share("config/rover.urdf").read_text()
+        self.model = RobotModel.from_urdf(self.text, CAMERA, "base_link")
+        self.joints = {joint.name: 0.1 for joint in self.model.joints}
+        self.base, self.obeys = np.eye(4), True
+        self.paths: list[PathMessage] = []
+        self.stamp = 1_000_000_000
+        self.poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose")
+        self.states = graph.publisher(JointState, "joint_states")
+        self.infos = graph.publisher(CameraInfo, "left/camera_info")
+        self.updates = graph.publisher(PointCloud2, "map_updates", 50)
+        description = graph.tester.create_publisher(String, "robot_description", LATCHED)
+        description.publish(encode_text(TYPES, TextRecord(0, "", self.text)))
+        graph.tester.create_subscription(PathMessage, "base_path", self.on_path, 10)
+        graph.tester.create_subscription(JointTrajectory, "arm_trajectory", self.on_arm, 10)
+        graph.tester.create_timer(0.05, self.publish)
+
+    def publish(self) -> None:
+        self.stamp += 50_000_000
+        camera = self.base @ self.model.forward_kinematics(self.joints, CAMERA)
+        pose = PoseRecord(self.stamp, "map", camera, 1e-6 * np.eye(6))
+        self.poses.publish(encode_pose(TYPES, pose))
+        names = tuple(self.joints)
+        positions = np.array(list(self.joints.values()))
+        state = JointStateRecord(self.stamp, "", names, positions)
+        self.states.publish(encode_joint_state(TYPES, state))
+        info = CameraInfoRecord(self.stamp, CAMERA, CameraCalibration(width=64, height=48))
+        self.infos.publish(encode_camera_info(TYPES, info))
+        self.updates.publish(encode_rows(TYPES, self.stamp, "map", np.zeros(0, OCCUPANCY_ROW)))
+
+    def on_path(self, message: PathMessage) -> None:
+        self.paths.append(message)
+        if self.obeys and message.poses:
+            place = message.poses[-1].pose.position
+            self.base = make_transform(np.eye(3), (place.x, place.y, 0.0))
+
+    def on_arm(self, message: JointTrajectory) -> None:
+        self.joints |= dict(zip(message.joint_names, message.points[-1].positions, strict=True))
+
+
+class OneView:
+    """A next_best_view that always wants to go 1 m on, until the map is good enough."""
+
+    def __init__(self, graph: Any, rover: PaperRover, views: int) -> None:
+        self.rover, self.left, self.calls = rover, views, 0
+        graph.tester.create_service(Trigger, "next_best_view/plan", self.plan)
+        graph.tester.create_service(Trigger, "next_best_view/plan_home", self.plan)
+
+    def plan(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.calls += 1
+        if self.calls == 1:
+            response.message = "no map yet"
+            return response
+        x = float(self.rover.base[0, 3])
+        path = np.array([[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0]])
+        poses = np.stack([make_transform(np.eye(3), (px, 0.0, 0.0)) for px, _, _ in path])
+        arm = ArmPath(
+            ("arm_pan_joint", "arm_wrist_joint"),
+            np.array([[0.1, 0.1], [0.2 + 0.1 * self.calls, 0.3]]),
+            np.array([0.0, 0.5]),
+        )
+        still = ArmPath.staying(arm.joint_names, arm.positions[0])
+        route = Route(still, path, poses, arm, np.eye(4))
+        known = 0.99 if self.left == 0 else 0.5
+        self.left -= 1
+        progress = MapProgress(known, 10.0, 0.01, 100, 1000)
+        response.message = choice_to_text(Choice(progress, np.eye(4), route, "on we go"))
+        response.success = True
+        return response
+
+
+class Stage:
+    """Explorer, rover, planner and what is said of them."""
+
+    def __init__(self, graph: Any, folder: Path, views: int, **parameters: Any) -> None:
+        self.graph = graph
+        self.rover = PaperRover(graph)
+        self.planner = OneView(graph, self.rover, views)
+        self.said: list[DiagnosticStatus] = graph.collect(
+            DiagnosticStatus, "exploration_status", LATCHED
+        )
+        self.node = graph.add(
+            ExplorerNode,
+            mission_file=str(folder / "mission.json"),
+            log_file=str(folder / "run.jsonl"),
+            **{"patience": 3.0, **parameters},
+        )
+
+    def state(self) -> str:
+        return self.said[-1].message if self.said else ""
+
+    def spin_to(self, state: str) -> None:
+        self.graph.spin_until(lambda: self.state().startswith(state), f"{state}, is {self.state()}")
+
+    def call(self, name: str) -> Trigger.Response:
+        client = self.graph.tester.create_client(Trigger, f"explorer/{name}")
+        self.graph.spin_until(client.service_is_ready, name)
+        future = client.call_async(Trigger.Request())
+        self.graph.spin_until(future.done, name)
+        return future.result()
+
+
+def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=2, autostart=True)
+    stage.spin_to("ended: done")
+    assert len(stage.rover.paths) == 2
+    assert stage.rover.base[0, 3] == pytest.approx(2.0)
+    news = read_status(stage.said[-1])
+    assert news.views == 3
+    assert news.home_base == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    kinds = [json.loads(line)["kind"] for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    assert kinds[0] == "start" and kinds[-1] == "end"
+    assert json.loads((tmp_path / "mission.json").read_text())["views"] == 3
+
+
+def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(
+        graph,
+        tmp_path,
+        views=9,
+        autostart=True,
+        patience=0.5,
+        slowest_speed=5.0,
+        task__max_failures=2,
+    )
+    stage.rover.obeys = False
+    stage.spin_to("ended: failed")
+    assert "1.00 m left" in stage.said[-1].values[1].value
+    graph.spin_until(lambda: read_status(stage.said[-1]).failed_view is not None, "failed view")
+    assert read_status(stage.said[-1]).failure.startswith("drive")
+
+
+def test_services_start_pause_resume_and_stop(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=1000)
+    assert not stage.call("pause").success
+    assert stage.call("start").success
+    assert not stage.call("start").success
+    graph.spin_until(lambda: len(stage.rover.paths) > 0, "motion")
+    assert stage.call("pause").success
+    stage.spin_to("paused")
+    driven = len(stage.rover.paths)
+    assert stage.call("resume").success
+    graph.spin_until(lambda: len(stage.rover.paths) > driven, "motion after resume")
+    assert stage.call("stop").success
+    stage.spin_to("ended: stopped")
+
+
+def test_restarted_explorer_goes_on_with_its_mission(graph: Any, tmp_path: Path) -> None:
+    mission = {"views": 7, "distance": 3.0, "seconds": 9.0}
+    home = {"home_base": [1.0, 2.0, 0.0], "home_joints": {"arm_pan_joint": 0.5}}
+    (tmp_path / "mission.json").write_text(json.dumps(mission | home))
+    stage = Stage(graph, tmp_path, views=1, autostart=True, resume=True)
+    stage.spin_to("ended: done")
+    news = read_status(stage.said[-1])
+    assert news.views == 9
+    assert news.home_base == (1.0, 2.0, 0.0)
+
+
+def test_plan_only_moves_nothing(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=2, autostart=True, plan_only=True)
+    stage.spin_to("ended: done")
+    assert stage.rover.paths == []
+
+
+@pytest.mark.parametrize(
+    "values", [{}, {"views": "1"}, {"views": "x", "home base": "[]", "home joints": "{}"}]
+)
+def test_foreign_status_is_refused(values: dict[str, str]) -> None:
+    from diagnostic_msgs.msg import KeyValue
+
+    message = DiagnosticStatus(values=[KeyValue(key=k, value=v) for k, v in values.items()])
+    with pytest.raises(MalformedMessageError, match="exploration status"):
+        read_status(message)

@@ -81,13 +81,13 @@ class MapStorage:
             CapacityError: it could.
         """
         rows, used = sum(len(part.hits) for part in parts), self.memory_bytes()
-        growth = _growth_bytes(self, rows + len(free.bits), rows + len(free.bits), rows)
+        growth = growth_bytes(self, rows + len(free.bits), rows + len(free.bits), rows)
         if used + growth > limit:  # the scan alone does not tell; ask the map
             counts = np.zeros(2, np.int64)
             for part in parts:
                 update.count_new_by_rows(self.blocks, part.rows, part.hits, counts)
             update.count_new_by_free(self.blocks, free.coordinates, free.bits, counts)
-            growth = _growth_bytes(self, int(counts[0]), int(counts[1]), rows)
+            growth = growth_bytes(self, int(counts[0]), int(counts[1]), rows)
         if used + growth > limit:
             raise CapacityError(
                 f"the map holds {used / 1e9:.3g} GB and this scan could bring it to "
@@ -95,7 +95,7 @@ class MapStorage:
             )
 
 
-def _growth_bytes(storage: MapStorage, blocks: int, planes: int, gaussians: int) -> int:
+def growth_bytes(storage: MapStorage, blocks: int, planes: int, gaussians: int) -> int:
     """What so many new blocks, planes and Gaussians add to the memory in use, at the most."""
     table, surface = storage.blocks.table, storage.gaussians
     block_count = int(storage.blocks.counts[BLOCK_COUNT]) + blocks

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelChanges, VoxelMap
 from infomap_ros.mapping.export import surface_vertices
+from infomap_ros.team import NOT_OBSERVED
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
 
@@ -36,11 +37,11 @@ def voxel_map_rows(voxel_map: VoxelMap) -> NDArray[np.float32]:
 
 
 def without_evidence(indices: NDArray[np.int32]) -> VoxelChanges:
-    """Voxels, shape (K, 3), of which nothing is known: log-odds 0 and no Gaussian."""
+    """Voxels, shape (K, 3), of which nothing is known."""
     count = len(indices)
     return VoxelChanges(
         indices,
-        np.zeros(count, np.int8),
+        np.full(count, NOT_OBSERVED, np.int8),
         np.zeros(count, np.bool_),
         np.full((count, 3), np.nan),
         np.full((count, 3, 3), np.nan),

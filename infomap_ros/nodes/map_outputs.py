@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.scan_gate import ScanGateConfig
 from infomap_ros.replay.messages import encode_cloud_fields, encode_occupancy_grid
 from infomap_ros.replay.messages.rows import encode_rows
-from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
+from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update, next_version, version_at
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class MapOutputs:
         self._frame = node.config(ScanGateConfig).map_frame
         self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
-        self._version = 0
+        self._version = version_at(time.time_ns())
         self._whole_map_due = False
         self._outdated = {"voxel_map", "projected_map"}
         self._updates = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50))
@@ -92,7 +93,7 @@ class MapOutputs:
     def replace(self, old: VoxelMap, new: VoxelMap, stamp: int) -> None:
         """Take back every voxel of the old map, then send every voxel of the new one.
 
-        A voxel is taken back by sending it without evidence, which is its absolute value then.
+        A voxel is taken back by saying that it was not observed.
         """
         if self._updates.get_subscription_count():
             indices, _ = old.voxels()
@@ -126,7 +127,7 @@ class MapOutputs:
         )
 
     def _publish_update(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
-        self._version += 1
+        self._version = next_version(self._version)
         update = MapUpdate(
             voxel_size,
             self._config.robot_id,

@@ -1,7 +1,10 @@
-"""What robots tell each other of the map: the wire format of map updates."""
+"""What robots tell each other of the map: the wire format of map updates, and their merge."""
 
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.versions import next_version, version_at
 from infomap_ros.team.wire import (
     MAX_MESSAGE_BYTES,
+    NOT_OBSERVED,
     OCCUPANCY_ROW,
     SURFACE_ROW,
     MapUpdate,
@@ -11,9 +14,13 @@ from infomap_ros.team.wire import (
 
 __all__ = [
     "MAX_MESSAGE_BYTES",
+    "NOT_OBSERVED",
     "OCCUPANCY_ROW",
     "SURFACE_ROW",
+    "MapReplica",
     "MapUpdate",
     "decode_update",
     "encode_update",
+    "next_version",
+    "version_at",
 ]

@@ -1,8 +1,9 @@
 """The wire format of map updates: packed rows with named fields, one per changed voxel.
 
 A row holds the absolute state of a voxel in its robot's contribution, never a difference, with
-the version at which it was taken. So a row may be lost, repeated or come late: whoever keeps the
-newest version per robot and voxel is right.
+the version at which it was taken (`infomap_ros.team.versions`). So a row may be lost, repeated or
+come late: whoever keeps the newest version per robot and voxel is right. A robot takes a voxel
+back by the log-odds `NOT_OBSERVED`.
 
 Two layouts, told apart by their fields: `OCCUPANCY_ROW` for voxels without a Gaussian and
 `SURFACE_ROW` for those with one. All numbers are little endian.
@@ -22,6 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT
+
+NOT_OBSERVED = -128
+"""Log-odds of a voxel of which its robot knows nothing any more."""
 
 MAX_MESSAGE_BYTES = 1_000_000
 MEAN_STEP = 1.0 / 1024.0  # [voxels]
@@ -61,9 +66,10 @@ class MapUpdate:
     Attributes:
         voxel_size: edge of a voxel [m].
         robot: id of the robot, 0 to 65535.
-        version: counts the robot's publications, 0 to 2^32 - 1.
+        version: of the robot's publication, 1 to 2^32 - 1.
         indices: shape (K, 3), int32; the voxel's centre is (index + 0.5) * voxel_size [m, map].
-        log_odds: shape (K,), int8, in units of `mapping.LOG_ODDS_QUANTUM`.
+        log_odds: shape (K,), int8, in units of `mapping.LOG_ODDS_QUANTUM` and within +-
+            `mapping.SHARED_LOG_ODDS_LIMIT`, or `NOT_OBSERVED`.
         has_gaussian: shape (K,), bool.
         means: shape (K, 3) [m, map]; NaN where there is no Gaussian.
         covariances: shape (K, 3, 3) [m^2]; NaN where there is no Gaussian.
@@ -90,11 +96,12 @@ def encode_update(update: MapUpdate, max_bytes: int = MAX_MESSAGE_BYTES) -> list
         Row arrays of dtype `OCCUPANCY_ROW` or `SURFACE_ROW`, each at most `max_bytes` long.
 
     Raises:
-        InvalidInputError: a Gaussian is not finite or not positive definite, or the robot id or
-            the version does not fit.
+        InvalidInputError: a Gaussian is not finite or not positive definite, or the robot id,
+            the version or the log-odds do not fit.
     """
-    if not 0 <= update.robot < 2**16 or not 0 <= update.version < 2**32:
+    if not 0 <= update.robot < 2**16 or not 1 <= update.version < 2**32:
         raise InvalidInputError("map update", f"robot {update.robot}, version {update.version}")
+    _check_log_odds(update.log_odds)
     surface = update.has_gaussian
     occupancy_rows = _common_rows(update, ~surface, OCCUPANCY_ROW)
     surface_rows = _common_rows(update, surface, SURFACE_ROW)
@@ -114,7 +121,8 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
 
     Raises:
         InvalidInputError: no rows, other fields, rows of several robots, versions or voxel
-            sizes, an impossible voxel size, or a Gaussian that is not finite.
+            sizes, an impossible voxel size, version or log-odds, or a Gaussian that is not
+            finite.
     """
     if rows.dtype not in (OCCUPANCY_ROW, SURFACE_ROW):
         raise InvalidInputError("map update", f"fields {rows.dtype.names}")
@@ -126,6 +134,9 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
     size = float(rows["voxel_size"][0])
     if not (np.isfinite(size) and size > 0.0):
         raise InvalidInputError("map update", f"voxel size {size} m")
+    if rows["version"][0] == 0:
+        raise InvalidInputError("map update", "version 0")
+    _check_log_odds(rows["log_odds"])
     indices = np.stack([rows["ix"], rows["iy"], rows["iz"]], axis=-1)
     surface = rows.dtype == SURFACE_ROW
     count = len(rows)
@@ -143,6 +154,13 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
         means,
         covariances,
     )
+
+
+def _check_log_odds(log_odds: NDArray[np.int8]) -> None:
+    outside = np.abs(log_odds.astype(np.int16)) > SHARED_LOG_ODDS_LIMIT
+    wrong = outside & (log_odds != NOT_OBSERVED)
+    if wrong.any():
+        raise InvalidInputError("map update", f"log-odds {int(log_odds[wrong][0])}")
 
 
 def _common_rows(

@@ -28,7 +28,7 @@ from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import encode, encode_point_cloud, encode_pose
 from infomap_ros.replay.messages.rows import decode_rows
-from infomap_ros.team import decode_update
+from infomap_ros.team import NOT_OBSERVED, decode_update
 
 TYPES = RclpyMessageTypes()
 SECOND = 1_000_000_000
@@ -115,7 +115,7 @@ def replica(messages: list[Any]) -> dict[tuple[int, int, int], tuple[int, bool]]
             known = newest.get(tuple(index), (-1,))
             if update.version > known[0]:
                 newest[tuple(index)] = (update.version, int(odds), bool(surface))
-    return {index: value[1:] for index, value in newest.items() if value[1:] != (0, False)}
+    return {index: value[1:] for index, value in newest.items() if value[1] != NOT_OBSERVED}
 
 
 def as_replica(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[int, bool]]:
@@ -123,11 +123,10 @@ def as_replica(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[int, boo
     quanta = np.rint(log_odds / LOG_ODDS_QUANTUM)
     quanta = np.clip(quanta, -SHARED_LOG_ODDS_LIMIT, SHARED_LOG_ODDS_LIMIT).astype(int)
     surface = {tuple(index) for index in voxel_map.gaussians()[0].tolist()}
-    known = {
+    return {
         tuple(i): (int(q), tuple(i) in surface)
         for i, q in zip(indices.tolist(), quanta, strict=True)
     }
-    return {index: value for index, value in known.items() if value != (0, False)}
 
 
 def expected_map(*scans: PointCloudRecord) -> VoxelMap:

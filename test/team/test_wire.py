@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.team import OCCUPANCY_ROW, SURFACE_ROW, MapUpdate, decode_update, encode_update
+from infomap_ros.team import (
+    NOT_OBSERVED,
+    OCCUPANCY_ROW,
+    SURFACE_ROW,
+    MapUpdate,
+    decode_update,
+    encode_update,
+)
 
 
 def make_update(rng: np.random.Generator, count: int = 400, voxel_size: float = 0.05) -> MapUpdate:
@@ -20,7 +27,7 @@ def make_update(rng: np.random.Generator, count: int = 400, voxel_size: float = 
     covariances = factors @ factors.transpose(0, 2, 1) + 1e-10 * np.eye(3)
     means[~has_gaussian] = np.nan
     covariances[~has_gaussian] = np.nan
-    log_odds = rng.integers(-128, 128, count).astype(np.int8)
+    log_odds = rng.choice([*range(-20, 21), NOT_OBSERVED], count).astype(np.int8)
     return MapUpdate(
         voxel_size, 7, 3_000_000_000, indices, log_odds, has_gaussian, means, covariances
     )
@@ -106,6 +113,26 @@ def test_rows_of_two_robots_in_one_message_are_refused(rng: np.random.Generator)
     rows["robot"][0] += 1
 
     with pytest.raises(InvalidInputError, match="more than one robot"):
+        decode_update(rows)
+
+
+def test_log_odds_beyond_the_limit_are_refused_on_both_sides(rng: np.random.Generator) -> None:
+    update = make_update(rng)
+    rows = encode_update(update)[0]
+    rows["log_odds"][3] = 21
+    update.log_odds[5] = -21
+
+    with pytest.raises(InvalidInputError, match="log-odds 21"):
+        decode_update(rows)
+    with pytest.raises(InvalidInputError, match="log-odds -21"):
+        encode_update(update)
+
+
+def test_version_zero_is_refused(rng: np.random.Generator) -> None:
+    rows = encode_update(make_update(rng))[0]
+    rows["version"] = 0
+
+    with pytest.raises(InvalidInputError, match="version 0"):
         decode_update(rows)
 
 

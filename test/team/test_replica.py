@@ -1,0 +1,258 @@
+"""A replica holds the sum of the newest states, whatever happens to the updates on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from infomap_ros.errors import CapacityError, InvalidInputError
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.queries import voxel_of
+from infomap_ros.team import (
+    NOT_OBSERVED,
+    MapReplica,
+    MapUpdate,
+    decode_update,
+    encode_update,
+    next_version,
+)
+
+SIZE = 0.05
+CONFIG = VoxelMapConfig(voxel_size=SIZE)
+Voxel = tuple[int, int, int]
+
+
+def make_update(
+    seed: int, robot: int, version: int, indices: np.ndarray | None = None, reach: int = 12
+) -> MapUpdate:
+    """Random states of random voxels around the origin."""
+    rng = np.random.default_rng(seed)
+    if indices is None:
+        indices = np.unique(rng.integers(-reach, reach, (30, 3)), axis=0)
+    indices = indices.astype(np.int32)
+    count = len(indices)
+    log_odds = rng.choice([*range(-20, 21), NOT_OBSERVED], count).astype(np.int8)
+    has_gaussian = (rng.random(count) < 0.5) & (log_odds > 0)
+    means = (indices + rng.uniform(0.0, 1.0, (count, 3))) * SIZE
+    factors = rng.normal(size=(count, 3, 3)) * 0.02
+    covariances = factors @ factors.transpose(0, 2, 1) + 1e-6 * np.eye(3)
+    means[~has_gaussian], covariances[~has_gaussian] = np.nan, np.nan
+    return MapUpdate(SIZE, robot, version, indices, log_odds, has_gaussian, means, covariances)
+
+
+def evidence(voxel_map: VoxelMap) -> dict[Voxel, float]:
+    """Evidence of every known voxel [quanta]."""
+    indices, log_odds = voxel_map.voxels()
+    voxels = [tuple(index) for index in indices.tolist()]
+    return dict(zip(voxels, (log_odds / LOG_ODDS_QUANTUM).tolist(), strict=True))
+
+
+def content(voxel_map: VoxelMap) -> dict[Voxel, tuple[float, bytes]]:
+    """Evidence [quanta] and the bits of the information of every known voxel."""
+    blocks, gaussians = voxel_map._storage.blocks, voxel_map._storage.gaussians
+    count = int(gaussians.counts[0])
+    owners = [voxel_of(blocks, int(owner)) for owner in gaussians.owner[:count]]
+    information = dict(zip(owners, gaussians.information[:count], strict=True))
+    nothing = np.zeros(9, np.float32)
+    known = evidence(voxel_map)
+    assert known.keys() >= {voxel for voxel, row in information.items() if row.any()}
+    return {
+        voxel: (value, information.get(voxel, nothing).tobytes()) for voxel, value in known.items()
+    }
+
+
+def naive_content(updates: Sequence[MapUpdate]) -> dict[Voxel, tuple[float, np.ndarray]]:
+    """Sum over robots of the state with the largest version; versions do not begin again."""
+    newest: dict[tuple[int, Voxel], tuple[int, int, np.ndarray]] = {}
+    for update in updates:
+        for row, index in enumerate(update.indices.tolist()):
+            key = (update.robot, tuple(index))
+            if key in newest and newest[key][0] >= update.version:
+                continue
+            information = np.zeros(9)
+            if update.has_gaussian[row]:
+                matrix = np.linalg.inv(update.covariances[row])
+                centre = (np.array(index) + 0.5) * SIZE
+                information[:6] = matrix[np.triu_indices(3)]
+                information[6:] = matrix @ (update.means[row] - centre)
+            newest[key] = (update.version, int(update.log_odds[row]), information)
+    sums: dict[Voxel, tuple[float, np.ndarray]] = {}
+    for (_, voxel), (_, log_odds, information) in newest.items():
+        if log_odds != NOT_OBSERVED:
+            evidence, total = sums.get(voxel, (0.0, np.zeros(9)))
+            sums[voxel] = (evidence + log_odds, total + information)
+    return sums
+
+
+def sorted_surface(voxel_map: VoxelMap) -> list[np.ndarray]:
+    """Surface voxels in the order of their indices."""
+    surface = voxel_map.gaussians()
+    order = np.lexsort(surface[0].T)
+    return [values[order] for values in surface]
+
+
+def replica_of(updates: Sequence[MapUpdate]) -> MapReplica:
+    replica = MapReplica(CONFIG)
+    for update in updates:
+        replica.apply(update)
+    return replica
+
+
+@st.composite
+def histories(draw: st.DrawFn) -> list[MapUpdate]:
+    """What up to four robots tell, with versions that need not follow each other."""
+    updates = []
+    for robot in draw(st.lists(st.integers(0, 65535), min_size=1, max_size=4, unique=True)):
+        version = draw(st.integers(1, 1000))
+        for _ in range(draw(st.integers(1, 5))):
+            version += draw(st.integers(1, 1000))
+            updates.append(make_update(draw(st.integers(0, 2**31)), robot, version))
+    return updates
+
+
+@settings(deadline=None, max_examples=40)
+@given(history=histories(), data=st.data())
+def test_the_map_is_the_sum_of_the_newest_states(
+    history: list[MapUpdate], data: st.DataObject
+) -> None:
+    heard = data.draw(st.lists(st.sampled_from(history), max_size=20))
+
+    found = content(replica_of(heard).voxel_map)
+
+    expected = naive_content(heard)
+    assert set(found) == set(expected)
+    for voxel, (evidence, information) in expected.items():
+        assert found[voxel][0] == evidence
+        bits = np.frombuffer(found[voxel][1], np.float32)
+        np.testing.assert_allclose(bits, information, rtol=1e-4, atol=1e-4 * information[0])
+
+
+@settings(deadline=None, max_examples=40)
+@given(history=histories(), data=st.data())
+def test_replicas_that_heard_the_same_are_identical_to_the_bit(
+    history: list[MapUpdate], data: st.DataObject
+) -> None:
+    repeated = history + data.draw(st.lists(st.sampled_from(history), max_size=10))
+    shuffled = data.draw(st.permutations(repeated))
+
+    assert content(replica_of(shuffled).voxel_map) == content(replica_of(history).voxel_map)
+
+
+@settings(deadline=None, max_examples=40)
+@given(history=histories(), data=st.data())
+def test_what_was_lost_is_mended_by_hearing_everything_again(
+    history: list[MapUpdate], data: st.DataObject
+) -> None:
+    replica = replica_of(data.draw(st.lists(st.sampled_from(history), max_size=8)))
+
+    for update in history:
+        replica.apply(update)
+
+    assert content(replica.voxel_map) == content(replica_of(history).voxel_map)
+
+
+@settings(deadline=None, max_examples=30)
+@given(start=st.integers(2**32 - 5, 2**32 - 1), order=st.permutations(range(6)))
+def test_versions_may_begin_again(start: int, order: list[int]) -> None:
+    indices = np.array([[1, 2, 3], [4, 5, 6]])
+    version, updates = start, []
+    for seed in range(6):
+        updates.append(make_update(seed, 3, version, indices))
+        version = next_version(version)
+
+    replica = replica_of([updates[i] for i in order])
+
+    assert content(replica.voxel_map) == content(replica_of(updates[-1:]).voxel_map)
+
+
+def test_an_update_counts_the_voxels_that_it_changes() -> None:
+    indices = np.array([[0, 0, 0], [0, 0, 1], [9, 0, 0]])
+    replica = MapReplica(CONFIG)
+    update = make_update(5, 1, 10, indices)
+    update.log_odds[:] = [4, -4, 7]
+    same = make_update(5, 1, 11, indices)
+    same.log_odds[:] = [4, -4, 8]
+
+    assert [replica.apply(update), replica.apply(update), replica.apply(same)] == [3, 0, 1]
+
+
+def test_a_voxel_that_is_taken_back_is_unknown_again() -> None:
+    indices = np.array([[0, 0, 0], [0, 0, 1]])
+    first, other = make_update(1, 1, 1, indices), make_update(2, 2, 1, indices[:1])
+    first.log_odds[:], other.log_odds[:] = 5, -3
+    taken_back = make_update(3, 1, 2, indices)
+    taken_back.log_odds[:] = NOT_OBSERVED
+    taken_back.has_gaussian[:] = False
+
+    replica = replica_of([first, other, taken_back])
+
+    assert evidence(replica.voxel_map) == {(0, 0, 0): -3.0}
+    replica.apply(first)
+    assert evidence(replica.voxel_map) == {(0, 0, 0): -3.0}
+
+
+def test_evidence_of_many_robots_adds_up_beyond_a_byte() -> None:
+    indices = np.array([[0, 0, 0], [7, 7, 7]])
+    replica = MapReplica(CONFIG)
+    for robot in range(40):
+        update = make_update(robot, robot, 1, indices)
+        update.has_gaussian[:] = False
+        update.log_odds[:] = [20, -1]
+        replica.apply(update)
+
+    assert evidence(replica.voxel_map) == {(0, 0, 0): 800.0, (7, 7, 7): -40.0}
+
+
+def test_a_replica_of_a_map_shows_the_map() -> None:
+    source = VoxelMap(CONFIG)
+    source.track_changes(True)
+    rng = np.random.default_rng(4)
+    replica = MapReplica(CONFIG)
+    for version in range(1, 4):
+        points = np.column_stack([rng.uniform(-1.0, 1.0, (500, 2)), np.full(500, 1.5)])
+        source.integrate(points, np.eye(4))
+        changes = source.take_changes()
+        update = MapUpdate(SIZE, 1, version, *(vars(changes).values()))
+        for rows in encode_update(update, 5000):
+            replica.apply(decode_update(rows))
+
+    assert evidence(replica.voxel_map) == {
+        voxel: min(max(value, -20.0), 20.0) for voxel, value in evidence(source).items()
+    }
+    sides = sorted_surface(source), sorted_surface(replica.voxel_map)
+    for expected, found in zip(*sides, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0.01, atol=SIZE / 1000)
+
+
+def test_voxels_of_another_size_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"0\.05 m, the map has 0\.1 m"):
+        MapReplica(VoxelMapConfig(voxel_size=0.1)).apply(make_update(0, 1, 1))
+
+
+def test_voxels_outside_the_coordinate_limits_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="limits"):
+        MapReplica(CONFIG).apply(make_update(0, 1, 1, np.array([[0, 2**20, 0]])))
+
+
+def test_a_gaussian_that_cannot_be_inverted_leaves_the_replica_as_it_was() -> None:
+    replica = replica_of([make_update(0, 1, 1)])
+    before = content(replica.voxel_map)
+    update = make_update(1, 1, 2)
+    update.covariances[np.flatnonzero(update.has_gaussian)[-1]] = np.diag([1.0, 0.0, 1.0])
+
+    with pytest.raises(InvalidInputError, match="cannot be inverted"):
+        replica.apply(update)
+    assert content(replica.voxel_map) == before
+
+
+def test_an_update_that_would_exceed_the_memory_is_refused() -> None:
+    replica = MapReplica(VoxelMapConfig(voxel_size=SIZE, memory_limit=0.001))
+    scattered = np.arange(0, 8000, 8)[:, None] * np.ones((1, 3), np.int64)
+
+    with pytest.raises(CapacityError, match="shared map"):
+        replica.apply(make_update(0, 1, 1, scattered))
+    assert replica.voxel_map.known_voxels == 0

@@ -34,13 +34,19 @@ class World:
         model: the MuJoCo model.
         terrain: its ground.
         surface: exact distances to everything but the robots.
+        spec: what it was compiled from; to be copied, not changed.
         has_robot: whether a robot is in it.
+        start: where a robot starts: x, y [m], yaw [rad].
+        region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
     """
 
     model: mujoco.MjModel
     terrain: Terrain
     surface: SurfaceModel
+    spec: mujoco.MjSpec
     has_robot: bool = False
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
 
     def surface_distance(self, points: ArrayLike) -> FloatArray:
         """Exact distance to the nearest surface; (N, 3) in the world [m] -> (N,) [m].
@@ -63,9 +69,13 @@ class SceneBuilder:
 
     Attributes:
         terrain: the ground of the world, for those who place things on it.
+        start: where a robot starts: x, y [m], yaw [rad].
+        region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
     """
 
     terrain: Terrain
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     _spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec, init=False)
     _parts: list[SurfacePart] = field(default_factory=list, init=False)
     _has_robot: bool = field(default=False, init=False)
@@ -180,7 +190,8 @@ class SceneBuilder:
             model = spec.compile()
         except ValueError as error:
             raise SimulationError(f"MuJoCo refuses the world: {error}") from error
-        return World(model, self.terrain, SurfaceModel(self._parts), self._has_robot)
+        surface = SurfaceModel(self._parts)
+        return World(model, self.terrain, surface, spec, self._has_robot, self.start, self.region)
 
     def _add_matt(self, name: str) -> mujoco.MjsMaterial:
         """A material without gloss: what shines looks different to each camera."""

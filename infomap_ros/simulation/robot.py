@@ -99,21 +99,13 @@ def _origin(joint: ElementTree.Element) -> FloatArray:
     return make_transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
 
 
-def add_robot(
-    spec: mujoco.MjSpec, description: str, prefix: str = "rover/", material: str = ""
-) -> mujoco.MjsBody:
-    """Put a robot into a world that is being built, free to move.
+def load_robot(description: str) -> mujoco.MjSpec:
+    """A robot from its URDF, alone and fixed at its root link, ready to be changed or compiled.
 
     Visual shapes are drawn, collision shapes collide and are not drawn.
 
     Args:
-        spec: the world.
         description: URDF text.
-        prefix: put before the names of all bodies and joints, so that several robots fit.
-        material: name of a material of `spec` that textures the robot's own colours.
-
-    Returns:
-        The robot's root body.
 
     Raises:
         RobotModelError: MuJoCo cannot read the description.
@@ -129,6 +121,27 @@ def add_robot(
     for geom in robot.geoms:
         if geom.contype or geom.conaffinity:
             geom.group = COLLISION_GROUP
+    return robot
+
+
+def add_robot(
+    spec: mujoco.MjSpec, description: str, prefix: str = "rover/", material: str = ""
+) -> mujoco.MjsBody:
+    """Put a robot into a world that is being built, free to move.
+
+    Args:
+        spec: the world.
+        description: URDF text, read by `load_robot`.
+        prefix: put before the names of all bodies and joints, so that several robots fit.
+        material: name of a material of `spec` that textures the robot's own colours.
+
+    Returns:
+        The robot's root body.
+
+    Raises:
+        RobotModelError: MuJoCo cannot read the description.
+    """
+    robot = load_robot(description)
     root = spec.worldbody.add_frame().attach_body(robot.worldbody.first_body(), prefix, "")
     for geom in spec.geoms:
         if material and geom.group == 1:

@@ -1,0 +1,179 @@
+"""Follows a path of base poses: turns on the spot where it must, and drives along the rest.
+
+Pure pursuit after R. C. Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm,
+CMU-RI-TR-92-01 (1992): steer along the circle through the point of the path that is one look-ahead
+distance away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+
+_SAME_PLACE = 1e-3  # [m]
+
+
+@dataclass(frozen=True)
+class PathFollowingConfig:
+    """Parameters of the drive."""
+
+    max_speed: float = parameter(0.25, "Largest speed.", unit="m/s", low=0.01, high=3.0)
+    max_turn_rate: float = parameter(0.6, "Largest turn rate.", unit="rad/s", low=0.05, high=5.0)
+    acceleration: float = parameter(0.4, "Largest acceleration.", unit="m/s^2", low=0.01, high=10.0)
+    turn_acceleration: float = parameter(
+        1.5, "Largest acceleration of the turn rate.", unit="rad/s^2", low=0.05, high=50.0
+    )
+    look_ahead: float = parameter(
+        0.15, "Distance of the point that is steered to.", unit="m", low=0.02, high=3.0
+    )
+    position_tolerance: float = parameter(
+        0.02, "Distance at which a point of the path is reached.", unit="m", low=0.002, high=1.0
+    )
+    angle_tolerance: float = parameter(
+        0.02, "Angle at which a heading is reached.", unit="rad", low=0.002, high=1.0
+    )
+    turn_first: float = parameter(
+        0.5, "Heading error above which it turns on the spot.", unit="rad", low=0.05, high=3.0
+    )
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """A part of the path that is driven in one direction, or a turn on the spot.
+
+    Attributes:
+        points: shape (n, 2) [m]; one point for a turn.
+        forward: +1 or -1.
+        heading: to be reached at the end [rad]; NaN where the next leg does not care.
+    """
+
+    points: FloatArray
+    forward: float
+    heading: float
+
+
+class PathFollower:
+    """One path, followed by asking for the velocity at each present pose.
+
+    Args:
+        poses: x, y [m], yaw [rad], shape (K, 3), in any fixed frame.
+        config: the parameters.
+
+    Raises:
+        InvalidInputError: wrong shape, no pose, or not finite.
+    """
+
+    def __init__(self, poses: FloatArray, config: PathFollowingConfig) -> None:
+        path = np.array(poses, dtype=np.float64)
+        if path.ndim != 2 or path.shape[1] != 3 or not len(path):
+            raise InvalidInputError("base path", f"shape {path.shape}, expected (K, 3)")
+        if not np.isfinite(path).all():
+            raise InvalidInputError("base path", "holds NaN or infinity")
+        self._config = config
+        self._legs = _split(path)
+        self._turning = False
+
+    @property
+    def done(self) -> bool:
+        """Whether the end has been reached."""
+        return not self._legs
+
+    def velocity(self, pose: FloatArray) -> tuple[float, float]:
+        """Wanted forward speed [m/s] and turn rate [rad/s] at x, y [m], yaw [rad], shape (3,)."""
+        while self._legs:
+            leg = self._legs[0]
+            wanted = self._drive(leg, pose) if len(leg.points) > 1 else self._turn(leg, pose)
+            if wanted is not None:
+                return wanted
+            self._legs.pop(0)
+            self._turning = False
+        return 0.0, 0.0
+
+    def _turn(self, leg: _Leg, pose: FloatArray) -> tuple[float, float] | None:
+        error = wrap(leg.heading - pose[2])
+        if abs(error) < self._config.angle_tolerance:
+            return None
+        return 0.0, self._turn_rate(error)
+
+    def _turn_rate(self, error: float) -> float:
+        """Turn rate that can still stop at an error [rad] of zero."""
+        slowing = np.sqrt(self._config.turn_acceleration * abs(error))
+        rate = min(self._config.max_turn_rate, float(slowing), 3.0 * abs(error) + 0.02)
+        return float(np.copysign(rate, error))
+
+    def _drive(self, leg: _Leg, pose: FloatArray) -> tuple[float, float] | None:
+        points, config = leg.points, self._config
+        along, target = _aim(points, pose[:2], config.look_ahead)
+        direction = points[-1] - points[-2]
+        beyond = (pose[:2] - points[-1]) @ direction / np.linalg.norm(direction)
+        left = along + float(np.linalg.norm(points[-1] - pose[:2])) if along else -beyond
+        if left < config.position_tolerance and along == 0.0:
+            return None
+        bearing = np.arctan2(*(target - pose[:2])[::-1])
+        error = wrap(bearing - pose[2] - (0.0 if leg.forward > 0 else np.pi))
+        limit = config.turn_first if not self._turning else 3.0 * config.angle_tolerance
+        self._turning = abs(error) > limit
+        if self._turning:
+            return 0.0, self._turn_rate(error)
+        speed = min(config.max_speed, float(np.sqrt(config.acceleration * max(left, 0.0))) + 0.01)
+        speed *= max(0.2, float(np.cos(error)) ** 3)
+        distance = max(float(np.linalg.norm(target - pose[:2])), 0.5 * config.look_ahead)
+        rate = 2.0 * speed * np.sin(error) / distance
+        return leg.forward * speed, float(
+            np.clip(rate, -config.max_turn_rate, config.max_turn_rate)
+        )
+
+
+def wrap(angle: float) -> float:
+    """The same angle between -pi and pi [rad]."""
+    return float(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def _split(path: FloatArray) -> list[_Leg]:
+    """Cut a path where it turns on the spot or changes between forward and backward."""
+    steps = np.diff(path[:, :2], axis=0)
+    moves = np.linalg.norm(steps, axis=1) > _SAME_PLACE
+    legs: list[_Leg] = [_Leg(path[:1, :2], 1.0, float("nan"))]
+    headings = path[:-1, 2] + 0.5 * np.arctan2(
+        np.sin(np.diff(path[:, 2])), np.cos(np.diff(path[:, 2]))
+    )
+    ahead = np.einsum("ij,ij->i", steps, np.column_stack([np.cos(headings), np.sin(headings)]))
+    for index, moving in enumerate(moves):
+        end = path[index + 1]
+        if not moving:
+            legs.append(_Leg(end[None, :2], 1.0, float(end[2])))
+            continue
+        forward = 1.0 if ahead[index] >= 0.0 else -1.0
+        last = legs[-1]
+        if len(last.points) > 1 and last.forward == forward:
+            legs[-1] = _Leg(np.vstack([last.points, end[:2]]), forward, last.heading)
+        else:
+            legs.append(_Leg(np.stack([path[index, :2], end[:2]]), forward, float("nan")))
+    legs = [leg for leg in legs if len(leg.points) > 1 or np.isfinite(leg.heading)]
+    return [*legs, _Leg(path[-1:, :2], 1.0, float(path[-1, 2]))]
+
+
+def _aim(points: FloatArray, place: FloatArray, look_ahead: float) -> tuple[float, FloatArray]:
+    """Way that is left beyond the look-ahead point [m], 0 at the end, and that point."""
+    starts, steps = points[:-1], np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    share = np.einsum("ij,ij->i", place - starts, steps) / lengths**2
+    feet = starts + np.clip(share, 0.0, 1.0)[:, None] * steps
+    nearest = int(np.argmin(np.linalg.norm(feet - place, axis=1)))
+    ends = np.cumsum(lengths)
+    position = ends[nearest] - lengths[nearest] * (1.0 - np.clip(share[nearest], 0.0, 1.0))
+    wanted = position + look_ahead
+    if wanted >= ends[-1]:
+        return 0.0, points[-1]
+    segment = int(np.searchsorted(ends, wanted))
+    back = (ends[segment] - wanted) / lengths[segment]
+    return float(ends[-1] - wanted), points[segment + 1] - back * steps[segment]

@@ -19,17 +19,13 @@ import numpy as np
 from stereo_bag import write_stereo_bag
 
 from infomap_ros.nodes.live_run import LiveRun, RunState
-from infomap_ros.stereo import StereoConfig
 
 WARM_UP = 5  # pairs that are not counted: discovery and first use of memory
 
 
 def measure(bag: Path, frames: int, rate: float, voxel_size: float) -> dict[str, object]:
     """Play the bag once and collect the figures."""
-    fusion = {
-        "voxel_size": voxel_size,
-        "error_correlation": StereoConfig().error_correlation,
-    }
+    fusion = {"voxel_size": voxel_size}
     with (
         tempfile.TemporaryDirectory() as folder,
         LiveRun(bag, Path(folder), {"rate": rate}, fusion=fusion) as run,

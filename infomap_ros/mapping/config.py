@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.stereo.config import StereoConfig
 
 LOG_ODDS_QUANTUM = 0.25
 """Step in which occupancy evidence is counted [nats]."""
@@ -54,9 +55,10 @@ class VoxelMapConfig:
         3.0, "Limit of that distance, in voxels.", low=0.0, high=64.0
     )
     error_correlation: float = parameter(
-        0.0,
-        "Correlation of the range errors of neighbouring points of one scan, 0 for independent "
-        "points. The variance of a voxel's mean of n points is sigma^2 (c + (1 - c) / n).",
+        StereoConfig.error_correlation,
+        "Correlation of the range errors of neighbouring points of one scan: the variance of a "
+        "voxel's mean of n points is sigma^2 (c + (1 - c) / n). The default is that of stereo "
+        "matching, 0 is for a sensor whose points are independent.",
         low=0.0,
         high=1.0,
     )

@@ -26,7 +26,6 @@ from infomap_ros.nodes.pictures import LivePictures
 from infomap_ros.nodes.report import write_report
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.replay.reader import BagReader
-from infomap_ros.stereo import StereoConfig
 
 BAG = "bags/rover_rocks"
 _START_TIMEOUT = 300.0  # [s]; kernels are compiled the first time
@@ -51,9 +50,9 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     """
     out.mkdir(parents=True, exist_ok=True)
     pairs = count_pairs(bag)
-    fusion = {"voxel_size": voxel_size, "error_correlation": StereoConfig().error_correlation}
     player = {"acknowledged": True, "paced_topic": f"/{LEFT}"}
     start = time.monotonic()
+    fusion = {"voxel_size": voxel_size}
     with LiveRun(bag, out, player, fusion=fusion, map_file=out / MAP_FILE) as run:
         pictures = LivePictures(run)
         console.print("starting stereo_range and map_fusion")

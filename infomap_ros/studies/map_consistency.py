@@ -107,8 +107,8 @@ def nees_band(samples: int) -> tuple[float, float]:
 
 
 def map_scans(scans: Sequence[NoisyScan], voxel_size: float) -> VoxelMap:
-    """A map of scans, with the default configuration but for the voxel size [m]."""
-    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=voxel_size))
+    """A map of scans whose points are independent, with voxels of this size [m]."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=voxel_size, error_correlation=0.0))
     for scan in scans:
         voxel_map.integrate(scan.points, scan.pose, scan.covariances, scan.pose_covariance, CAMERA)
     return voxel_map

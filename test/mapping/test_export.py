@@ -17,7 +17,7 @@ from infomap_ros.mapping.projection import ProjectionConfig, project_map
 @pytest.fixture(scope="module")
 def wall_map() -> VoxelMap:
     """A wall at x = 2 m, seen along x from the origin, 1 cm of range error."""
-    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05, error_correlation=0.0))
     y, z = np.meshgrid(np.arange(-0.5, 0.5, 0.01), np.arange(0.0, 1.0, 0.01))
     points = np.stack([np.full(y.shape, 2.02), y, z], axis=-1).reshape(-1, 3)
     covariances = np.tile(np.diag([1e-4, 1e-6, 1e-6]), (len(points), 1, 1))

@@ -11,6 +11,7 @@ from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.gaussians import empty_gaussians, with_gaussian_room
+from infomap_ros.stereo import StereoConfig
 
 from .naive import merged, point_covariance
 from .scenes import look_at
@@ -30,6 +31,9 @@ def point_at(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
     return (target - pose[:3, 3]) @ pose[:3, :3]
 
 
+OWN_VOXELS = {"voxel_size": SIZE, "association_sigmas": 0.0, "error_correlation": 0.0}
+
+
 def poses_around(rng: np.random.Generator, count: int) -> list[np.ndarray]:
     return [
         look_at(ORIGIN + rng.uniform(-0.3, 0.3, 3), VOXEL_CENTRE, rng.uniform(-3, 3))
@@ -38,8 +42,8 @@ def poses_around(rng: np.random.Generator, count: int) -> list[np.ndarray]:
 
 
 def map_with_own_voxels(**parameters: float) -> VoxelMap:
-    """Points inform the voxel that they lie in and no other."""
-    return VoxelMap(VoxelMapConfig(voxel_size=SIZE, association_sigmas=0.0, **parameters))
+    """Points are independent, and inform the voxel that they lie in and no other."""
+    return VoxelMap(VoxelMapConfig(**OWN_VOXELS | parameters))
 
 
 def the_gaussian(voxel_map: VoxelMap) -> tuple[np.ndarray, np.ndarray]:
@@ -150,6 +154,17 @@ def test_the_correlation_of_one_scan_replaces_that_of_the_configuration(rng):
     np.testing.assert_array_equal(the_gaussian(configured)[1], the_gaussian(given)[1])
 
 
+def test_a_scan_of_unknown_correlation_is_taken_for_one_of_stereo(rng):
+    pose = poses_around(rng, 1)[0]
+    points, noise = np.tile(point_at(pose, VOXEL_CENTRE), (500, 1)), np.eye(3) * 1e-4
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=SIZE, association_sigmas=0.0))
+    voxel_map.integrate(points, pose, np.tile(noise, (500, 1, 1)))
+    correlation = StereoConfig().error_correlation
+    expected = 1e-4 * (correlation + (1.0 - correlation) / 500)
+    along_normal = np.linalg.eigvalsh(the_gaussian(voxel_map)[1])[0]
+    assert along_normal == pytest.approx(expected, rel=1e-3)
+
+
 def test_covariances_may_come_as_upper_triangles(rng):
     pose, noise = poses_around(rng, 1)[0], random_covariance(rng, 0.01)
     full, upper = map_with_own_voxels(), map_with_own_voxels()
@@ -172,7 +187,7 @@ def test_a_wall_seen_by_a_camera_has_the_covariance_of_the_formula():
     camera = PinholeCamera(120, 96, 300.0, 300.0, 59.5, 47.5)
     points = camera.back_project(np.full((96, 120), 1.025))
     sigma, pose_sigma = 0.003, 0.004
-    config = VoxelMapConfig(voxel_size=SIZE, default_sigma=sigma)
+    config = VoxelMapConfig(voxel_size=SIZE, default_sigma=sigma, error_correlation=0.0)
     voxel_map = VoxelMap(config)
     pose_covariance = np.diag([0.0, 0.0, pose_sigma**2, 0.0, 0.0, 0.0])
     voxel_map.integrate(points, np.eye(4), None, pose_covariance, camera)

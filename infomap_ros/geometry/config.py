@@ -10,9 +10,11 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from infomap_ros.errors import ConfigError
+
+Config = TypeVar("Config")
 
 _METADATA_KEY = "parameter"
 
@@ -75,6 +77,51 @@ def parameters_of(config: Any) -> Mapping[str, tuple[Any, ParameterInfo]]:
         for field in dataclasses.fields(config)
         if _METADATA_KEY in field.metadata
     }
+
+
+def nested_configs(config: Any) -> Mapping[str, Any]:
+    """Fields of a configuration class or object that are configurations: name -> their default."""
+    return {
+        field.name: field.default_factory()
+        for field in dataclasses.fields(config)
+        if field.default_factory is not dataclasses.MISSING
+        and dataclasses.is_dataclass(field.default_factory)
+    }
+
+
+def all_parameters(config: Any) -> dict[str, tuple[Any, ParameterInfo]]:
+    """Fields of a configuration and of those in it: dotted name -> (default, info), in order."""
+    found = dict(parameters_of(config))
+    for name, part in nested_configs(config).items():
+        found |= {f"{name}.{inner}": entry for inner, entry in all_parameters(part).items()}
+    return found
+
+
+def build_config(config_class: type[Config], values: Mapping[str, Any]) -> Config:
+    """Make a configuration, those in it included.
+
+    Args:
+        config_class: the class.
+        values: by dotted name as in `all_parameters`; what is missing has its default.
+
+    Raises:
+        ConfigError: a value is refused, or nothing has that name; names it in full.
+    """
+    unknown = set(values) - set(all_parameters(config_class))
+    if unknown:
+        raise ConfigError(min(unknown), values[min(unknown)], "the name of a parameter")
+    own = {name: values[name] for name in parameters_of(config_class) if name in values}
+    for name, part in nested_configs(config_class).items():
+        inner = {
+            dotted.removeprefix(f"{name}."): value
+            for dotted, value in values.items()
+            if dotted.startswith(f"{name}.")
+        }
+        try:
+            own[name] = build_config(type(part), inner)
+        except ConfigError as error:
+            raise ConfigError(f"{name}.{error.parameter}", error.value, error.expected) from error
+    return config_class(**own)
 
 
 def check_config(config: Any) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from infomap_ros.geometry.config import ParameterInfo, parameters_of
+from infomap_ros.geometry.config import ParameterInfo, all_parameters
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
@@ -38,7 +38,7 @@ def node_parameters(
     return {
         prefix + name: entry
         for config, prefix in configs
-        for name, entry in parameters_of(config).items()
+        for name, entry in all_parameters(config).items()
     }
 
 

@@ -14,7 +14,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import ParameterInfo, parameters_of
+from infomap_ros.geometry.config import ParameterInfo, all_parameters, build_config
 
 Config = TypeVar("Config")
 
@@ -27,7 +27,8 @@ def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> 
 
     Args:
         node: the node; parameter overrides given to it apply.
-        config_class: a configuration whose fields are made by `geometry.config.parameter`.
+        config_class: a configuration whose fields are made by `geometry.config.parameter`, or are
+            configurations themselves, whose parameters have the field's name before theirs.
         prefix: put before each parameter's name, for example ``poses.``.
 
     Returns:
@@ -36,10 +37,10 @@ def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> 
     Raises:
         ConfigError: a value has the wrong type or is out of range; it names the parameter.
     """
-    fields = parameters_of(config_class)
+    fields = all_parameters(config_class)
     values = {name: _given(node, prefix + name, default) for name, (default, _) in fields.items()}
     try:
-        config = config_class(**values)
+        config = build_config(config_class, values)
     except ConfigError as error:
         raise ConfigError(prefix + error.parameter, error.value, error.expected) from error
     for name, (default, info) in fields.items():

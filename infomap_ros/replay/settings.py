@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import parameters_of
+from infomap_ros.geometry.config import all_parameters
 
 Options = TypeVar("Options")
 
@@ -32,13 +32,21 @@ def with_settings(options: Options, settings: Iterable[str]) -> Options:
         if not separator or not dot:
             raise ConfigError("setting", setting, "section.parameter=value")
         config = getattr(options, section, None)
-        known = parameters_of(config) if dataclasses.is_dataclass(config) else {}
+        known = all_parameters(config) if dataclasses.is_dataclass(config) else {}
         if parameter not in known:
             raise ConfigError("setting", name, f"one of {', '.join(setting_names(options))}")
         value = _parsed(parameter, text.strip(), known[parameter][0])
-        changed = dataclasses.replace(config, **{parameter: value})  # type: ignore[type-var]
+        changed = _replaced(config, parameter.split("."), value)
         options = dataclasses.replace(options, **{section: changed})  # type: ignore[type-var]
     return options
+
+
+def _replaced(config: Any, path: list[str], value: Any) -> Any:
+    """A copy of a configuration with the parameter at a path set."""
+    name, *rest = path
+    if rest:
+        value = _replaced(getattr(config, name), rest, value)
+    return dataclasses.replace(config, **{name: value})
 
 
 def setting_names(options: Any) -> list[str]:
@@ -47,7 +55,7 @@ def setting_names(options: Any) -> list[str]:
         f"{field.name}.{name}"
         for field in dataclasses.fields(options)
         if dataclasses.is_dataclass(getattr(options, field.name))
-        for name in parameters_of(getattr(options, field.name))
+        for name in all_parameters(getattr(options, field.name))
     ]
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InfomapError
-from infomap_ros.geometry.config import check_config, parameter, parameters_of
+from infomap_ros.geometry.config import (
+    all_parameters,
+    build_config,
+    check_config,
+    parameter,
+    parameters_of,
+)
 
 
 @dataclass(frozen=True)
@@ -88,3 +94,43 @@ def test_parameters_are_listed_in_order_with_default_and_description():
     assert default == 0.5
     assert (info.description, info.unit, info.low, info.high) == ("Some length.", "m", 0.1, 2.0)
     assert parameters_of(Example(length=1.0))["length"][0] == 0.5
+
+
+@dataclass(frozen=True)
+class Wheel:
+    radius: float = parameter(0.1, "Radius.", unit="m", low=0.01, high=1.0)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class Cart:
+    speed: float = parameter(1.0, "Speed.", unit="m/s", low=0.0)
+    wheel: Wheel = field(default_factory=Wheel)
+
+
+@dataclass(frozen=True)
+class Train:
+    name: str = parameter("", "Name.")
+    cart: Cart = field(default_factory=Cart)
+
+
+def test_parameters_of_nested_configurations_have_dotted_names() -> None:
+    found = all_parameters(Train)
+    assert list(found) == ["name", "cart.speed", "cart.wheel.radius"]
+    assert found["cart.wheel.radius"][0] == 0.1
+
+
+def test_nested_configuration_is_built_from_dotted_names() -> None:
+    train = build_config(Train, {"cart.wheel.radius": 0.3, "name": "t"})
+    assert train == Train("t", Cart(1.0, Wheel(0.3)))
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [({"cart.wheel.radius": 9.0}, "cart.wheel.radius"), ({"cart.wheels": 1}, "cart.wheels")],
+)
+def test_refused_nested_parameter_is_named_in_full(values: dict[str, float], name: str) -> None:
+    with pytest.raises(ConfigError, match=name):
+        build_config(Train, values)

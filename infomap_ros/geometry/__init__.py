@@ -30,6 +30,7 @@ from infomap_ros.geometry.solids import (
 from infomap_ros.geometry.transforms import (
     check_covariance,
     check_transform,
+    check_transforms,
     float_array,
     interpolate_transforms,
     invert_transform,
@@ -67,6 +68,7 @@ __all__ = [
     "WaitingQueueConfig",
     "check_covariance",
     "check_transform",
+    "check_transforms",
     "float_array",
     "interpolate_transforms",
     "invert_transform",

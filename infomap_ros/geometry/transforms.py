@@ -72,6 +72,33 @@ def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray
     return matrix
 
 
+def check_transforms(transforms: ArrayLike, name: str = "transforms") -> FloatArray:
+    """Return many transforms as a float64 array after checking each as `check_transform` does.
+
+    Args:
+        transforms: array-like, shape (M, 4, 4).
+        name: how an error names it.
+
+    Returns:
+        Copy, shape (M, 4, 4), float64.
+
+    Raises:
+        InvalidInputError: wrong shape, or one is not a rigid transform; names the first.
+    """
+    matrices = float_array(transforms, name)
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
+        raise InvalidInputError(name, f"shape {matrices.shape}, expected (M, 4, 4)")
+    rotations = matrices[:, :3, :3]
+    with np.errstate(all="ignore"):
+        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        row = np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1)
+        rigid = (off < _ROTATION_TOLERANCE) & (row < 1e-9) & (np.linalg.det(rotations) > 0.0)
+    suspicious = ~(rigid & np.isfinite(matrices).all(axis=(1, 2)))
+    for index in np.flatnonzero(suspicious):
+        check_transform(matrices[index], f"{name}[{index}]")
+    return matrices
+
+
 def check_covariance(covariance: ArrayLike, size: int, name: str = "covariance") -> FloatArray:
     """Return `covariance` as a symmetric float64 array after checking that it is one.
 

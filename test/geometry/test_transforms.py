@@ -10,6 +10,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import (
     check_covariance,
     check_transform,
+    check_transforms,
     interpolate_transforms,
     invert_transform,
     make_transform,
@@ -137,21 +138,39 @@ def test_check_transform_returns_a_copy(rng):
     assert transform[0, 3] != checked[0, 3]
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda m: m[:3], "shape"),
-        (lambda m: m * np.nan, "NaN"),
-        (lambda m: m + np.diag([1e-3, 0, 0, 0]), "orthonormal"),
-        (lambda m: np.diag([1.0, 1.0, -1.0, 1.0]), "reflection"),
-        (lambda m: m.T + 1.0, "last row"),
-        (lambda m: [[1.0, 2.0], [3.0]], "array of numbers"),
-    ],
-)
+NOT_RIGID = [
+    (lambda m: m * np.nan, "NaN"),
+    (lambda m: m + np.diag([1e-3, 0, 0, 0]), "orthonormal"),
+    (lambda m: np.diag([1.0, 1.0, -1.0, 1.0]), "reflection"),
+    (lambda m: m.T + 1.0, "last row"),
+]
+NO_MATRIX = [
+    (lambda m: m[:3], "shape"),
+    (lambda m: [[1.0, 2.0], [3.0]], "array of numbers"),
+]
+
+
+@pytest.mark.parametrize(("change", "named"), [*NOT_RIGID, *NO_MATRIX])
 def test_what_is_not_rigid_is_refused_by_name(change, named):
     with pytest.raises(InvalidInputError, match=named) as caught:
         check_transform(change(np.eye(4)), name="T_map_camera")
     assert caught.value.name == "T_map_camera"
+
+
+@pytest.mark.parametrize(("change", "named"), NOT_RIGID)
+def test_the_first_of_many_that_is_not_rigid_is_named(change, named, rng):
+    transforms = np.array([random_transform(rng) for _ in range(4)])
+    np.testing.assert_array_equal(check_transforms(transforms), transforms)
+    transforms[2:] = change(np.eye(4))
+    with pytest.raises(InvalidInputError, match=named) as caught:
+        check_transforms(transforms, name="poses")
+    assert caught.value.name == "poses[2]"
+
+
+@pytest.mark.parametrize("transforms", [np.eye(4), np.zeros((2, 3, 4)), 1.0, "x"])
+def test_what_is_no_stack_of_transforms_is_refused(transforms):
+    with pytest.raises(InvalidInputError, match="transforms"):
+        check_transforms(transforms)
 
 
 def test_check_covariance_accepts_a_semidefinite_one(rng):

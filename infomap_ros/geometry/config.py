@@ -84,7 +84,7 @@ def nested_configs(config: Any) -> Mapping[str, Any]:
     return {
         field.name: field.default_factory()
         for field in dataclasses.fields(config)
-        if field.default_factory is not dataclasses.MISSING
+        if isinstance(field.default_factory, type)
         and dataclasses.is_dataclass(field.default_factory)
     }
 

@@ -1,0 +1,249 @@
+"""Candidates for the next view: Fig. 7 up to the rating (doi:10.1177/0278364905051774)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray, check_transform
+from infomap_ros.mapping import FREE
+from infomap_ros.views.orientations import OrientationConfig, choose_orientations, look_rotations
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.surroundings import Surroundings
+
+OUTSIDE_REGION = "too far from the region of the task"
+OUTSIDE_HEIGHTS = "outside the heights that the camera can be brought to"
+NOT_FREE = "not known to be free"
+NO_ROOM = "no room for the camera"
+NOT_CONNECTED = "not connected to the camera's place through known free space"
+NOTHING_NEAR = "neither near the periphery of the known nor near an obstacle"
+NEAR_TEAMMATE = "too near a teammate or its goal"
+
+_OVERSAMPLED = 8  # positions drawn per position wanted, as some fail the tests
+
+
+@dataclass(frozen=True)
+class CandidateConfig:
+    """Configuration of the candidates.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    candidates: int = parameter(
+        1000, "Number of candidate views that pass the cheap tests.", low=1, high=1_000_000
+    )
+    local_share: float = parameter(
+        0.3,
+        "Share of the positions that is drawn near the present one; the rest is drawn uniformly "
+        "from the known free space.",
+        low=0.0,
+        high=1.0,
+    )
+    local_radius: float = parameter(
+        1.0, "What counts as near the present position.", unit="m", low=0.01, high=100.0
+    )
+    periphery_distance: float = parameter(
+        0.75,
+        "Farthest distance to the periphery of the known or an obstacle, as a share of the "
+        "camera's range.",
+        low=0.01,
+        high=1.0,
+    )
+    teammate_clearance: float = parameter(
+        0.6,
+        "Smallest distance to a teammate and to the view that it is heading for.",
+        unit="m",
+        low=0.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Views that passed the cheap tests, and those that did not.
+
+    Attributes:
+        positions: camera positions that passed, shape (P, 3) [m, map].
+        orientations: ``R_map_camera`` per position, shape (P, O, 3, 3).
+        extra: single views that passed besides, shape (E, 4, 4): the previous goal.
+        rejected: poses of those that did not pass, shape (R, 4, 4), with a level glance.
+        reasons: why not, one per rejected pose.
+    """
+
+    positions: FloatArray
+    orientations: FloatArray
+    extra: FloatArray
+    rejected: FloatArray
+    reasons: tuple[str, ...]
+
+    @property
+    def poses(self) -> FloatArray:
+        """``T_map_camera`` of all that passed, position by position, then the extra ones."""
+        count = self.orientations.shape[1]
+        poses = np.tile(np.eye(4), (len(self.positions) * count, 1, 1))
+        poses[:, :3, :3] = self.orientations.reshape(-1, 3, 3)
+        poses[:, :3, 3] = np.repeat(self.positions, count, axis=0)
+        return np.concatenate([poses, self.extra])
+
+
+def find_candidates(
+    situation: Situation,
+    surroundings: Surroundings,
+    rng: np.random.Generator,
+    config: CandidateConfig | None = None,
+    orientations: OrientationConfig | None = None,
+    extra: Sequence[FloatArray] = (),
+) -> Candidates:
+    """Draw camera positions from the known free space, test them, and look around from each.
+
+    The present position is always among them: to turn is cheap.
+
+    Args:
+        situation: what is known.
+        surroundings: its known space, from `survey`.
+        rng: draws the positions.
+        config: how many, and what is near.
+        orientations: how many views per position.
+        extra: single views ``T_map_camera`` to be tested as well.
+
+    Returns:
+        At least the present position's views unless it is outside region or heights; fewer than
+        asked for where the known free space gives no more.
+    """
+    settings, directions = config or CandidateConfig(), orientations or OrientationConfig()
+    wanted = -(-settings.candidates // (directions.directed + directions.spread))
+    accepted, rejected, reasons = _draw(situation, surroundings, rng, settings, wanted)
+    here = situation.position[None]
+    against = _tests(situation, surroundings, here, settings, camera_is_there=True)
+    if not against[0]:
+        accepted = np.concatenate([here, accepted])[:wanted]
+    else:
+        rejected, reasons = np.concatenate([here, rejected]), [*against, *reasons]
+    views = [check_transform(view, "extra view") for view in extra]
+    verdicts = [_tests(situation, surroundings, v[None, :3, 3], settings)[0] for v in views]
+    passed = [view for view, verdict in zip(views, verdicts, strict=True) if not verdict]
+    failed = [(v, verdict) for v, verdict in zip(views, verdicts, strict=True) if verdict]
+    looks = choose_orientations(
+        surroundings, situation.camera, situation.max_range, accepted, directions, rng
+    )
+    rejected_poses = _level_poses(rejected, situation.T_map_camera)
+    return Candidates(
+        accepted,
+        looks,
+        np.array(passed).reshape(-1, 4, 4),
+        np.concatenate([rejected_poses, np.array([v for v, _ in failed]).reshape(-1, 4, 4)]),
+        (*reasons, *(verdict for _, verdict in failed)),
+    )
+
+
+def _draw(
+    situation: Situation,
+    surroundings: Surroundings,
+    rng: np.random.Generator,
+    settings: CandidateConfig,
+    wanted: int,
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Positions that pass, those that do not, and why not."""
+    accepted, rejected = np.empty((0, 3)), np.empty((0, 3))
+    reasons: list[str] = []
+    for share, source in _sources(situation, surroundings, settings):
+        missing = round(wanted * share) - len(accepted)
+        drawn = rng.permutation(source[_sample(len(source), _OVERSAMPLED * missing, rng)])
+        if source.ndim == 1:
+            drawn = surroundings.centres(drawn)
+        against = _tests(situation, surroundings, drawn, settings)
+        passed = np.array([not reason for reason in against], np.bool_)
+        enough = np.searchsorted(np.cumsum(passed), missing) + 1
+        drawn, passed = drawn[:enough], passed[:enough]
+        accepted = np.concatenate([accepted, drawn[passed]])
+        rejected = np.concatenate([rejected, drawn[~passed]])
+        reasons += [reason for reason in against[:enough] if reason]
+    return accepted, rejected, reasons
+
+
+def _sample(size: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    return np.asarray(rng.choice(size, min(max(count, 0), size), replace=False), dtype=np.int64)
+
+
+def _sources(
+    situation: Situation, surroundings: Surroundings, settings: CandidateConfig
+) -> Iterator[tuple[float, NDArray[Any]]]:
+    """Where to draw from, and the share of the positions that should then have been found.
+
+    The last one makes up for what the tests took from the others.
+
+    Yields:
+        That share, and flat indices of voxels in the box, shape (N,), or points, shape (N, 3).
+    """
+    if situation.positions_hint is not None:
+        yield 1.0, situation.positions_hint
+        return
+    reached = np.flatnonzero(surroundings.reached)
+    offsets = surroundings.centres(reached) - situation.position
+    near = np.einsum("ij,ij->i", offsets, offsets) <= settings.local_radius**2
+    yield settings.local_share, reached[near]
+    if settings.local_share < 1.0:
+        sides = zip(surroundings.first, surroundings.reached.shape, strict=True)
+        box = surroundings.states[tuple(slice(a, a + n) for a, n in sides)]
+        yield 1.0, np.flatnonzero(box == FREE)
+        yield 1.0, reached
+
+
+def _tests(
+    situation: Situation,
+    surroundings: Surroundings,
+    points: FloatArray,
+    settings: CandidateConfig,
+    camera_is_there: bool = False,
+) -> list[str]:
+    """The first test that each position fails, "" where it passes all."""
+    places, inside = surroundings.in_box(points)
+    within = np.where(inside[:, None], places, 0)
+    room, reached = (
+        inside & (camera_is_there | grid[tuple(within.T)])
+        for grid in (surroundings.has_room, surroundings.reached)
+    )
+    heights = situation.heights_of(points)
+    low, high = situation.heights
+    gap = settings.periphery_distance * situation.max_range
+    tests = (
+        (situation.region.contains(points, situation.max_range), OUTSIDE_REGION),
+        ((heights >= low) & (heights <= high), OUTSIDE_HEIGHTS),
+        (surroundings.states_at(points) == FREE, NOT_FREE),
+        (room, NO_ROOM),
+        (reached, NOT_CONNECTED),
+        (surroundings.gaps(points) <= gap, NOTHING_NEAR),
+        (_clear_of_team(situation, points, settings.teammate_clearance), NEAR_TEAMMATE),
+    )
+    reasons = np.full(len(points), "", object)
+    for passed, reason in reversed(tests):
+        reasons[~passed] = reason
+    return list(reasons)
+
+
+def _clear_of_team(situation: Situation, points: FloatArray, clearance: float) -> NDArray[np.bool_]:
+    clear = np.ones(len(points), np.bool_)
+    for mate in situation.teammates:
+        places = [mate.position] if mate.goal is None else [mate.position, mate.goal[:3, 3]]
+        for place in places:
+            clear &= np.linalg.norm(points - place, axis=1) >= clearance
+    return clear
+
+
+def _level_poses(positions: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+    """Poses that look level into the present direction, (N, 3) -> (N, 4, 4)."""
+    axis = T_map_camera[:3, 2]
+    azimuth = np.array([np.arctan2(axis[1], axis[0])])
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3] = look_rotations(azimuth, np.zeros(1))[0]
+    poses[:, :3, 3] = positions
+    return poses

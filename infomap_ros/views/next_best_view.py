@@ -1,0 +1,166 @@
+"""The choice of the next view: Fig. 7 of Sujan and Dubowsky 2005 as code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.candidates import CandidateConfig, Candidates, find_candidates
+from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
+from infomap_ros.views.localisation_error import LocalisationError
+from infomap_ros.views.options import InformationSource, Options
+from infomap_ros.views.orientations import OrientationConfig
+from infomap_ros.views.rating import Rating, RatingConfig
+from infomap_ros.views.reach import Reachability
+from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.strategies import Strategy, make_strategy
+from infomap_ros.views.surroundings import Surroundings, SurroundingsConfig, survey
+from infomap_ros.views.terms import RatingTerm
+from infomap_ros.views.view_information import ExpectedInformation
+
+
+@dataclass(frozen=True)
+class NextBestViewConfig:
+    """Configuration of `NextBestView`: those of its parts."""
+
+    surroundings: SurroundingsConfig = field(default_factory=SurroundingsConfig)
+    candidates: CandidateConfig = field(default_factory=CandidateConfig)
+    orientations: OrientationConfig = field(default_factory=OrientationConfig)
+    rating: RatingConfig = field(default_factory=RatingConfig)
+    selection: SelectionConfig = field(default_factory=SelectionConfig)
+
+
+class NextBestView:
+    """Chooses where to look next, and says why."""
+
+    def __init__(
+        self,
+        config: NextBestViewConfig | None = None,
+        strategy: str = "largest_information",
+        information: InformationSource | None = None,
+        localisation_error: LocalisationError | None = None,
+        more_terms: Sequence[tuple[RatingTerm, float]] = (),
+    ) -> None:
+        """Set the choice up.
+
+        Args:
+            config: of all stages.
+            strategy: name of a strategy, or the dotted path of a class; see `make_strategy`.
+            information: what views are expected to tell; expected entropy reduction by default.
+            localisation_error: model of LE of eq. (11); odometry drift by default.
+            more_terms: further terms of the rating with their weights; see `Rating`.
+
+        Raises:
+            ConfigError: there is no such strategy.
+        """
+        self.config = config or NextBestViewConfig()
+        self.strategy_name = strategy
+        self._strategy: Strategy = make_strategy(strategy)
+        self._information = information or ExpectedInformation()
+        radius = self.config.surroundings.camera_radius
+        self._rating = Rating(self.config.rating, radius, localisation_error, more_terms)
+
+    def select(
+        self,
+        situation: Situation,
+        reachability: Reachability,
+        rng: np.random.Generator,
+        previous_goal: FloatArray | None = None,
+        known_unreachable: KnownUnreachable | None = None,
+    ) -> ViewDecision:
+        """Choose the next view.
+
+        Args:
+            situation: what is known.
+            reachability: the robot, asked for the views that passed all cheaper tests.
+            rng: draws candidates.
+            previous_goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
+            known_unreachable: for example `GoalMemory.reasons_against` of the present map.
+
+        Returns:
+            The choice with every candidate, its terms, and every reason.
+        """
+        watch = Stopwatch()
+        with watch.stage("surroundings"):
+            surroundings = survey(situation, self.config.surroundings)
+        with watch.stage("candidates"):
+            candidates = self._candidates(situation, surroundings, rng, previous_goal)
+        with watch.stage("information"):
+            options = self._appraise(situation, surroundings, candidates, rng)
+        selection = Selection(
+            self.config.selection,
+            self._rating,
+            self._strategy,
+            options,
+            reachability,
+            known_unreachable,
+            watch,
+        )
+        return self._explain(selection.run(), options, candidates, watch)
+
+    def _candidates(
+        self,
+        situation: Situation,
+        surroundings: Surroundings,
+        rng: np.random.Generator,
+        previous_goal: FloatArray | None,
+    ) -> Candidates:
+        extra = () if previous_goal is None else (previous_goal,)
+        settings = self.config
+        return find_candidates(
+            situation, surroundings, rng, settings.candidates, settings.orientations, extra
+        )
+
+    def _appraise(
+        self,
+        situation: Situation,
+        surroundings: Surroundings,
+        candidates: Candidates,
+        rng: np.random.Generator,
+    ) -> Options:
+        """All candidates with the information that is good enough for a first ranking."""
+        source = self._information
+        quick = source.quick(situation, candidates.positions, candidates.orientations)
+        extra = source.quick(
+            situation, candidates.extra[:, :3, 3], candidates.extra[:, None, :3, :3]
+        )
+        information = np.concatenate([quick.ravel(), extra.ravel()])
+        full_view = source.full_view(situation)
+        if full_view <= 0.0:  # unknown space tells this metric nothing: compare with the best
+            full_view = max(float(information.max(initial=0.0)), 1e-12)
+        return Options(
+            situation,
+            surroundings,
+            candidates.poses,
+            information,
+            full_view,
+            source,
+            rng,
+            previous=len(candidates.poses) - 1 if len(candidates.extra) else None,
+        )
+
+    def _explain(
+        self, selected: Selected, options: Options, candidates: Candidates, watch: Stopwatch
+    ) -> ViewDecision:
+        """The decision with every candidate and the reason in words."""
+        everything = list(selected.views)
+        for pose, reason in zip(candidates.rejected, candidates.reasons, strict=True):
+            everything.append(RatedView(pose, rejection=reason))
+        chosen = None if selected.index is None else selected.views[selected.index]
+        if chosen is None:
+            reason = why_none(everything)
+        else:
+            reason = why_this(chosen, options.full_view, selected.kept, everything)
+        return ViewDecision(
+            chosen,
+            selected.reach,
+            tuple(everything),
+            f"{self.strategy_name}: {reason}",
+            watch.seconds,
+            selected.plan,
+            self.strategy_name,
+        )

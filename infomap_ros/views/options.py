@@ -1,0 +1,156 @@
+"""What a strategy and a term of the rating may ask about the views to choose from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views import sight_kernels
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.surroundings import IntArray, Surroundings
+from infomap_ros.views.wishes import Wishes, wishes_of
+
+_RAYS = (9, 7)  # of a glance, across and down
+_STEP = 0.1  # [m] of the march along them
+_FADE = 0.5  # [m] of unknown space behind which a glance expects little
+
+
+class InformationSource(Protocol):
+    """Tells how much views are expected to inform."""
+
+    def quick(
+        self, situation: Situation, positions: FloatArray, rotations: FloatArray
+    ) -> FloatArray:
+        """Of all orientations (P, O, 3, 3) at positions (P, 3), for ranking: (P, O)."""
+
+    def exact(self, situation: Situation, poses: FloatArray) -> FloatArray:
+        """Of views ``T_map_camera``, shape (M, 4, 4): (M,)."""
+
+    def full_view(self, situation: Situation) -> float:
+        """Of a view into nothing but unknown space; the unit in which the rating counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Glances:
+    """What a few rays per view meet; volumes as seen through the pyramids that rays stand for.
+
+    Attributes:
+        unknown: unknown volume in sight, shape (M,) [m^3].
+        known: known volume in sight, shape (M,) [m^3].
+        wanted: share of what the view tells of the region that is wanted, by interests, shape (M,).
+        left: share of what is wanted that teammates leave, shape (M,).
+    """
+
+    unknown: FloatArray
+    known: FloatArray
+    wanted: FloatArray
+    left: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """The views to choose from. What is computed is kept.
+
+    Attributes:
+        situation: what is known.
+        surroundings: its known space.
+        poses: ``T_map_camera`` of the views, shape (M, 4, 4).
+        information: expected of each view, in the unit of the source, shape (M,).
+        full_view: information of a view into nothing but unknown space.
+        source: tells information of other views, and which voxels a view informs.
+        rng: for strategies that draw.
+        previous: which view is the previous goal, None where there is none.
+        fine: whether `information` is exact, and the choice final: the views are then the few
+            that a first ranking of all has left.
+    """
+
+    situation: Situation
+    surroundings: Surroundings
+    poses: FloatArray
+    information: FloatArray
+    full_view: float
+    source: InformationSource
+    rng: np.random.Generator
+    previous: int | None = None
+    fine: bool = False
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def positions(self) -> FloatArray:
+        """Camera positions, shape (M, 3) [m, map]."""
+        return np.asarray(self.poses[:, :3, 3])
+
+    @cached_property
+    def path_lengths(self) -> FloatArray:
+        """Way of the camera through free space, shape (M,) [m]; inf where none is known."""
+        return self.surroundings.path_lengths(self.positions)
+
+    @cached_property
+    def wishes(self) -> Wishes:
+        """What of the information is wanted, by voxel."""
+        return wishes_of(self.situation, self.surroundings)
+
+    @cached_property
+    def glances(self) -> Glances:
+        """What a few rays of each view meet."""
+        return _glances(self)
+
+    def refined(self, chosen: IntArray, information: FloatArray) -> Options:
+        """The few views `chosen`, (N,), with their exact information, (N,)."""
+        previous = None
+        if self.previous is not None and self.previous in chosen:
+            previous = int(np.flatnonzero(chosen == self.previous)[0])
+        options = Options(
+            self.situation,
+            self.surroundings,
+            self.poses[chosen],
+            information,
+            self.full_view,
+            self.source,
+            self.rng,
+            previous,
+            fine=True,
+        )
+        options.__dict__["wishes"] = self.wishes
+        return options
+
+
+def _glances(options: Options) -> Glances:
+    situation, surroundings = options.situation, options.surroundings
+    camera, size = situation.camera, surroundings.voxel_size
+    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n for n in _RAYS))
+    pixels = u * camera.width - 0.5, v * camera.height - 0.5
+    rays = np.stack(
+        [
+            (pixels[0] - camera.cx) / camera.fx,
+            (pixels[1] - camera.cy) / camera.fy,
+            np.ones(u.shape),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
+    solid_angle = 1.0 / (camera.fx * camera.fy) * camera.width * camera.height / len(rays)
+    step = max(1.0, _STEP / size)
+    bounds = np.stack([situation.region.low, situation.region.high]) / size
+    sums = np.zeros((len(options), 5))
+    sight_kernels.glance(
+        surroundings.states,
+        options.wishes.kinds,
+        options.wishes.weights,
+        bounds - surroundings.window.first,
+        options.positions / size - surroundings.window.first,
+        np.ascontiguousarray(rays / lengths @ options.poses[:, :3, :3].transpose(0, 2, 1)),
+        situation.max_range / size,
+        step,
+        _FADE / size,
+        sums,
+    )
+    volume = solid_angle * float(np.mean(lengths**-3)) * size**3
+    told, wanted = np.maximum(sums[:, 2], 1e-12), np.maximum(sums[:, 3], 1e-12)
+    return Glances(sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / told, sums[:, 4] / wanted)

@@ -1,0 +1,169 @@
+"""Everything that the choice of the next view depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform
+from infomap_ros.geometry.transforms import FloatArray, float_array
+from infomap_ros.mapping import VoxelMap
+
+GroundHeight = Callable[[FloatArray], FloatArray]
+"""Height of the ground at places, (N, 2) [m, map] -> (N,) [m, map], NaN where unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionOfTask:
+    """Box that is to be mapped; information outside it is not wanted.
+
+    Attributes:
+        low: smallest x, y, z [m, map]; -inf for no limit.
+        high: largest x, y, z [m, map]; inf for no limit.
+
+    Raises:
+        InvalidInputError: it is not a box.
+    """
+
+    low: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
+    high: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+
+    def __post_init__(self) -> None:
+        low, high = float_array(self.low, "region low"), float_array(self.high, "region high")
+        if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
+            raise InvalidInputError("region", f"{low.tolist()} to {high.tolist()} is not a box")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Which points, shape (..., 3) [m, map], lie in the box grown by `margin` [m]."""
+        places = np.asarray(points, dtype=np.float64)
+        inside = (places >= self.low - margin) & (places <= self.high + margin)
+        return np.asarray(inside.all(axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Interest:
+    """A place whose information counts more, or less, than that of others.
+
+    Attributes:
+        place: box, sphere or other solid in the map frame.
+        weight: factor on the information of the voxels inside: 1 is neutral, 0 not wanted at all.
+
+    Raises:
+        InvalidInputError: the weight is negative or not finite.
+    """
+
+    place: PlacedSolid
+    weight: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.weight) and self.weight >= 0.0):
+            raise InvalidInputError("interest", f"has weight {self.weight}, expected at least 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Teammate:
+    """Another robot: where it is, and what it is about to see.
+
+    Attributes:
+        position: of its camera or base, shape (3,) [m, map].
+        goal: ``T_map_camera`` of the view that it is heading for, shape (4, 4), None if unknown.
+        max_range: how far its camera sees [m].
+        camera: its camera; None where it is like one's own.
+
+    Raises:
+        InvalidInputError: a position, pose or range is impossible.
+    """
+
+    position: FloatArray
+    goal: FloatArray | None = None
+    max_range: float = 5.0
+    camera: PinholeCamera | None = None
+
+    def __post_init__(self) -> None:
+        position = float_array(self.position, "teammate position")
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise InvalidInputError("teammate position", f"is {position.tolist()}")
+        object.__setattr__(self, "position", position)
+        if self.goal is not None:
+            object.__setattr__(self, "goal", check_transform(self.goal, "teammate goal"))
+        _check_range(self.max_range, "teammate max_range")
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What is known when the next view is chosen.
+
+    Attributes:
+        voxel_map: what has been seen.
+        camera: the rectified left camera.
+        max_range: how far it sees [m].
+        T_map_camera: where it is (optical frame), shape (4, 4).
+        pose_covariance: of that pose, shape (6, 6), convention of `geometry.transforms`.
+        region: what is to be mapped.
+        interests: places whose information counts more or less.
+        teammates: the other robots.
+        views_so_far: number of views taken before.
+        past_views: ``T_map_camera`` of them as far as known, shape (V, 4, 4).
+        free_body: the robot's own body in the map frame: space that is free although never seen.
+        heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
+            above the ground where `ground_height` is given.
+        ground_height: height of the ground at a place.
+        positions_hint: camera positions to choose from instead of sampling the free space, shape
+            (K, 3) [m, map], for example those which an arm reaches from where a base can stand.
+
+    Raises:
+        InvalidInputError: a pose, covariance, range or shape is impossible.
+    """
+
+    voxel_map: VoxelMap
+    camera: PinholeCamera
+    max_range: float
+    T_map_camera: FloatArray
+    pose_covariance: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    region: RegionOfTask = field(default_factory=RegionOfTask)
+    interests: Sequence[Interest] = ()
+    teammates: Sequence[Teammate] = ()
+    views_so_far: int = 0
+    past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    free_body: Sequence[PlacedSolid] = ()
+    heights: tuple[float, float] = (-np.inf, np.inf)
+    ground_height: GroundHeight | None = None
+    positions_hint: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        pose = check_transform(self.T_map_camera, "T_map_camera")
+        object.__setattr__(self, "T_map_camera", pose)
+        covariance = check_covariance(self.pose_covariance, 6, "pose_covariance")
+        object.__setattr__(self, "pose_covariance", covariance)
+        _check_range(self.max_range, "max_range")
+        if not self.heights[0] < self.heights[1]:
+            raise InvalidInputError("heights", f"{self.heights} is not a band")
+        past = float_array(self.past_views, "past_views").reshape(-1, 4, 4)
+        object.__setattr__(self, "past_views", past)
+        if self.positions_hint is not None:
+            hint = float_array(self.positions_hint, "positions_hint")
+            if hint.ndim != 2 or hint.shape[1] != 3 or not np.isfinite(hint).all():
+                raise InvalidInputError("positions_hint", f"shape {hint.shape}, expected (K, 3)")
+            object.__setattr__(self, "positions_hint", hint)
+
+    @property
+    def position(self) -> FloatArray:
+        """Where the camera is, shape (3,) [m, map]."""
+        return np.asarray(self.T_map_camera[:3, 3])
+
+    def heights_of(self, points: FloatArray) -> FloatArray:
+        """Heights of points, (N, 3) [m, map] -> (N,) [m], as `heights` counts them."""
+        if self.ground_height is None:
+            return np.asarray(points[:, 2])
+        return np.asarray(points[:, 2] - self.ground_height(points[:, :2]))
+
+
+def _check_range(value: float, name: str) -> None:
+    if not (np.isfinite(value) and value > 0.0):
+        raise InvalidInputError(name, f"is {value} m, expected a positive range")

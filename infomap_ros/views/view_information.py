@@ -1,0 +1,94 @@
+"""The information of candidate views as the choice asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.views.expected_information import METRICS, expected_information
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.situation import Situation
+
+
+class ExpectedInformation:
+    """Information by one of the metrics, an `InformationSource`."""
+
+    def __init__(
+        self,
+        metric: str = "expected_entropy_reduction",
+        config: InformationConfig | None = None,
+        quick_ray_spacing: float = 0.06,
+        threads: int = 1,
+    ) -> None:
+        """Choose what counts as information.
+
+        Args:
+            metric: one of `METRICS`.
+            config: rays and sensor.
+            quick_ray_spacing: angle between the rays of the first ranking of all candidates [rad].
+            threads: that share the rays.
+
+        Raises:
+            ConfigError: there is no such metric.
+        """
+        if metric not in METRICS:
+            raise ConfigError("metric", metric, "one of " + ", ".join(METRICS))
+        self._metric, self._threads = metric, threads
+        self._config = config or InformationConfig()
+        spacing = max(quick_ray_spacing, self._config.ray_spacing)
+        self._quick_config = replace(self._config, ray_spacing=spacing)
+        self._full_views: dict[tuple[VoxelMapConfig, PinholeCamera, float], float] = {}
+
+    def quick(
+        self, situation: Situation, positions: FloatArray, rotations: FloatArray
+    ) -> FloatArray:
+        """Of all orientations (P, O, 3, 3) at positions (P, 3), with few rays: (P, O)."""
+        poses = np.tile(np.eye(4), (*rotations.shape[:2], 1, 1))
+        poses[..., :3, :3] = rotations
+        poses[..., :3, 3] = positions[:, None]
+        values = self._evaluate(situation, poses.reshape(-1, 4, 4), self._quick_config)
+        return values.reshape(rotations.shape[:2])
+
+    def exact(self, situation: Situation, poses: FloatArray) -> FloatArray:
+        """Of views ``T_map_camera``, shape (M, 4, 4): (M,)."""
+        return self._evaluate(situation, poses, self._config)
+
+    def full_view(self, situation: Situation) -> float:
+        """Of a view into nothing but unknown space.
+
+        By the same metric, so that shares of it do not depend on the metric's unit. 0 for metrics
+        that unknown space tells nothing.
+        """
+        key = (situation.voxel_map.config, situation.camera, situation.max_range)
+        if key not in self._full_views:
+            nothing = VoxelMap(situation.voxel_map.config)
+            value = expected_information(
+                nothing,
+                np.eye(4)[None],
+                situation.camera,
+                situation.max_range,
+                self._metric,
+                self._config,
+            )
+            self._full_views[key] = float(value[0])
+        return self._full_views[key]
+
+    def _evaluate(
+        self, situation: Situation, poses: FloatArray, config: InformationConfig
+    ) -> FloatArray:
+        region = np.stack([situation.region.low, situation.region.high])
+        return expected_information(
+            situation.voxel_map,
+            poses,
+            situation.camera,
+            situation.max_range,
+            self._metric,
+            config,
+            region,
+            self._threads,
+        )

@@ -2,5 +2,14 @@
 
 from infomap_ros.views.expected_information import METRICS, expected_information
 from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.shared_rays import information_of_views
+from infomap_ros.views.voxel_gains import VoxelGains, view_gains
 
-__all__ = ["METRICS", "InformationConfig", "expected_information"]
+__all__ = [
+    "METRICS",
+    "InformationConfig",
+    "VoxelGains",
+    "expected_information",
+    "information_of_views",
+    "view_gains",
+]

@@ -27,30 +27,28 @@ from infomap_ros.views.observation_value import voxel_bits
 from infomap_ros.views.ray_kernels import view_bits
 from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach
 
-_LEAST_ROWS = 64
+_LEAST_STEPS = 64
 
 
 @dataclass(frozen=True, eq=False)
-class BitTable:
-    """What voxels tell, by distance and code.
+class GainTable:
+    """What the steps of a ray tell, by the code of the voxel in which they are.
 
     Attributes:
-        bits: shape (rows, codes).
-        offsets: ``offsets + bits r^3 / 3`` is the integral of bits r^2 from 0 to r [voxels].
-        clear: probability that a voxel does not hide what is behind it, shape (codes,).
-        rows_per_voxel: of distance.
-        density: of what hides things in unknown space [1/voxel].
+        gains: bits per steradian, shape (steps, codes), float32.
+        before: sum over the steps before, shape (steps + 1, codes), float32.
+        clear: probability that a step's way does not hide what is behind it, shape (codes,).
+        step: length of a step [voxels].
     """
 
-    bits: FloatArray
-    offsets: FloatArray
+    gains: NDArray[np.float32]
+    before: NDArray[np.float32]
     clear: FloatArray
-    rows_per_voxel: float
-    density: float
+    step: float
 
 
-def bit_table(m: VoxelMap, max_range: float, config: InformationConfig) -> BitTable:
-    """Bits by distance and code for a map's voxel size and evidence.
+def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> GainTable:
+    """Gains for a map's voxel size and evidence.
 
     Args:
         m: the map.
@@ -58,21 +56,19 @@ def bit_table(m: VoxelMap, max_range: float, config: InformationConfig) -> BitTa
         config: of the sensor.
     """
     reach = max_range / m.config.voxel_size
-    rows_per_voxel = max(1.0, _LEAST_ROWS / reach)
-    rows = math.ceil(reach * rows_per_voxel) + 1
-    edges = np.arange(rows + 1) / rows_per_voxel
+    steps = max(math.ceil(reach), _LEAST_STEPS)
+    edges = np.linspace(0.0, reach, steps + 1)
     middle = 0.5 * (edges[:-1] + edges[1:]) * m.config.voxel_size
-    probabilities = code_probabilities()
-    bits = voxel_bits(probabilities, middle[:, None], m.config, config)
+    p = code_probabilities(config.certain_probability)
+    bits = voxel_bits(p, middle[:, None], m.config, config)
     bits[:, [EMPTY, SOLID]] = 0.0
-    volume = np.diff(edges**3)[:, None] / 3.0
-    before = np.cumsum(bits * volume, axis=0) - bits * volume
-    clear = np.where(probabilities > 0.5, 1.0 - probabilities, 1.0)
-    clear[UNKNOWN] = 1.0
-    density = -math.log1p(-config.unknown_occlusion) / reach
-    return BitTable(
-        bits, before - bits * edges[:-1, None] ** 3 / 3.0, clear, rows_per_voxel, density
-    )
+    bits[middle < config.min_range] = 0.0
+    gains = bits * np.diff(edges**3)[:, None] / 3.0
+    before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
+    step = reach / steps
+    clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
+    clear[UNKNOWN] = (1.0 - config.unknown_occlusion) ** (1.0 / steps)
+    return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
 
 
 def field_around(
@@ -83,8 +79,8 @@ def field_around(
     return visible_field(m, low, high, config.certain_probability)
 
 
-def checked_region(region: ArrayLike | None, voxel_size: float) -> NDArray[np.float64]:
-    """Corners (low, high) of a region in voxels, shape (2, 3); all of space without one.
+def checked_region(region: ArrayLike | None) -> FloatArray:
+    """Corners (low, high) of a region, shape (2, 3) [m]; all of space without one.
 
     Raises:
         InvalidInputError: it is not a box (low, high), shape (2, 3).
@@ -94,7 +90,7 @@ def checked_region(region: ArrayLike | None, voxel_size: float) -> NDArray[np.fl
     box = float_array(region, "region")
     if box.shape != (2, 3) or np.isnan(box).any() or (box[1] < box[0]).any():
         raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
-    return box / voxel_size
+    return box
 
 
 @cache
@@ -127,20 +123,18 @@ def expected_entropy_reduction(
     if len(poses) == 0:
         return np.zeros(0)
     field = field_around(m, poses[:, :3, 3], max_range, config)
-    table = bit_table(m, max_range, config)
+    table = gain_table(m, max_range, config)
     rays, angles = camera_rays(camera, config.ray_spacing)
-    size = m.config.voxel_size
     scaled = poses.copy()
-    scaled[:, :3, 3] /= size
-    limits = np.array([config.min_range, max_range]) / size
-    box = checked_region(region, size)
-    numbers = (table.rows_per_voxel, table.density, config.least_visibility)
+    scaled[:, :3, 3] = field.relative(poses[:, :3, 3])
+    box = field.relative(checked_region(region))
     parts = np.zeros((threads, len(poses)))
 
     def cast(part: int, first: int, last: int) -> None:
         view_bits(
-            scaled, rays[first:last], angles[first:last], limits, box, field.directory,
-            field.first, field.codes, table.bits, table.offsets, table.clear, numbers, parts[part],
+            scaled, rays[first:last], angles[first:last], box, field.directory, field.codes,
+            table.gains, table.before, table.clear, table.step, config.least_visibility,
+            parts[part],
         )  # fmt: skip
 
     workers_of(threads).run(cast, len(rays))

@@ -23,15 +23,10 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
 from infomap_ros.mapping.block_kernels import find_block
 from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
-from infomap_ros.mapping.keys import BLOCK_SIDE, BLOCK_VOXELS, pack
+from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
 
 EMPTY, UNKNOWN, SOLID, UNCERTAIN = 0, 1, 2, 3
-"""Codes of voxels; an uncertain one has UNCERTAIN + evidence + `UNCERTAIN_QUANTA`."""
-
-UNCERTAIN_QUANTA = 40
-"""Largest evidence of an uncertain voxel [quanta]; p = 0.00005 .. 0.99995."""
-
-CODE_COUNT = UNCERTAIN + 2 * UNCERTAIN_QUANTA + 1
+"""Codes of voxels; the first of the uncertain ones, which follow each other by evidence."""
 
 _TABLE_QUANTA = 64
 _LARGEST = 1 << 27
@@ -54,10 +49,21 @@ class VisibleField:
     codes: NDArray[np.uint8]
     voxel_size: float
 
+    def relative(self, points: ArrayLike) -> FloatArray:
+        """Points, shape (..., 3) [m, map], as the rays count them: [voxels] from `first`."""
+        return np.asarray(np.asarray(points) / self.voxel_size - self.first * BLOCK_SIDE)
 
-def code_probabilities() -> FloatArray:
-    """Probability of occupancy of each code, shape (CODE_COUNT,)."""
-    evidence = np.arange(-UNCERTAIN_QUANTA, UNCERTAIN_QUANTA + 1) * LOG_ODDS_QUANTUM
+
+def uncertain_quanta(certain_probability: float) -> int:
+    """Largest evidence, for or against, of a voxel that is not certain [quanta]."""
+    certain = math.log(1.0 / certain_probability - 1.0) / LOG_ODDS_QUANTUM
+    return min(math.ceil(certain - 1e-9) - 1, _TABLE_QUANTA - 1)
+
+
+def code_probabilities(certain_probability: float) -> FloatArray:
+    """Probability of occupancy of each code, shape (n,)."""
+    limit = uncertain_quanta(certain_probability)
+    evidence = np.arange(-limit, limit + 1) * LOG_ODDS_QUANTUM
     return np.concatenate([[0.0, 0.5, 1.0], 1.0 / (1.0 + np.exp(-evidence))])
 
 
@@ -96,10 +102,9 @@ def visible_field(
 
 def _evidence_codes(certain_probability: float) -> NDArray[np.uint8]:
     """Code of known voxels by evidence, from -_TABLE_QUANTA to _TABLE_QUANTA."""
-    certain = math.log(1.0 / certain_probability - 1.0) / LOG_ODDS_QUANTUM
-    limit = min(math.ceil(certain - 1e-9) - 1, UNCERTAIN_QUANTA)
+    limit = uncertain_quanta(certain_probability)
     quanta = np.arange(-_TABLE_QUANTA, _TABLE_QUANTA + 1)
-    codes = UNCERTAIN + UNCERTAIN_QUANTA + quanta
+    codes = UNCERTAIN + limit + quanta
     codes[quanta < -limit], codes[quanta > limit] = EMPTY, SOLID
     return codes.astype(np.uint8)
 
@@ -160,3 +165,16 @@ def _fill_row(deltas: Any, unknown: int, base: int, table: Any, row: Any) -> boo
         row[local] = code
         low, high = min(low, code), max(high, code)
     return low == high
+
+
+@njit(cache=True, nogil=True)
+def code_at(directory: Any, codes: Any, x: int, y: int, z: int) -> Any:
+    """Code of a voxel, by its index relative to the directory."""
+    nx, ny, nz = directory.shape
+    i, j, k = x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS
+    if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
+        return np.int64(UNKNOWN)
+    entry = np.int64(directory[i, j, k])
+    if entry < 0:
+        return -1 - entry
+    return np.int64(codes[entry, local_index(x, y, z)])

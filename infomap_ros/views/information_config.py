@@ -28,6 +28,13 @@ class InformationConfig:
         low=1e-4,
         high=0.5,
     )
+    shared_spacing: float = parameter(
+        0.05,
+        "The same for rays that many orientations at one position share.",
+        unit="rad",
+        low=1e-3,
+        high=0.5,
+    )
     min_range: float = parameter(
         0.3, "Nearest distance at which the sensor measures.", unit="m", low=0.0, high=100.0
     )

@@ -1,16 +1,17 @@
-"""Compiled: what one ray is expected to tell.
+"""Compiled: what a ray is expected to tell.
 
 A ray stands for the solid angle around it. What a view tells is an integral over the space it sees,
 
-    I = sum over rays of  Omega  sum over voxels of  V g(code, r) (r_out^3 - r_in^3) / 3
+    I = sum over rays of  Omega  integral of  V(r) g(voxel at r, r) r^2 dr
 
-in voxels, with V the probability that nothing before the voxel hides it and g the bits of the voxel
-at distance r. Volume, not voxels met, is counted: near voxels that many rays cross count once in
-all, far ones that fall between rays are made up for by those that do not, and so the sum does not
-depend on the number of rays but by sampling error.
+in voxels, with V the probability that nothing before r hides it and g the bits of a voxel at that
+distance. Volume, not voxels met, is counted: near voxels that many rays cross count once in all,
+far ones that fall between rays are made up for by those that do not, and so the sum does not depend
+on the number of rays but by sampling error.
 
-Lengths are in voxels throughout. Blocks whose voxels are all alike and hide nothing are crossed in
-one step: the integral of g r^2 for their code is ``offsets + table r^3 / 3`` in each interval of r.
+Along a ray the integral is a sum over the middles of equal steps, at most a voxel long. ``gains``
+holds g times the volume per steradian of each step, ``before`` its sum over the steps before, so
+that a block whose voxels are all alike and hide nothing is crossed at once, to the same sum.
 """
 
 from __future__ import annotations
@@ -21,204 +22,146 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.keys import BLOCK_SIDE
-from infomap_ros.mapping.scan import axis_start
+from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE
 from infomap_ros.views.field import EMPTY, UNKNOWN
 
-_THIRD = 1.0 / 3.0
+_LEAST_DIRECTION = 1e-12
 
 
 @njit(cache=True, nogil=True)
-def voxel_axis(origin: float, direction: float, entered: float, block: int) -> tuple[int, float]:
-    """Voxel in which a ray enters a block, within the block, and distance where it leaves it."""
-    start = block * BLOCK_SIDE
-    local = math.floor(origin + direction * entered) - start
-    local = min(max(local, 0), BLOCK_SIDE - 1)
-    if direction > 0.0:
-        return local, (start + local + 1 - origin) / direction
-    if direction < 0.0:
-        return local, (start + local - origin) / direction
-    return local, np.inf
+def inverse_of(direction: float) -> float:
+    """``1 / direction``, huge where the direction is 0."""
+    if abs(direction) < _LEAST_DIRECTION:
+        return 1.0 / _LEAST_DIRECTION
+    return 1.0 / direction
 
 
 @njit(cache=True, nogil=True)
-def integral(table: Any, offsets: Any, code: int, per_voxel: float, a: float, b: float) -> float:
-    """Integral of g r^2 from a to b for one code."""
-    i, j = min(int(a * per_voxel), len(table) - 1), min(int(b * per_voxel), len(table) - 1)
-    low = offsets[i, code] + table[i, code] * a * a * a * _THIRD
-    high = offsets[j, code] + table[j, code] * b * b * b * _THIRD
-    return high - low
-
-
-@njit(cache=True, nogil=True)
-def cross_block(
+def march(
     origin: Any,
     direction: Any,
-    block: Any,
-    entered: float,
-    left: float,
-    near: float,
-    far: float,
+    start: int,
+    end: int,
     visible: float,
+    directory: Any,
     codes: Any,
-    table: Any,
+    gains: Any,
+    before: Any,
     clear: Any,
-    per_voxel: float,
-    density: float,
+    step: float,
     least: float,
 ) -> tuple[float, float]:
-    """Follow a ray voxel by voxel through one block.
+    """Follow a ray over the steps [start, end).
 
     Args:
-        origin: of the ray, tuple [voxels].
+        origin: of the ray relative to the first block of the directory, tuple [voxels].
         direction: unit vector, tuple.
-        block: block coordinates, tuple.
-        entered: distance at which the ray enters the block.
-        left: distance at which it leaves it.
-        near: nothing nearer counts.
-        far: nothing farther counts.
-        visible: probability that the block is seen.
-        codes: of the block's voxels, shape (512,).
-        table: bits by distance and code.
-        clear: probability by code that a voxel does not hide what is behind it.
-        per_voxel: rows of `table` per voxel of distance.
-        density: of what hides things in unknown space [1/voxel].
+        start: first step.
+        end: one past the last step.
+        visible: probability that nothing before the first step hides it.
+        directory: of a `VisibleField`.
+        codes: of it.
+        gains: bits per steradian by step and code.
+        before: sum of `gains` over the steps before.
+        clear: probability by code that a step's way does not hide what is behind it.
+        step: length of a step [voxels].
         least: below this probability nothing is seen any more.
 
     Returns:
-        Bits, and probability that what follows is seen.
+        Bits per steradian, and probability that what follows is seen.
     """
-    dx, dy, dz = direction
-    i, next_x = voxel_axis(origin[0], dx, entered, block[0])
-    j, next_y = voxel_axis(origin[1], dy, entered, block[1])
-    k, next_z = voxel_axis(origin[2], dz, entered, block[2])
-    step_x, step_y, step_z = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1), 1 if dz > 0.0 else -1
-    delta_x = abs(1.0 / dx) if dx != 0.0 else np.inf
-    delta_y = abs(1.0 / dy) if dy != 0.0 else np.inf
-    delta_z = abs(1.0 / dz) if dz != 0.0 else np.inf
-    total, end, last = 0.0, min(left, far), len(table) - 1
-    while True:
-        leave = min(next_x, min(next_y, next_z))
-        code = codes[i | (j << 3) | (k << 6)]
-        if code != EMPTY:
-            a, b = max(entered, near), min(leave, end)
-            if b > a:
-                row = min(int(0.5 * (a + b) * per_voxel), last)
-                total += visible * table[row, code] * (b * b * b - a * a * a) * _THIRD
-            visible *= clear[code]
-            if code == UNKNOWN and density > 0.0:
-                visible *= math.exp(-density * max(leave - entered, 0.0))
-            if visible < least:
-                return total, 0.0
-        if leave >= end:
-            return total, visible
-        entered = leave
-        if next_x == leave:
-            i += step_x
-            next_x += delta_x
-        elif next_y == leave:
-            j += step_y
-            next_y += delta_y
-        else:
-            k += step_z
-            next_z += delta_z
-        if (i | j | k) & ~(BLOCK_SIDE - 1):
-            return total, visible
+    (ox, oy, oz), (dx, dy, dz) = origin, direction
+    qx, qy, qz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
+    side_x, side_y, side_z = (1 if qx > 0.0 else 0), (1 if qy > 0.0 else 0), 1 if qz > 0.0 else 0
+    nx, ny, nz = directory.shape
+    per_step, total, n = 1.0 / step, 0.0, start
+    while n < end:
+        r = (n + 0.5) * step
+        i = math.floor(ox + dx * r) >> BLOCK_BITS
+        j = math.floor(oy + dy * r) >> BLOCK_BITS
+        k = math.floor(oz + dz * r) >> BLOCK_BITS
+        leave = ((i + side_x) * BLOCK_SIDE - ox) * qx
+        leave = min(leave, ((j + side_y) * BLOCK_SIDE - oy) * qy)
+        leave = min(leave, ((k + side_z) * BLOCK_SIDE - oz) * qz)
+        stop = min(max(int(min(leave * per_step, 1e9) + 0.5), n + 1), end)
+        entry = np.int64(-1 - UNKNOWN)
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            entry = np.int64(directory[i, j, k])
+        if entry < 0 and clear[-1 - entry] == 1.0:
+            total += visible * (before[stop, -1 - entry] - before[n, -1 - entry])
+            n = stop
+            continue
+        code = -1 - entry
+        while n < stop:
+            if entry >= 0:
+                r = (n + 0.5) * step
+                a, b, c = int(ox + dx * r) & 7, int(oy + dy * r) & 7, int(oz + dz * r) & 7
+                code = np.int64(codes[entry, a | (b << 3) | (c << 6)])
+            if code != EMPTY:
+                total += visible * gains[n, code]
+                visible *= clear[code]
+                if visible < least:
+                    return total, 0.0
+            n += 1
+    return total, visible
+
+
+@njit(cache=True, nogil=True)
+def region_steps(
+    origin: Any, direction: Any, low: Any, high: Any, step: float, steps: int
+) -> tuple[int, int]:
+    """Steps of a ray whose middles lie in the box from `low` to `high`, all in voxels."""
+    near, far = 0.0, steps * step
+    for axis in range(3):
+        o, d = origin[axis], direction[axis]
+        if abs(d) < _LEAST_DIRECTION:
+            if not low[axis] <= o <= high[axis]:
+                return 0, 0
+            continue
+        a, b = (low[axis] - o) / d, (high[axis] - o) / d
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    if near >= far:
+        return 0, 0
+    return int(near / step + 0.5), min(int(far / step + 0.5), steps)
 
 
 @njit(cache=True, nogil=True)
 def ray_bits(
     origin: Any,
     direction: Any,
-    near: float,
-    far: float,
+    low: Any,
+    high: Any,
     directory: Any,
-    first: Any,
     codes: Any,
-    table: Any,
-    offsets: Any,
+    gains: Any,
+    before: Any,
     clear: Any,
-    per_voxel: float,
-    density: float,
+    step: float,
     least: float,
 ) -> float:
-    """What one ray is expected to tell, per steradian [bits/sr].
-
-    Args:
-        origin: of the ray, tuple [voxels].
-        direction: unit vector, tuple.
-        near: nothing nearer counts.
-        far: nothing farther counts.
-        directory: of a `VisibleField`.
-        first: of it, tuple.
-        codes: of it.
-        table: bits of a voxel by distance and code, shape (rows, CODE_COUNT).
-        offsets: so that ``offsets + table r^3 / 3`` is the integral of g r^2 from 0.
-        clear: probability by code that a voxel does not hide what is behind it.
-        per_voxel: rows of `table` per voxel of distance.
-        density: of what hides things in unknown space [1/voxel].
-        least: below this probability nothing is seen any more.
-    """
-    dx, dy, dz = direction
-    scale = 1.0 / BLOCK_SIDE
-    x, y, z = origin[0] * scale, origin[1] * scale, origin[2] * scale
-    bx, by, bz = math.floor(x), math.floor(y), math.floor(z)
-    step_x, next_x, delta_x = axis_start(x, dx * scale, bx)
-    step_y, next_y, delta_y = axis_start(y, dy * scale, by)
-    step_z, next_z, delta_z = axis_start(z, dz * scale, bz)
-    x0, y0, z0 = first
-    nx, ny, nz = directory.shape
-    entered, total, visible = 0.0, 0.0, 1.0
-    while True:
-        leave = min(next_x, min(next_y, next_z))
-        i, j, k = bx - x0, by - y0, bz - z0
-        entry = -1 - UNKNOWN
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            entry = directory[i, j, k]
-        if entry >= 0:
-            bits, visible = cross_block(
-                origin, direction, (bx, by, bz), entered, leave, near, far, visible,
-                codes[entry], table, clear, per_voxel, density, least,
-            )  # fmt: skip
-            total += bits
-        elif entry < -1:
-            a, b = max(entered, near), min(leave, far)
-            bits = integral(table, offsets, -1 - entry, per_voxel, a, b) if b > a else 0.0
-            if entry == -1 - UNKNOWN and density > 0.0:
-                depth = max(density * (leave - entered), 1e-9)
-                through = math.exp(-depth)
-                total += visible * bits * (1.0 - through) / depth
-                visible *= through
-            else:
-                total += visible * bits
-        if visible < least or leave >= far:
-            return total
-        entered = leave
-        if next_x == leave:
-            bx += step_x
-            next_x += delta_x
-        elif next_y == leave:
-            by += step_y
-            next_y += delta_y
-        else:
-            bz += step_z
-            next_z += delta_z
+    """What one ray tells about the box from `low` to `high` [bits/sr]; else as `march`."""
+    start, end = region_steps(origin, direction, low, high, step, len(gains))
+    visible = 1.0
+    if start > 0:
+        visible = march(
+            origin, direction, 0, start, visible,
+            directory, codes, gains, before, clear, step, least,
+        )[1]  # fmt: skip
+    return march(
+        origin, direction, start, end, visible,
+        directory, codes, gains, before, clear, step, least,
+    )[0]  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def region_limits(
-    origin: Any, direction: Any, low: Any, high: Any, near: float, far: float
-) -> tuple[float, float]:
-    """Part of [near, far] in which a ray runs through the box from `low` to `high`."""
-    for axis in range(3):
-        o, d = origin[axis], direction[axis]
-        if d == 0.0:
-            if not low[axis] <= o <= high[axis]:
-                return far, near
-            continue
-        a, b = (low[axis] - o) / d, (high[axis] - o) / d
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near, far
+def turned(rotation: Any, ray: Any) -> tuple[float, float, float]:
+    """Rotation, shape (3, 3) or larger, times a vector, shape (3,)."""
+    x, y, z = ray[0], ray[1], ray[2]
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -226,49 +169,38 @@ def view_bits(
     poses: Any,
     rays: Any,
     angles: Any,
-    limits: Any,
     box: Any,
     directory: Any,
-    first: Any,
     codes: Any,
-    table: Any,
-    offsets: Any,
+    gains: Any,
+    before: Any,
     clear: Any,
-    numbers: Any,
+    step: float,
+    least: float,
     sums: Any,
 ) -> None:
     """Add to `sums`, shape (M,), what the rays tell from each pose [bits].
 
     Args:
-        poses: T_map_camera with positions in voxels, shape (M, 4, 4).
+        poses: T_map_camera, positions relative to the directory [voxels], shape (M, 4, 4).
         rays: unit directions in the camera frame, shape (N, 3).
         angles: solid angle of each ray, shape (N,) [sr].
-        limits: nearest and farthest distance that counts [voxels].
-        box: the region that counts, (low, high) corners [voxels].
-        directory: see `ray_bits`, also for the next five.
-        first: see `ray_bits`.
-        codes: see `ray_bits`.
-        table: see `ray_bits`.
-        offsets: see `ray_bits`.
-        clear: see `ray_bits`.
-        numbers: per_voxel, density and least of `ray_bits`.
+        box: the region that counts, (low, high) corners relative to the directory [voxels].
+        directory: see `march`, also for the next six.
+        codes: see `march`.
+        gains: see `march`.
+        before: see `march`.
+        clear: see `march`.
+        step: see `march`.
+        least: see `march`.
         sums: see above.
     """
-    corner, (per_voxel, density, least) = (first[0], first[1], first[2]), numbers
     low, high = (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0], box[1, 1], box[1, 2])
     for view in range(len(poses)):
         pose = poses[view]
         origin = (pose[0, 3], pose[1, 3], pose[2, 3])
         for ray in range(len(rays)):
-            x, y, z = rays[ray, 0], rays[ray, 1], rays[ray, 2]
-            direction = (
-                pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
-                pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
-                pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
-            )
-            near, far = region_limits(origin, direction, low, high, limits[0], limits[1])
-            if near < far:
-                sums[view] += angles[ray] * ray_bits(
-                    origin, direction, near, far, directory, corner, codes, table, offsets,
-                    clear, per_voxel, density, least,
-                )  # fmt: skip
+            sums[view] += angles[ray] * ray_bits(
+                origin, turned(pose, rays[ray]), low, high,
+                directory, codes, gains, before, clear, step, least,
+            )  # fmt: skip

@@ -12,6 +12,9 @@ CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.
 HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libOpenGL.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
 RENDER = from infomap_ros.simulation.backend import select_backend; select_backend(); import mujoco; \
 	mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
+BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
+HAS_BROWSER = $(PYTHON) -c 'import shutil, sys; sys.exit(not any(map(shutil.which, sys.argv[1:])))' \
+	$(BROWSERS)
 HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
@@ -28,7 +31,7 @@ setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels,
 demo: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo
 	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
 
-test: $(READY) $(STAMPS)/rendering  ## every test
+test: $(READY) $(STAMPS)/rendering $(STAMPS)/browser  ## every test
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)
 
 lint: $(READY)  ## style
@@ -90,4 +93,10 @@ $(STAMPS)/tf2: | $(STAMPS)/package
 $(STAMPS)/rendering: | $(STAMPS)/package
 	@$(BIN)/python -c '$(RENDER)' 2>/dev/null || \
 		{ echo "rendering needs: sudo apt-get install $(OPENGL)" >&2; exit 1; }
+	@touch $@
+
+# The report is tested as it is read: in a browser.
+$(STAMPS)/browser: | $(STAMPS)/venv
+	@$(HAS_BROWSER) || \
+		{ echo "testing the report needs: sudo apt-get install chromium (or Google Chrome)" >&2; exit 1; }
 	@touch $@

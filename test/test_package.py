@@ -140,6 +140,15 @@ def test_every_file_of_the_share_folders_is_installed(setup_script: Any) -> None
     assert installed["resource/infomap_ros"].endswith("ament_index/resource_index/packages")
 
 
+def test_every_file_beside_the_code_is_installed(setup_script: Any) -> None:
+    package = REPOSITORY / "infomap_ros"
+    patterns = setup_script.package_data["infomap_ros"]
+    installed = {path for pattern in patterns for path in package.glob(pattern)}
+    files = {path for path in package.rglob("*") if path.is_file()}
+    others = {p for p in files if p.suffix != ".py" and "__pycache__" not in p.parts}
+    assert others == installed
+
+
 def test_every_import_is_a_dependency(manifest: Package, setup_script: Any) -> None:
     keys = {dependency.name for dependency in manifest.exec_depends}
     required = {Requirement(text).name for text in setup_script.install_requires}

@@ -64,6 +64,53 @@ class _View:
     title: str
 
 
+@dataclass(frozen=True, eq=False)
+class MapImage:
+    """The surface seen from above, one pixel per cell of the map.
+
+    Attributes:
+        pixels: RGBA, rows upwards (along +y), columns along +x, shape (H, W, 4), uint8; nothing
+            is transparent.
+        low: map coordinates of the lower left corner, shape (2,) [m].
+        cell: edge of a pixel [m].
+        heights: that the first and the last colour stand for [m].
+        cut: height above which a ceiling is left out [m]; None where nothing is.
+    """
+
+    pixels: NDArray[np.uint8]
+    low: FloatArray
+    cell: float
+    heights: tuple[float, float]
+    cut: float | None
+
+
+def map_from_above(voxel_map: VoxelMap, colors: str = "viridis") -> MapImage:
+    """Draw the surface from above, coloured by height, shaded, without a ceiling that hides it.
+
+    Args:
+        voxel_map: the map.
+        colors: name of a colour map of matplotlib.
+
+    Raises:
+        InvalidInputError: the map has no surface to draw.
+    """
+    surface = _surface(voxel_map)
+    if len(surface.points) == 0:
+        raise InvalidInputError("voxel map", "has no surface to draw")
+    below, note = _below_ceiling(surface, voxel_map.config.voxel_size)
+    top, cell = _View(0, 1, 2, 1, note), _cell(surface.points, voxel_map.config.voxel_size)
+    heights = below.points[:, 2]
+    scale = _limits(heights)
+    pixels = _colored(below, top, cell, heights, matplotlib.cm.ScalarMappable(scale, colors))
+    return MapImage(
+        np.rint(255.0 * pixels).astype(np.uint8),
+        below.points[:, :2].min(axis=0) - 0.5 * cell,
+        cell,
+        (float(scale.vmin or 0.0), float(scale.vmax or 0.0)),
+        float(heights.max()) + 0.5 * voxel_map.config.voxel_size if note else None,
+    )
+
+
 def draw_map_views(voxel_map: VoxelMap, path: str | Path) -> None:
     """Draw the surface from above and from the side, and its standard deviation.
 
@@ -186,14 +233,27 @@ def _draw(
     shaded: bool = True,
 ) -> None:
     """One view: colour by value; shaded, darker where the surface turns away from the light."""
-    image = _raster(surface.points, view, cell, values)
     mapper = matplotlib.cm.ScalarMappable(scale, colors)
+    pixels = _colored(surface, view, cell, values, mapper, shaded)
+    extent = (0.0, pixels.shape[1] * cell, 0.0, pixels.shape[0] * cell)
+    axes.imshow(pixels, origin="lower", extent=extent, interpolation="nearest")
+    axes.set(title=view.title, xlabel="m", ylabel="m")
+    axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8)
+
+
+def _colored(
+    surface: _Surface,
+    view: _View,
+    cell: float,
+    values: FloatArray,
+    mapper: Any,
+    shaded: bool = True,
+) -> NDArray[Any]:
+    """Pixels of a view, RGBA from 0 to 1, transparent where there is nothing."""
+    image = _raster(surface.points, view, cell, values)
     pixels: NDArray[Any] = mapper.to_rgba(np.ma.masked_invalid(image))
     if shaded:
         light = _raster(surface.points, view, cell, np.abs(surface.normals @ _LIGHT))
         pixels[..., :3] *= (0.45 + 0.55 * np.nan_to_num(light))[..., None]
-    pixels[np.isnan(image)] = 1.0
-    extent = (0.0, image.shape[1] * cell, 0.0, image.shape[0] * cell)
-    axes.imshow(pixels, origin="lower", extent=extent, interpolation="nearest")
-    axes.set(title=view.title, xlabel="m", ylabel="m")
-    axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8)
+    pixels[np.isnan(image)] = (1.0, 1.0, 1.0, 0.0)
+    return pixels

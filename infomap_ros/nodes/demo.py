@@ -17,13 +17,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from infomap_ros.errors import BagError, InfomapError, ProcessError
+from infomap_ros.exploration.report import write_map_report
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.export import surface_vertices, write_ply
 from infomap_ros.mapping.pictures import draw_map_views
 from infomap_ros.nodes.live_run import LEFT, LiveRun
 from infomap_ros.nodes.pictures import LivePictures
-from infomap_ros.nodes.report import write_report
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.replay.reader import BagReader
 
@@ -131,8 +131,9 @@ def write_results(
         f"The map is in {MAP_FILE}, as points with probability and sigma in {PLY_FILE}."
     )
     caption = "The map from above and from the side"
-    write_report(
+    write_map_report(
         out / "report.html",
+        voxel_map,
         "infomap_ros: a stereo bag becomes a map",
         introduction,
         figures,

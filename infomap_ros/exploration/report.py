@@ -1,0 +1,140 @@
+"""The report of an exploration or of a map: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from infomap_ros.exploration.log_records import Message
+from infomap_ros.exploration.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.report_page import sections, tables
+from infomap_ros.exploration.report_page.axes import MINUS
+from infomap_ros.exploration.report_page.page import Section, page
+from infomap_ros.exploration.report_page.plan import plan
+from infomap_ros.exploration.report_page.scene import scene_of
+from infomap_ros.exploration.report_page.surface import drawn_surface
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.pictures import MapImage, map_from_above
+
+Pictures = Sequence[tuple[Path, str]]
+"""PNG files with their captions."""
+
+_KEYS = (
+    '<p class="keys"><span><i class="key base"></i>path of the base</span><span>'
+    '<i class="key camera"></i>path of the camera</span><span>numbered: chosen views, grey where '
+    "the robot did not look from there; wedges: where the camera looks; click one for its "
+    "terms</span></p>"
+)
+
+
+def write_report(
+    out: str | Path,
+    log_path: str | Path,
+    voxel_map: VoxelMap | str | Path,
+    title: str = "Exploration",
+    introduction: str = "",
+    figures: Mapping[str, object] | None = None,
+    pictures: Pictures = (),
+) -> RecordedRun:
+    """Write the report of an exploration.
+
+    Args:
+        out: the HTML file.
+        log_path: the run log; lines that cannot be used are named in the report.
+        voxel_map: the map that the run made, or its file.
+        title: heading of the page.
+        introduction: a paragraph before everything else.
+        figures: more figures of the run, name -> value.
+        pictures: become part of the page.
+
+    Returns:
+        The run as it was read; its ``problems`` name the lines that could not be used.
+
+    Raises:
+        RunLogError: the log is not a run log; names the line and the reason.
+        MapFileError: the map file cannot be used.
+        OSError: a picture cannot be read or the report not written.
+    """
+    run = read_run(log_path)
+    opened = _opened(voxel_map)
+    above = _above(opened)
+    lead = _paragraph(introduction) + sections.outcome(run) + sections.problems(run)
+    scene = scene_of(drawn_surface(opened), above.cut if above else None, run)
+    parts = [
+        Section("progress", "Coverage, entropy and resolution", sections.curves(run)),
+        Section("plan", "The run from above", _plan(above, run)),
+        Section("views", "Chosen views", tables.views_table(run)),
+        Section("rejected", "What was rejected, and why", tables.rejections_table(run)),
+        *_details(run, figures or {}),
+        Section("pictures", "Pictures", sections.pictures(pictures)),
+    ]
+    lead += sections.run_tiles(run)
+    _write(out, page(title, sections.subtitle(run), lead, scene, parts))
+    return run
+
+
+def write_map_report(
+    out: str | Path,
+    voxel_map: VoxelMap | str | Path,
+    title: str,
+    introduction: str = "",
+    figures: Mapping[str, object] | None = None,
+    pictures: Pictures = (),
+) -> None:
+    """Write the report of a map alone: no run, else as `write_report`.
+
+    Raises:
+        MapFileError: the map file cannot be used.
+        OSError: a picture cannot be read or the report not written.
+    """
+    opened = _opened(voxel_map)
+    above = _above(opened)
+    scene = scene_of(drawn_surface(opened), above.cut if above else None, None)
+    parts = [
+        Section("plan", "The map from above", _plan(above, None)),
+        Section("figures", "Figures", tables.parameters_table(figures or {})),
+        Section("pictures", "Pictures", sections.pictures(pictures)),
+    ]
+    lead = _paragraph(introduction) + sections.map_tiles(opened)
+    _write(out, page(title, "", lead, scene, parts))
+
+
+def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
+    sides = [
+        ("Task", tables.parameters_table(run.start.task)),
+        ("Computing time of the decisions", tables.stages_table(run)),
+        ("Figures", tables.parameters_table(figures)),
+    ]
+    columns = "".join(f"<div><h3>{name}</h3>{body}</div>" for name, body in sides if body)
+    messages = tables.messages_table(run.of(Message))
+    return [
+        Section("messages", "Messages", messages),
+        Section("details", "Task and figures", f'<div class="columns">{columns}</div>'),
+    ]
+
+
+def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
+    if above is None:
+        return "<p>The map has no surface.</p>"
+    low, high = above.heights
+    note = f"Heights from {low:.2f} m (dark) to {high:.2f} m (bright)"
+    note += f"; what lies above {above.cut:.2f} m is left out." if above.cut is not None else "."
+    keys = _KEYS if run is not None else ""
+    return f'{keys}{plan(above, run)}<p class="subtitle">{note.replace("-", MINUS)}</p>'
+
+
+def _above(voxel_map: VoxelMap) -> MapImage | None:
+    return map_from_above(voxel_map) if voxel_map.surface_voxels else None
+
+
+def _opened(voxel_map: VoxelMap | str | Path) -> VoxelMap:
+    return voxel_map if isinstance(voxel_map, VoxelMap) else VoxelMap.load(voxel_map)
+
+
+def _paragraph(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>" if text else ""
+
+
+def _write(out: str | Path, text: str) -> None:
+    Path(out).write_text(text, encoding="utf-8")

@@ -1,0 +1,116 @@
+// Controls beside the 3-D view, and the details of what is chosen.
+function element(name, text, className) {
+  const made = document.createElement(name);
+  if (text !== undefined) made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+function valuesTable(caption, values, format = number) {
+  const table = element("table"), body = element("tbody");
+  table.append(element("caption", caption), body);
+  for (const [name, value] of Object.entries(values)) {
+    const row = element("tr");
+    row.append(element("td", words(name)), element("td", format(value), "number"));
+    body.append(row);
+  }
+  return table;
+}
+
+const point = (p) => p.map((v) => v.toFixed(2).replace("-", "−")).join("  ");
+
+function showStep(n, arrays) {
+  const step = steps[n], parts = [];
+  parts.push(element("h3", step.pose ? `View ${step.view}` : `Decision ${n + 1}`));
+  parts.push(element("p", `${step.outcome}, decided at ${duration(step.time)}${step.strategy ? ` by ${words(step.strategy)}` : ""}`, step.taken ? "good" : "bad"));
+  if (step.reason) parts.push(element("p", step.reason));
+  if (Object.keys(step.terms).length) parts.push(valuesTable("Terms of its rating", { ...step.terms, rating: step.rating }));
+  const facts = {};
+  if (step.pose) facts["camera x y z [m]"] = point(eyeOf(step));
+  if (step.base) facts["base x y [m]"] = point(step.base.slice(0, 2));
+  if (step.base) facts["base yaw"] = `${Math.round((step.base[2] * 180) / Math.PI)}°`.replace("-", "−");
+  const starts = arrays && arrays.candidate_starts;
+  if (starts) facts.candidates = String(starts[n + 1] - starts[n]);
+  parts.push(valuesTable("Where", facts, String));
+  if (Object.keys(step.seconds).length) parts.push(valuesTable("Computing time", step.seconds, (s) => quantity(s, "s")));
+  byId("details").replaceChildren(...parts);
+}
+
+function showCandidate(candidate) {
+  const state = candidate.rejection ? `rejected: ${candidate.rejection}` : "possible";
+  const terms = Object.fromEntries(Object.entries(candidate.terms).filter(([, value]) => Number.isFinite(value)));
+  byId("details").replaceChildren(
+    element("h3", `Candidate ${candidate.number} of decision ${candidate.decision + 1}`),
+    element("p", state, candidate.rejection ? "bad" : "good"),
+    valuesTable("Terms of its rating", { ...terms, rating: candidate.rating }),
+    valuesTable("Where", { "camera x y z [m]": point(candidate.position) }, String),
+  );
+}
+
+function tipText(found) {
+  if (found.candidate) {
+    const { rejection, rating, number: n } = found.candidate;
+    return rejection ? `candidate ${n}, rejected: ${rejection}` : `candidate ${n}, rating ${number(rating)}`;
+  }
+  const step = steps[found.step];
+  const terms = Object.entries(step.terms).map(([name, value]) => `${words(name)} ${number(value)}`);
+  return [`view ${step.view}, rating ${number(step.rating)}`, ...terms].join(" · ");
+}
+
+function connectPanel(viewer, choose) {
+  for (const input of document.querySelectorAll('input[name="colour"]')) {
+    input.addEventListener("change", () => { viewer.mode = input.value; paintLegend(viewer); viewer.redraw(); });
+  }
+  for (const input of byId("layers").querySelectorAll("input")) {
+    input.addEventListener("change", () => { viewer.shown[input.name] = input.checked; paintLegend(viewer); viewer.redraw(); });
+  }
+  for (const button of byId("cameras").querySelectorAll("button")) {
+    button.addEventListener("click", () => viewer.orbit[button.dataset.camera]());
+  }
+  connectCuts(viewer);
+  if (steps.length) connectSteps(viewer, choose);
+}
+
+function connectCuts(viewer) {
+  const cut = byId("cut"), least = byId("least");
+  const low = manifest.bounds[0][2], high = manifest.bounds[1][2];
+  const showCut = () => {
+    byId("cut-text").textContent = viewer.cut < Infinity ? `${viewer.cut.toFixed(2)} m` : "nothing";
+    paintLegend(viewer);
+    viewer.redraw();
+  };
+  if (viewer.cut < Infinity) cut.value = String(Math.round((200 * (viewer.cut - low)) / (high - low)));
+  cut.addEventListener("input", () => {
+    viewer.cut = cut.value === cut.max ? Infinity : low + (cut.value / 200) * (high - low);
+    showCut();
+  });
+  const showLeast = () => {
+    viewer.least = least.value / 100;
+    const [a, b] = manifest.logOdds;
+    byId("least-text").textContent = number(probability(a + viewer.least * (b - a)), viewer.least > 0.5 ? 4 : 2);
+    viewer.redraw();
+  };
+  least.addEventListener("input", showLeast);
+  showCut();
+  showLeast();
+}
+
+function connectSteps(viewer, choose) {
+  const slider = byId("step"), play = byId("play");
+  let timer = null;
+  const stop = () => { clearInterval(timer); timer = null; play.textContent = "play"; };
+  slider.max = String(steps.length - 1);
+  slider.addEventListener("input", () => { stop(); choose(Number(slider.value)); });
+  byId("before").addEventListener("click", () => { stop(); choose(Math.max(0, viewer.step - 1)); });
+  byId("after").addEventListener("click", () => { stop(); choose(Math.min(steps.length - 1, viewer.step + 1)); });
+  play.addEventListener("click", () => {
+    if (timer) return stop();
+    if (viewer.step >= steps.length - 1) choose(0);
+    play.textContent = "stop";
+    timer = setInterval(() => (viewer.step + 1 < steps.length ? choose(viewer.step + 1) : stop()), 900);
+  });
+  byId("through").addEventListener("click", () => {
+    const step = steps[viewer.step];
+    if (step.pose) viewer.orbit.from(eyeOf(step), aheadOf(step));
+  });
+}

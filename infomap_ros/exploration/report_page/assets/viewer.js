@@ -1,0 +1,127 @@
+// The 3-D view: its state, what is drawn, and what lies under the pointer.
+class Viewer {
+  constructor(arrays) {
+    this.arrays = arrays;
+    this.scene = byId("scene");
+    this.labels = byId("labels");
+    this.painter = new Painter(this.scene, arrays);
+    this.shown = { surface: true, axes: true, base: true, camera: true, views: true, candidates: true };
+    this.mode = "height";
+    this.step = -1;
+    this.candidates = [];
+    this.cut = manifest.cut === null ? Infinity : manifest.cut;
+    this.least = 0;
+    this.frames = 0;
+    this.orbit = new Orbit(manifest.bounds, () => this.redraw());
+    this.size = Math.max(0.12, Math.min(0.6, 0.05 * this.orbit.radius));
+    this.recolour();
+    this.resize();
+    this.orbit.home();
+    new ResizeObserver(() => this.resize()).observe(this.scene);
+  }
+
+  recolour() {
+    this.colours = themeColours();
+    const { painter, arrays, colours } = this;
+    this.groups = {
+      axes: painter.group(axisItems(manifest.bounds, colours), painter.lines),
+      base: painter.group(pathItems(arrays, "base", colours), painter.lines),
+      camera: painter.group(pathItems(arrays, "camera", colours), painter.lines),
+    };
+    this.regroup();
+  }
+
+  regroup() {
+    const { painter, colours, size } = this;
+    const table = this.arrays[`map_${manifest.colourMaps.rating}`];
+    const { marks, stubs } = candidateItems(this.candidates, size, colours, table);
+    this.groups.views = painter.group(viewItems(this.step, size, colours), painter.lines);
+    this.groups.candidates = painter.group(marks, painter.marks);
+    this.groups.stubs = painter.group(stubs, painter.lines);
+    paintLegend(this);
+    this.redraw();
+  }
+
+  select(step) {
+    this.step = step;
+    this.candidates = candidatesOf(this.arrays, step);
+    this.regroup();
+  }
+
+  range(mode) {
+    if (mode === "height") return [manifest.focus[0][2], Math.min(manifest.focus[1][2], this.cut)];
+    if (mode === "probability") return [0, 1];
+    const [a, b] = manifest.sigma.scale.map(Math.log);
+    return manifest.sigma.shown.map((v) => (Math.log(v) - a) / (b - a));
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.scene;
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2);
+    for (const canvas of [this.scene, this.labels]) {
+      canvas.width = Math.max(1, Math.round(clientWidth * this.ratio));
+      canvas.height = Math.max(1, Math.round(clientHeight * this.ratio));
+    }
+    this.orbit.update(Math.max(clientWidth, 1), Math.max(clientHeight, 1));
+    if (this.orbit.untouched) this.orbit.home();
+    this.redraw();
+  }
+
+  redraw() {
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame(() => { this.asked = false; this.draw(); });
+  }
+
+  draw() {
+    const { painter, orbit, scene, shown, groups } = this;
+    orbit.update(orbit.width, orbit.height);
+    painter.begin([...toRgb(this.colours.stage), 1], scene.width, scene.height);
+    const { matrix, eye } = orbit;
+    const mode = ["height", "sigma", "probability"].indexOf(this.mode);
+    if (shown.surface) {
+      const placed = { first: manifest.first, size: manifest.voxel, cut: Math.min(this.cut, 1e9), least: this.least - 0.002 };
+      painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colourMaps[this.mode]);
+    }
+    const values = { matrix, screen: [scene.width, scene.height], ratio: this.ratio };
+    if (shown.axes) painter.drawGroup(groups.axes, values, 0);
+    for (const name of ["base", "camera"]) if (shown[name]) painter.drawGroup(groups[name], values, 0.3);
+    if (shown.views) painter.drawGroup(groups.views, values, 0.25);
+    if (shown.candidates) {
+      painter.drawGroup(groups.stubs, values, 0.15);
+      painter.drawGroup(groups.candidates, values, 0.3);
+    }
+    paintLabels(this.labels, this);
+    this.frames += 1;
+  }
+
+  // The view or candidate at a place on the screen, or null.
+  pick(x, y) {
+    let best = null, least = 13;
+    const consider = (point, found, reach) => {
+      const at = this.orbit.project(point);
+      const d = at ? Math.hypot(at[0] - x, at[1] - y) - reach : Infinity;
+      if (d < least) { least = d; best = found; }
+    };
+    if (this.shown.candidates) for (const candidate of this.candidates) consider(candidate.position, { candidate }, 0);
+    if (this.shown.views) steps.forEach((step, n) => step.pose && consider(eyeOf(step), { step: n }, 4));
+    return best;
+  }
+
+  // Turn about the voxel in sight at a place on the screen.
+  centre(x, y) {
+    const { cells } = this.arrays, [fx, fy, fz] = manifest.first;
+    let best = null, least = Infinity;
+    for (let i = 0; i < cells.length; i += 3) {
+      const p = [cells[i] + fx + 0.5, cells[i + 1] + fy + 0.5, cells[i + 2] + fz + 0.5].map((v) => v * manifest.voxel);
+      const at = p[2] <= this.cut ? this.orbit.project(p) : null;
+      if (!at || Math.hypot(at[0] - x, at[1] - y) > 6 || at[2] > least) continue;
+      least = at[2];
+      best = p;
+    }
+    if (!best) return;
+    this.orbit.target = best;
+    this.orbit.distance = Math.min(this.orbit.distance, 0.6 * Math.max(least, 0.2 * this.orbit.radius));
+    this.redraw();
+  }
+}

@@ -1,0 +1,169 @@
+"""Tables of the page: chosen views, what was rejected and why, times, messages, parameters."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from infomap_ros.exploration.log_records import Message
+from infomap_ros.exploration.recorded_run import RecordedRun, Step
+from infomap_ros.exploration.report_page.axes import DASH, MINUS, duration, number, quantity
+from infomap_ros.exploration.report_page.scene import term_names
+
+
+def table(
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    kind: str = "",
+    attributes: Sequence[str] = (),
+) -> str:
+    """A table of cells that are HTML already.
+
+    Args:
+        heads: of the columns; one that begins with ``#`` stands over numbers.
+        rows: cells.
+        kind: class of the table.
+        attributes: of each row's element; none where empty.
+    """
+    numeric = [head.startswith("#") for head in heads]
+    classes = [' class="number"' if is_number else "" for is_number in numeric]
+    top = "".join(
+        f'<th scope="col"{kind}>{html.escape(head.lstrip("#"))}</th>'
+        for head, kind in zip(heads, classes, strict=True)
+    )
+    body = []
+    for place, row in enumerate(rows):
+        cells = "".join(f"<td{c}>{cell}</td>" for c, cell in zip(classes, row, strict=True))
+        body.append(f"<tr{attributes[place] if attributes else ''}>{cells}</tr>")
+    return (
+        f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def views_table(run: RecordedRun) -> str:
+    """Chosen views with their terms and the reason; a click shows one in the 3-D view."""
+    if not run.steps:
+        return "<p>No view was chosen.</p>"
+    names = term_names([step.decision for step in run.steps])
+    heads = ["#view", "#time", "position [m]", "#rating", *(f"#{words(n)}" for n in names)]
+    heads += ["#candidates", "why", "outcome"]
+    rows = [_view_row(step, names) for step in run.steps]
+    marks = [f' data-step="{place}" tabindex="0"' for place in range(len(rows))]
+    return table(heads, rows, "views", marks)
+
+
+def _view_row(step: Step, names: Sequence[str]) -> list[str]:
+    decision = step.decision
+    place = DASH
+    if decision.pose is not None:
+        place = "&ensp;".join(f"{value:.2f}".replace("-", MINUS) for value in decision.pose[:3, 3])
+    kind = "good" if step.taken else "bad"
+    possible = sum(not candidate.rejection for candidate in decision.candidates)
+    return [
+        str(decision.view),
+        duration(decision.time),
+        f'<span class="place">{place}</span>',
+        number(decision.rating),
+        *(number(decision.terms.get(name, math.nan)) for name in names),
+        f"{possible} of {len(decision.candidates)}",
+        html.escape(decision.reason),
+        f'<span class="{kind}">{html.escape(step.outcome)}</span>',
+    ]
+
+
+def rejections_table(run: RecordedRun) -> str:
+    """How often candidates were rejected, by reason, with an example of the details."""
+    candidates = [c for step in run.steps for c in step.decision.candidates]
+    reasons = [candidate.rejection for candidate in candidates if candidate.rejection]
+    counts = Counter(kind_of(reason) for reason in reasons)
+    examples = {kind_of(reason): reason for reason in reversed(reasons)}
+    if not counts:
+        return f"<p>None of the {len(candidates)} candidates was rejected.</p>"
+    largest = max(counts.values())
+    rows = [
+        [
+            html.escape(kind),
+            f'<span class="bar" style="width:{8.0 * count / largest:.2f}em"></span>{count:,}',
+            f"{100.0 * count / len(candidates):.1f} %",
+            html.escape(examples[kind]),
+        ]
+        for kind, count in counts.most_common()
+    ]
+    possible = len(candidates) - len(reasons)
+    text = f"<p>Of {len(candidates):,} candidates in {len(run.steps)} decisions {possible:,} "
+    text += "were possible.</p>"
+    return text + table(["reason", "#rejected", "#share of all", "for example"], rows, "rejections")
+
+
+def kind_of(reason: str) -> str:
+    """A reason without its details, which follow a colon."""
+    return reason.split(":")[0].strip()
+
+
+def stages_table(run: RecordedRun) -> str:
+    """Computing time of the decisions by stage."""
+    stages: dict[str, list[float]] = {}
+    for step in run.steps:
+        for name, seconds in step.decision.seconds.items():
+            stages.setdefault(name, []).append(seconds)
+    if not stages:
+        return ""
+    heads = ["stage", "#median", "#longest", "#in all"]
+    rows = [
+        [
+            html.escape(words(name)),
+            quantity(float(np.nanmedian(values)), "s"),
+            quantity(float(np.nanmax(values)), "s"),
+            duration(float(np.nansum(values))),
+        ]
+        for name, values in stages.items()
+        if np.isfinite(values).any()
+    ]
+    return table(heads, rows, "stages")
+
+
+def messages_table(messages: Sequence[Message]) -> str:
+    """What the run told, with the time."""
+    rows = [
+        [
+            duration(message.time),
+            f'<span class="{_LEVELS.get(message.level, "")}">{html.escape(message.level)}</span>',
+            html.escape(message.text),
+        ]
+        for message in messages
+    ]
+    return table(["#time", "level", "message"], rows, "messages") if rows else ""
+
+
+_LEVELS = {"warning": "warn", "error": "bad"}
+
+
+def parameters_table(parameters: Mapping[str, object]) -> str:
+    """Names and values, those of lists one after the other."""
+    rows = [
+        [html.escape(words(name)), html.escape(as_text(parameters[name]))] for name in parameters
+    ]
+    return table(["parameter", "#value"], rows, "parameters") if rows else ""
+
+
+def words(name: str) -> str:
+    """A name of the program as words."""
+    return name.replace("_", " ")
+
+
+def as_text(value: object) -> str:
+    """A value of any kind as text."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: DASH}[value]
+    if isinstance(value, int | float):
+        return number(float(value), 4)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{words(str(key))} {as_text(item)}" for key, item in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ", ".join(as_text(item) for item in value)
+    return str(value)

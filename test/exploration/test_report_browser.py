@@ -1,0 +1,255 @@
+"""The report in a real browser: it draws, turns, answers, and asks for nothing."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from infomap_ros.exploration.report import write_map_report, write_report
+from infomap_ros.geometry import make_transform
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+
+from .browser import MISSING, NO_WEBGL, SOFTWARE_WEBGL, Browser, find_browser
+from .made_up_run import entries, made_up_map, write_log
+
+SIZE = (1300, 900)
+ACCENT = (178, 114, 0)  # of the light theme, BGR
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    path = folder / "report.html"
+    write_report(path, write_log(folder / "run.jsonl"), made_up_map(voxel_size=0.1), "Stones")
+    return path
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    assert find_browser() is not None, MISSING
+    with Browser(tmp_path_factory.mktemp("browser") / "profile", SOFTWARE_WEBGL, SIZE) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(window: Browser, report: Path) -> Browser:
+    window.requests.clear()
+    window.complaints.clear()
+    window.open(report)
+    window.evaluate("document.getElementById('map').scrollIntoView()")
+    window.frame()
+    return window
+
+
+def stage(browser: Browser) -> tuple[float, float, float, float]:
+    """Left, top, width and height of the 3-D view [px]."""
+    box = "document.getElementById('scene').getBoundingClientRect()"
+    found = browser.evaluate(f"JSON.stringify({box})")
+    values = json.loads(found)
+    return values["x"], values["y"], values["width"], values["height"]
+
+
+def picture(browser: Browser, name: str = "scene") -> np.ndarray:
+    """What a canvas shows, shape (H, W, 4), BGRA."""
+    browser.frame()
+    data = browser.evaluate(f"document.getElementById('{name}').toDataURL()")
+    code = np.frombuffer(base64.b64decode(data.split(",")[1]), np.uint8)
+    image = cv2.imdecode(code, cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> float:
+    """Share of the pixels that differ."""
+    return float((before != after).any(axis=2).mean())
+
+
+def middle(browser: Browser) -> tuple[float, float]:
+    x, y, width, height = stage(browser)
+    return x + 0.5 * width, y + 0.5 * height
+
+
+def details(browser: Browser) -> str:
+    return str(browser.evaluate("document.getElementById('details').innerText"))
+
+
+def click(browser: Browser, selector: str) -> None:
+    browser.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
+
+
+def test_it_draws_without_a_complaint_and_asks_for_nothing(page: Browser, report: Path) -> None:
+    assert page.evaluate("document.documentElement.dataset.ready") == "3d"
+    colours = np.unique(picture(page)[..., :3].reshape(-1, 3), axis=0)
+    assert len(colours) > 200
+    assert page.complaints == []
+    others = [url for url in page.requests if not url.startswith("data:")]
+    assert others == [report.resolve().as_uri()]
+
+
+def test_dragging_turns_the_map(page: Browser) -> None:
+    before = picture(page)
+    x, y = middle(page)
+    page.drag((x, y), (x + 160.0, y + 40.0))
+    assert changed(before, picture(page)) > 0.1
+    click(page, "[data-camera=home]")
+    assert changed(before, picture(page)) == 0.0
+
+
+def test_the_right_button_moves_and_the_wheel_zooms(page: Browser) -> None:
+    first = picture(page)
+    x, y = middle(page)
+    page.drag((x, y), (x + 90.0, y), button="right")
+    second = picture(page)
+    assert changed(first, second) > 0.1
+    page.mouse("mouseWheel", x, y, deltaX=0, deltaY=-400)
+    third = picture(page)
+    assert changed(second, third) > 0.1
+    background = third[-1, -1]
+    drawn = [(image != background).any(axis=2).sum() for image in (second, third)]
+    assert drawn[1] > drawn[0]
+
+
+def test_keys_turn_the_map(page: Browser) -> None:
+    before = picture(page)
+    page.evaluate("document.getElementById('scene').focus()")
+    page.send("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
+    assert changed(before, picture(page)) > 0.1
+
+
+def test_each_colouring_and_layer_changes_the_picture(page: Browser) -> None:
+    pictures = [picture(page)]
+    for mode in ("sigma", "probability"):
+        click(page, f"input[value={mode}]")
+        pictures.append(picture(page))
+    for layer in ("surface", "axes", "base", "camera", "views", "candidates"):
+        click(page, f"input[name={layer}]")
+        pictures.append(picture(page))
+    for before, after in pairwise(pictures):
+        assert changed(before, after) > 1e-4
+    assert len(np.unique(pictures[-1].reshape(-1, 4), axis=0)) == 1  # nothing is left
+
+
+def test_hiding_what_is_above_takes_the_tops_away(page: Browser) -> None:
+    before = picture(page)
+    page.evaluate(
+        "(() => { const s = document.getElementById('cut'); s.value = 20;"
+        " s.dispatchEvent(new Event('input')); })()"
+    )
+    assert changed(before, picture(page)) > 0.05
+    assert page.evaluate("document.getElementById('cut-text').textContent").endswith(" m")
+
+
+def test_a_click_on_a_view_shows_its_terms(page: Browser) -> None:
+    told = [entry for entry in entries() if entry["kind"] == "decision"]
+    click(page, ".views tbody tr[data-step='7']")
+    labels = picture(page, "labels").astype(int)
+    near = (np.abs(labels[..., :3] - ACCENT).max(axis=2) < 8) & (labels[..., 3] > 250)
+    row, column = np.argwhere(near).mean(axis=0)
+    click(page, ".views tbody tr[data-step='2']")
+    assert "View 2" in details(page)
+    page.evaluate("document.getElementById('map').scrollIntoView({behavior: 'instant'})")
+    page.evaluate("new Promise((done) => setTimeout(done, 100))")
+    x, y, _, _ = stage(page)
+    page.click(x + column, y + row)
+    text = details(page)
+    assert "View 7" in text
+    assert told[7]["reason"] in text
+    for name, value in told[7]["terms"].items():
+        assert name.replace("_", " ") in text
+        digits = f"{abs(value):.3g}" if abs(value) < 1000 else f"{abs(value):.0f}"
+        assert digits in text
+
+
+def test_pointing_at_a_candidate_tells_its_rating_and_a_click_its_terms(page: Browser) -> None:
+    for layer in ("surface", "axes", "base", "camera", "views"):
+        click(page, f"input[name={layer}]")
+    image = picture(page)[..., :3].astype(int)
+    bright = image.max(axis=2) - image.min(axis=2)  # rated ones have a colour, rejected are grey
+    count, _, boxes, centres = cv2.connectedComponentsWithStats((bright > 90).astype(np.uint8))
+    sizes = boxes[1:count, cv2.CC_STAT_AREA]
+    column, row = centres[1 + int(np.argmax(sizes))]
+    x, y, _, _ = stage(page)
+    page.mouse("mouseMoved", x + column, y + row)
+    assert "candidate" in page.evaluate("document.getElementById('tip').textContent")
+    page.click(x + column, y + row)
+    assert "Candidate" in details(page)
+    assert "localisation error" in details(page)
+
+
+def test_stepping_shows_other_candidates(page: Browser) -> None:
+    for layer in ("surface", "axes", "base", "camera", "views"):
+        click(page, f"input[name={layer}]")
+    before = picture(page)
+    click(page, "#before")
+    assert changed(before, picture(page)) > 1e-3
+
+
+def test_looking_through_a_camera_changes_the_view(page: Browser) -> None:
+    before = picture(page)
+    click(page, "#through")
+    assert changed(before, picture(page)) > 0.2
+
+
+def test_the_dark_theme_is_dark(page: Browser) -> None:
+    light = picture(page)[0, 0, :3]
+    click(page, "#theme")
+    dark = picture(page)[0, 0, :3]
+    click(page, "#theme")
+    assert light.min() > 200
+    assert dark.max() < 60
+
+
+def test_a_pointer_on_a_chart_tells_the_value(page: Browser) -> None:
+    page.evaluate("document.querySelector('svg.chart').scrollIntoView({block: 'center'})")
+    box = "JSON.stringify(document.querySelector('svg.chart').getBoundingClientRect())"
+    values = json.loads(page.evaluate(box))
+    page.mouse("mouseMoved", values["right"] - 20.0, values["y"] + 0.5 * values["height"])
+    text = page.evaluate("document.querySelector('svg.chart .mark-text').textContent")
+    assert text.endswith("at views 12")
+
+
+def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> None:
+    """A low patch at +x and a high one at +y: their colours tell which is where."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=10.0))
+    steps = np.arange(-0.5, 0.5, 0.03)
+    patch = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    low = np.column_stack([patch + np.array([3.0, 0.0]), np.full(len(patch), 0.05)])
+    high = np.column_stack([patch + np.array([0.0, 3.0]), np.full(len(patch), 1.05)])
+    for _ in range(4):
+        pose = make_transform(np.eye(3), np.array([0.0, 0.0, 4.0]))
+        voxel_map.integrate(np.concatenate([low, high]) - (0.0, 0.0, 4.0), pose)
+    write_map_report(tmp_path / "map.html", voxel_map, "Two patches")
+    window.open(tmp_path / "map.html")
+    click(window, "[data-camera=top]")
+    image = picture(window)[..., :3].astype(int)
+    blue, green, red = np.moveaxis(image, 2, 0)
+    yellow, violet = (red - blue > 80), (blue - green > 40)
+    assert yellow.sum() > 500
+    assert violet.sum() > 500
+    (high_row, high_column), (low_row, low_column) = (
+        np.argwhere(mask).mean(axis=0) for mask in (yellow, violet)
+    )
+    assert low_column > high_column + 50.0
+    assert high_row < low_row - 50.0
+
+
+def test_without_webgl_it_says_so_and_shows_the_pictures(report: Path, tmp_path: Path) -> None:
+    assert find_browser() is not None, MISSING
+    with Browser(tmp_path / "profile", NO_WEBGL, SIZE) as browser:
+        browser.open(report)
+        assert browser.evaluate("document.documentElement.dataset.ready") == "2d"
+        notice = browser.evaluate("document.getElementById('notice').innerText")
+        assert "No 3-D view here (WebGL 2 is not available)" in notice
+        shown = "(s) => document.querySelector(s).getBoundingClientRect().height"
+        assert browser.evaluate(f"({shown})('svg.plan image')") > 100
+        assert browser.evaluate(f"({shown})('svg.chart polyline')") > 20
+        click(browser, "#theme")
+        complaints = [text for text in browser.complaints if "WebGL" not in text]
+        assert complaints == []

@@ -13,7 +13,8 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.block_kernels import find_block, quanta_at
+from infomap_ros.mapping.block_kernels import find_block, quanta_of
+from infomap_ros.mapping.blocks import UNSEEN
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, COORDINATE_LIMIT, local_index, pack
 
@@ -117,21 +118,28 @@ def _fill(blocks: Any, first: Any, quanta: Any) -> None:
     """Copy block by block what lies in the window."""
     nx, ny, nz = quanta.shape
     x0, y0, z0 = first[0], first[1], first[2]
+    kinds, bases, rows = blocks.kind, blocks.base, blocks.plane
+    narrow, wide = blocks.narrow, blocks.wide
     for bx in range(x0 >> BLOCK_BITS, ((x0 + nx - 1) >> BLOCK_BITS) + 1):
         for by in range(y0 >> BLOCK_BITS, ((y0 + ny - 1) >> BLOCK_BITS) + 1):
             for bz in range(z0 >> BLOCK_BITS, ((z0 + nz - 1) >> BLOCK_BITS) + 1):
                 slot = find_block(blocks, pack(bx, by, bz))
-                if slot >= 0:
-                    _copy_block(blocks, slot, bx, by, bz, first, quanta)
+                if slot >= 0 and kinds[slot] != UNSEEN:
+                    x, y, z = bx * BLOCK_SIDE - x0, by * BLOCK_SIDE - y0, bz * BLOCK_SIDE - z0
+                    base = np.int64(bases[slot])
+                    _copy_block(kinds[slot], base, rows[slot], narrow, wide, x, y, z, quanta)
 
 
 @njit(cache=True, nogil=True)
-def _copy_block(blocks: Any, slot: int, bx: int, by: int, bz: int, first: Any, quanta: Any) -> None:
+def _copy_block(
+    kind: int, base: int, row: int, narrow: Any, wide: Any, x: int, y: int, z: int, quanta: Any
+) -> None:
+    """Copy a block whose first voxel has the position (x, y, z) in the window."""
     nx, ny, nz = quanta.shape
-    x, y, z = (bx * BLOCK_SIDE - first[0], by * BLOCK_SIDE - first[1], bz * BLOCK_SIDE - first[2])
     for i in range(max(0, x), min(nx, x + BLOCK_SIDE)):
         for j in range(max(0, y), min(ny, y + BLOCK_SIDE)):
             for k in range(max(0, z), min(nz, z + BLOCK_SIDE)):
-                known, value = quanta_at(blocks, slot, local_index(i - x, j - y, k - z))
+                local = local_index(i - x, j - y, k - z)
+                known, value = quanta_of(kind, base, row, narrow, wide, local)
                 if known:
                     quanta[i, j, k] = min(max(value, -32767), 32767)

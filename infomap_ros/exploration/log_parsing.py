@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -76,6 +77,13 @@ def _decision(time: float, fields: Fields) -> Decision:
     listed = fields.get("candidates", ())
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise RunLogError("'candidates' is not a list")
+    candidates = tuple(_candidate(entry) for entry in listed)
+    rejections = dict(Counter(c.rejection for c in candidates if c.rejection))
+    if "rejections" in fields:
+        counted = _mapping(fields, "rejections")
+        rejections = {reason: _count(counted, reason) for reason in counted}
+    possible = sum(not candidate.rejection for candidate in candidates)
+    least = possible + sum(rejections.values())
     return Decision(
         time,
         _count(fields, "view"),
@@ -86,7 +94,9 @@ def _decision(time: float, fields: Fields) -> Decision:
         _numbers(fields, "terms"),
         _text(fields, "reason", ""),
         _numbers(fields, "seconds"),
-        tuple(_candidate(entry) for entry in listed),
+        candidates,
+        _count(fields, "considered") if "considered" in fields else least,
+        rejections,
     )
 
 

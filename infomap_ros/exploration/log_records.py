@@ -100,7 +100,9 @@ class Decision:
         terms: of that rating, by name.
         reason: why this view, or why none.
         seconds: that each stage took, by name.
-        candidates: that were considered.
+        candidates: that were considered, or a choice of them.
+        considered: number of all candidates.
+        rejections: how many of all candidates were rejected, by reason.
     """
 
     time: float
@@ -113,6 +115,8 @@ class Decision:
     reason: str
     seconds: Mapping[str, float]
     candidates: tuple[Candidate, ...]
+    considered: int
+    rejections: Mapping[str, int]
 
 
 @dataclass(frozen=True, eq=False)

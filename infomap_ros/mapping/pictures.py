@@ -21,7 +21,8 @@ from infomap_ros.mapping.voxel_map import VoxelMap
 _LARGEST_SIDE = 1600  # of a view [px]
 _HEADROOM = 2.0  # what lies higher above the floor may be a ceiling [m]
 _OVERHANG_SHARE = 0.1  # it is one when it hides more than this share of the columns
-_LEAST_EVIDENCE = 0.3  # of the median surface voxel's log-odds
+LEAST_EVIDENCE = 0.3
+"""Voxels with less than this share of the median surface voxel's log-odds are not drawn."""
 _LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
 
 
@@ -157,7 +158,7 @@ def _surface(voxel_map: VoxelMap) -> _Surface:
     centres: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
     evidence = voxel_map.log_odds(centres)
     usual = float(np.median(evidence)) if len(evidence) else 0.0
-    likely = evidence > max(0.0, _LEAST_EVIDENCE * usual)
+    likely = evidence > max(0.0, LEAST_EVIDENCE * usual)
     variances, directions = np.linalg.eigh(covariances[likely])
     sigmas = np.sqrt(np.maximum(variances[:, 0], 0.0))
     return _Surface(centres[likely], directions[:, :, 0], sigmas)

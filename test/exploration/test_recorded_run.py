@@ -144,6 +144,17 @@ def test_each_step_says_what_came_of_it(tmp_path: Path) -> None:
     assert [len(step.motions) for step in steps] == [3] * 5 + [1] + [3] * 6 + [0]
 
 
+def test_counts_of_a_log_that_lists_some_candidates_only_are_taken_from_it(tmp_path: Path) -> None:
+    told = entries(count=1, candidates=10)
+    told[2] |= {"rejections": {"in collision: wheel": 700, "not free": 30}, "considered": 1000}
+    listed, counted = read_run(written(tmp_path / "run.jsonl", told)).of(Decision)
+    assert listed.considered == 1000
+    assert listed.rejections == {"in collision: wheel": 700, "not free": 30}
+    assert counted.considered == 10
+    rejected = [c["rejection"] for c in told[-2]["candidates"] if c["rejection"]]
+    assert counted.rejections == {reason: rejected.count(reason) for reason in rejected}
+
+
 def test_paths_are_kept(tmp_path: Path) -> None:
     told = [entry for entry in entries() if entry["kind"] == "motion"]
     motions = read_run(write_log(tmp_path / "run.jsonl")).of(Motion)

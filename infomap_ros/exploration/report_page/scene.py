@@ -20,6 +20,14 @@ from infomap_ros.exploration.report_page.surface import (
     DrawnSurface,
 )
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.terms import (
+    Distance,
+    Information,
+    InterestTerm,
+    LocalisationErrorTerm,
+    Risk,
+    TeammatesTerm,
+)
 
 COLOUR_MAPS = {
     "height": "viridis",
@@ -32,6 +40,8 @@ COLOUR_MAPS = {
 BASE_ACTIONS = ("drive", "home")
 """Motions whose path is the base's; that of others is the camera's."""
 
+_TERMS = (Information, InterestTerm, TeammatesTerm, Distance, LocalisationErrorTerm, Risk)
+_UNITS = {term.name: term.unit for term in _TERMS}
 _LEAST_STEP = 0.01  # of a path: points closer than this are left out [m]
 
 
@@ -46,7 +56,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
     Returns:
         ``manifest``, plain values for JSON, and ``arrays``, numpy arrays by name.
     """
-    centres = surface.centres
+    centres = surface.centres[surface.evidence >= surface.least_evidence]
     manifest: dict[str, Any] = {
         "voxel": surface.size,
         "merged": surface.merged,
@@ -56,6 +66,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
         "cut": cut,
         "sigma": {"scale": SIGMA_RANGE, "shown": _sigma_limits(surface)},
         "logOdds": LOG_ODDS_RANGE,
+        "least": surface.least_evidence / 255.0,
     }
     arrays: dict[str, NDArray[Any]] = {
         "cells": surface.cells,
@@ -113,7 +124,11 @@ def _add_candidates(
     reasons = list(dict.fromkeys(candidate.rejection for candidate in every))
     numbers = {reason: number for number, reason in enumerate(reasons)}
     terms = [[candidate.terms.get(name, math.nan) for name in names] for candidate in every]
-    manifest |= {"terms": names, "rejections": reasons}
+    manifest |= {
+        "terms": names,
+        "rejections": reasons,
+        "units": {name: unit_of(name) for name in names},
+    }
     arrays["candidate_starts"] = _starts(listed)
     arrays["candidate_positions"] = _stack([c.position[None] for c in every], 3).astype(np.float32)
     directions = _stack([c.direction[None] for c in every], 3)
@@ -128,6 +143,11 @@ def term_names(rated: Sequence[Candidate | Any]) -> list[str]:
     return list(dict.fromkeys(name for entry in rated for name in entry.terms))
 
 
+def unit_of(term: str) -> str:
+    """Unit of a term of the rating in brackets; empty for a number or a term of the user's own."""
+    return f"[{_UNITS[term]}]" if _UNITS.get(term) else ""
+
+
 def _step(step: Step) -> dict[str, Any]:
     decision = step.decision
     return {
@@ -139,6 +159,7 @@ def _step(step: Step) -> dict[str, Any]:
         "rating": plain(decision.rating),
         "terms": {name: plain(value) for name, value in decision.terms.items()},
         "reason": decision.reason,
+        "considered": decision.considered,
         "seconds": {name: plain(value) for name, value in decision.seconds.items()},
         "outcome": step.outcome,
         "taken": step.taken,

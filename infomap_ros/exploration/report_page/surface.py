@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.pictures import LEAST_EVIDENCE
 
 LARGEST_SURFACE = 250_000
 """More voxels than this are merged to larger ones: a browser has to draw them smoothly."""
@@ -41,6 +42,11 @@ class DrawnSurface:
     first: NDArray[np.int64]
     size: float
     merged: int
+
+    @property
+    def least_evidence(self) -> int:
+        """Code of the evidence below which a voxel is likely a stray one."""
+        return int(LEAST_EVIDENCE * np.median(self.evidence)) if len(self.evidence) else 0
 
     @property
     def centres(self) -> FloatArray:

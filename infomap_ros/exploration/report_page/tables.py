@@ -12,7 +12,7 @@ import numpy as np
 from infomap_ros.exploration.log_records import Message
 from infomap_ros.exploration.recorded_run import RecordedRun, Step
 from infomap_ros.exploration.report_page.axes import DASH, MINUS, duration, number, quantity
-from infomap_ros.exploration.report_page.scene import term_names
+from infomap_ros.exploration.report_page.scene import term_names, unit_of
 
 
 def table(
@@ -50,7 +50,13 @@ def views_table(run: RecordedRun) -> str:
     if not run.steps:
         return "<p>No view was chosen.</p>"
     names = term_names([step.decision for step in run.steps])
-    heads = ["#view", "#time", "position [m]", "#rating", *(f"#{words(n)}" for n in names)]
+    heads = [
+        "#view",
+        "#time",
+        "position [m]",
+        "#rating",
+        *(f"#{words(n)} {unit_of(n)}".rstrip() for n in names),
+    ]
     heads += ["#candidates", "why", "outcome"]
     rows = [_view_row(step, names) for step in run.steps]
     marks = [f' data-step="{place}" tabindex="0"' for place in range(len(rows))]
@@ -63,14 +69,14 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
     if decision.pose is not None:
         place = "&ensp;".join(f"{value:.2f}".replace("-", MINUS) for value in decision.pose[:3, 3])
     kind = "good" if step.taken else "bad"
-    possible = sum(not candidate.rejection for candidate in decision.candidates)
+    possible = decision.considered - sum(decision.rejections.values())
     return [
         str(decision.view),
         duration(decision.time),
         f'<span class="place">{place}</span>',
         number(decision.rating),
         *(number(decision.terms.get(name, math.nan)) for name in names),
-        f"{possible} of {len(decision.candidates)}",
+        f"{possible} of {decision.considered}",
         html.escape(decision.reason),
         f'<span class="{kind}">{html.escape(step.outcome)}</span>',
     ]
@@ -78,24 +84,27 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
 
 def rejections_table(run: RecordedRun) -> str:
     """How often candidates were rejected, by reason, with an example of the details."""
-    candidates = [c for step in run.steps for c in step.decision.candidates]
-    reasons = [candidate.rejection for candidate in candidates if candidate.rejection]
-    counts = Counter(kind_of(reason) for reason in reasons)
-    examples = {kind_of(reason): reason for reason in reversed(reasons)}
+    counts: Counter[str] = Counter()
+    examples: dict[str, str] = {}
+    for step in run.steps:
+        for reason, count in step.decision.rejections.items():
+            counts[kind_of(reason)] += count
+            examples.setdefault(kind_of(reason), reason)
+    considered = sum(step.decision.considered for step in run.steps)
     if not counts:
-        return f"<p>None of the {len(candidates)} candidates was rejected.</p>"
+        return f"<p>None of the {considered:,} candidates was rejected.</p>"
     largest = max(counts.values())
     rows = [
         [
             html.escape(kind),
             f'<span class="bar" style="width:{8.0 * count / largest:.2f}em"></span>{count:,}',
-            f"{100.0 * count / len(candidates):.1f} %",
+            f"{100.0 * count / considered:.1f} %",
             html.escape(examples[kind]),
         ]
         for kind, count in counts.most_common()
     ]
-    possible = len(candidates) - len(reasons)
-    text = f"<p>Of {len(candidates):,} candidates in {len(run.steps)} decisions {possible:,} "
+    possible = considered - counts.total()
+    text = f"<p>Of {considered:,} candidates in {len(run.steps)} decisions {possible:,} "
     text += "were possible.</p>"
     return text + table(["reason", "#rejected", "#share of all", "for example"], rows, "rejections")
 

@@ -11,7 +11,7 @@ function valuesTable(caption, values, format = number) {
   table.append(element("caption", caption), body);
   for (const [name, value] of Object.entries(values)) {
     const row = element("tr");
-    row.append(element("td", words(name)), element("td", format(value), "number"));
+    row.append(element("td", `${words(name)} ${(manifest.units || {})[name] || ""}`), element("td", format(value), "number"));
     body.append(row);
   }
   return table;
@@ -30,7 +30,8 @@ function showStep(n, arrays) {
   if (step.base) facts["base x y [m]"] = point(step.base.slice(0, 2));
   if (step.base) facts["base yaw"] = `${Math.round((step.base[2] * 180) / Math.PI)}°`.replace("-", "−");
   const starts = arrays && arrays.candidate_starts;
-  if (starts) facts.candidates = String(starts[n + 1] - starts[n]);
+  const shown = starts ? starts[n + 1] - starts[n] : 0;
+  facts.candidates = shown === step.considered ? String(shown) : `${step.considered}, ${shown} of them shown`;
   parts.push(valuesTable("Where", facts, String));
   if (Object.keys(step.seconds).length) parts.push(valuesTable("Computing time", step.seconds, (s) => quantity(s, "s")));
   byId("details").replaceChildren(...parts);
@@ -85,12 +86,12 @@ function connectCuts(viewer) {
     showCut();
   });
   const showLeast = () => {
-    viewer.least = least.value / 100;
     const [a, b] = manifest.logOdds;
     byId("least-text").textContent = number(probability(a + viewer.least * (b - a)), viewer.least > 0.5 ? 4 : 2);
     viewer.redraw();
   };
-  least.addEventListener("input", showLeast);
+  least.value = String(Math.round(100 * viewer.least));
+  least.addEventListener("input", () => { viewer.least = least.value / 100; showLeast(); });
   showCut();
   showLeast();
 }

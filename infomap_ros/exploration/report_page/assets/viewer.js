@@ -10,7 +10,7 @@ class Viewer {
     this.step = -1;
     this.candidates = [];
     this.cut = manifest.cut === null ? Infinity : manifest.cut;
-    this.least = 0;
+    this.least = manifest.least;
     this.frames = 0;
     this.orbit = new Orbit(manifest.bounds, () => this.redraw());
     this.size = Math.max(0.12, Math.min(0.6, 0.05 * this.orbit.radius));

@@ -62,6 +62,16 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
 
 
+def mark_changed(storage: MapStorage, first: int, blocks: int) -> int:
+    """Implementation of `VoxelMap.mark_changed`."""
+    if len(storage.blocks.dirty) == 0:
+        raise InvalidInputError("mark_changed", "changes are not tracked")
+    count = int(storage.blocks.counts[BLOCK_COUNT])
+    end = min(first + blocks, count)
+    storage.blocks.dirty[first:end] = np.uint64(0xFFFFFFFFFFFFFFFF)
+    return count - end
+
+
 @njit(nogil=True, cache=True)
 def _count_bits(words: NDArray[np.uint64]) -> int:
     """Number of ones, for words of 64 bits (numpy has it from 2.0 on, ROS Jazzy has numpy 1.26)."""

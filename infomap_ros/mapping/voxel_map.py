@@ -15,7 +15,7 @@ from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import queries, traversal
 from infomap_ros.mapping.blocks import BLOCK_COUNT
-from infomap_ros.mapping.changes import VoxelChanges, take_changes
+from infomap_ros.mapping.changes import VoxelChanges, mark_changed, take_changes
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.keys import BLOCK_SIDE
@@ -227,6 +227,22 @@ class VoxelMap:
             InvalidInputError: changes are not tracked.
         """
         return take_changes(self._storage, self.config.voxel_size, limit)
+
+    def mark_changed(self, first: int, blocks: int) -> int:
+        """Count all voxels of some blocks as changed, for someone who does not know them.
+
+        Args:
+            first: number of the first block; blocks are numbered from 0 in the order in which
+                they were first observed.
+            blocks: how many.
+
+        Returns:
+            Number of blocks after them.
+
+        Raises:
+            InvalidInputError: changes are not tracked.
+        """
+        return mark_changed(self._storage, first, blocks)
 
     def reset(self) -> None:
         """Forget everything."""

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -110,10 +111,20 @@ class MonitoredNode(Node):
             message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
         )
 
-    def advertise(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
+    def advertise(
+        self,
+        message_type: type,
+        topic: str,
+        profile: QoSProfile,
+        events: PublisherEventCallbacks | None = None,
+    ) -> Publisher:
         """Create a publisher whose quality of service parameters can override."""
         publisher = self.create_publisher(
-            message_type, topic, profile, qos_overriding_options=qos.overridable()
+            message_type,
+            topic,
+            profile,
+            qos_overriding_options=qos.overridable(),
+            event_callbacks=events,
         )
         self._advertised.append(publisher)
         return publisher

@@ -5,25 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelChanges, VoxelMap
+from infomap_ros.mapping import VoxelChanges, VoxelMap
 from infomap_ros.mapping.export import surface_vertices
 from infomap_ros.team import NOT_OBSERVED
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
-
-
-def whole_map(voxel_map: VoxelMap) -> VoxelChanges:
-    """Every known voxel of a map, as `VoxelMap.take_changes` would tell it."""
-    indices, log_odds = voxel_map.voxels()
-    quanta = np.rint(log_odds / LOG_ODDS_QUANTUM)
-    quanta = np.clip(quanta, -SHARED_LOG_ODDS_LIMIT, SHARED_LOG_ODDS_LIMIT).astype(np.int8)
-    changes = without_evidence(indices)
-    changes.log_odds[:] = quanta
-    surface, means, covariances = voxel_map.gaussians()
-    rows = _find_rows(indices, surface)
-    changes.has_gaussian[rows] = True
-    changes.means[rows], changes.covariances[rows] = means, covariances
-    return changes
 
 
 def voxel_map_rows(voxel_map: VoxelMap) -> NDArray[np.float32]:
@@ -46,15 +32,3 @@ def without_evidence(indices: NDArray[np.int32]) -> VoxelChanges:
         np.full((count, 3), np.nan),
         np.full((count, 3, 3), np.nan),
     )
-
-
-def _find_rows(indices: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Rows of `indices` that hold the `wanted` voxels."""
-    keys, targets = (_packed(values) for values in (indices, wanted))
-    order = np.argsort(keys)
-    return order[np.searchsorted(keys, targets, sorter=order)]
-
-
-def _packed(indices: NDArray[np.int32]) -> NDArray[np.int64]:
-    shifted = indices.astype(np.int64) + 2**20
-    return np.asarray((shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2])

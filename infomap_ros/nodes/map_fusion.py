@@ -35,6 +35,9 @@ from infomap_ros.nodes.map_outputs import MapOutputsConfig
 from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
+from infomap_ros.nodes.update_stream import UpdateStreamConfig
+
+_REPEAT_PERIOD = 0.1  # [s]
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class MapFusionNode(MonitoredNode):
         (MapFusionConfig, ""),
         (MapKeeperConfig, ""),
         (AssumedPoseConfig, ""),
+        (UpdateStreamConfig, ""),
         (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),
@@ -92,6 +96,7 @@ class MapFusionNode(MonitoredNode):
             self.create_service(Trigger, f"~/{name}", self._service(order))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)
+        self.create_timer(_REPEAT_PERIOD, self._publish_more, clock=steady)
         if self._config.autosave_period:
             self.create_timer(self._config.autosave_period, self._autosave, clock=steady)
 
@@ -108,6 +113,11 @@ class MapFusionNode(MonitoredNode):
 
     def _publish_pictures(self) -> None:
         self._worker.submit_always(self._keeper.publish_pictures)
+
+    def _publish_more(self) -> None:
+        """Where no scan does it, tell a subscriber that is new what it waits for."""
+        if self._keeper.behind and not self._worker.waiting:
+            self._worker.submit_always(self._keeper.publish_more)
 
     def _autosave(self) -> None:
         self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save))

@@ -17,11 +17,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.map_contents import voxel_map_rows, whole_map
+from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.map_outputs import MapOutputs
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_body import without_body
 from infomap_ros.nodes.scan_gate import Scan
+from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 
 
@@ -53,7 +54,7 @@ class MapKeeper:
         self._node = node
         self._config = node.config(MapKeeperConfig)
         self._body_filter = node.config(BodyFilterConfig)
-        self._outputs = MapOutputs(node)
+        self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
         self._path = Path(self._config.map_file).absolute()
         self._map = VoxelMap(node.config(VoxelMapConfig))
         self._map.track_changes(True)
@@ -89,7 +90,17 @@ class MapKeeper:
         covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
         self._map.integrate(cloud.points, pose.transform, cloud.covariances, covariance, camera)
         self._stamp = cloud.stamp
-        self._outputs.publish_changes(self._map, self._stamp)
+        self._outputs.changed()
+        self._updates.publish(self._map, self._stamp)
+
+    @property
+    def behind(self) -> bool:
+        """Whether a subscriber of map_updates still waits for what was known before."""
+        return self._updates.behind
+
+    def publish_more(self) -> None:
+        """Publish more of what subscribers of map_updates wait for."""
+        self._updates.publish(self._map, self._stamp, always=False)
 
     def publish_pictures(self) -> None:
         """Publish voxel_map and projected_map where they are wanted and out of date."""
@@ -120,19 +131,22 @@ class MapKeeper:
         if sizes[0] != sizes[1]:
             raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
         restored = VoxelMap.from_state(self._map.config, loaded.state())
-        restored.track_changes(True)
-        self._outputs.replace(self._map, restored, self._stamp)
-        self._map = restored
+        self._replace_by(restored)
         return f"loaded {self._map.known_voxels} voxels from {self._path}"
 
     def reset(self) -> str:
         """Forget the map; returns a sentence."""
         count = self._map.known_voxels
         empty = VoxelMap(self._map.config)
-        empty.track_changes(True)
-        self._outputs.replace(self._map, empty, self._stamp)
-        self._map = empty
+        self._replace_by(empty)
         return f"forgot {count} voxels"
+
+    def _replace_by(self, other: VoxelMap) -> None:
+        other.track_changes(True)
+        self._updates.replace(self._map)
+        self._map = other
+        self._outputs.changed()
+        self.publish_more()
 
     def _assumed_covariance(self) -> FloatArray:
         if not self._assumed:
@@ -163,5 +177,4 @@ def warm_up(threads: int) -> None:
     trial.integrate(cloud.points, np.eye(4), cloud.covariances, 1e-6 * np.eye(6), camera)
     trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
     trial.take_changes()
-    whole_map(trial)
     voxel_map_rows(trial)

@@ -296,6 +296,18 @@ def test_replaying_the_changes_makes_the_map():
     assert min(replica.log_odds.values()) == -SHARED_LOG_ODDS_LIMIT
 
 
+def test_voxels_of_blocks_that_are_marked_are_taken_again():
+    voxel_map = integrate_all(tracking(), looks(5, 2))
+    everything = set(map(tuple, voxel_map.take_changes().indices.tolist()))
+    taken, first, left = set(), 0, 1
+    while left:
+        left = voxel_map.mark_changed(first, 7)
+        piece = set(map(tuple, voxel_map.take_changes().indices.tolist()))
+        assert not taken & piece
+        taken, first = taken | piece, first + 7
+    assert taken == everything
+
+
 def test_every_changed_voxel_is_taken_once():
     voxel_map = integrate_all(tracking(), looks(5, 2))
     changes = voxel_map.take_changes()

@@ -129,10 +129,10 @@ def as_replica(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[int, boo
     }
 
 
-def expected_map(*scans: PointCloudRecord) -> VoxelMap:
+def expected_map(*scans: PointCloudRecord, voxel_size: float = 0.1) -> VoxelMap:
     from infomap_ros.mapping import VoxelMapConfig
 
-    expected = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    expected = VoxelMap(VoxelMapConfig(voxel_size=voxel_size))
     for scan in scans:
         expected.integrate(scan.points, T_MAP_CAMERA, scan.covariances, COVARIANCE, CAMERA)
     return expected
@@ -187,6 +187,44 @@ def test_who_comes_late_gets_the_voxel_map(graph: Any) -> None:
     clouds = graph.collect(PointCloud2, "voxel_map", qos.latched())
 
     graph.spin_until(lambda: clouds and clouds[-1].width, "voxel_map")
+
+
+def test_who_comes_late_to_the_updates_gets_the_whole_map_in_slices(graph: Any) -> None:
+    bench = Bench(graph, voxel_size=0.05, repeat_rate=0.5)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    expected = as_replica(expected_map(cloud(), voxel_size=0.05))
+    bench.wait_for_map(expected)
+
+    late = graph.collect(PointCloud2, "map_updates", qos.stream(100))
+
+    graph.spin_until(lambda: replica(late) == expected, "the map")
+    assert len(expected) > 10_000
+    assert max(len(message.data) for message in late) < 0.5 * sum(len(m.data) for m in late)
+
+
+def test_scans_that_nobody_heard_of_are_told_when_somebody_listens(graph: Any) -> None:
+    node = graph.add(MapFusionNode, voxel_size=0.1)
+    clouds = graph.publisher(PointCloud2, "points2")
+    poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose")
+    graph.connect(clouds, poses)
+    poses.publish(encode_pose(TYPES, pose()))
+    clouds.publish(encode_point_cloud(TYPES, cloud()))
+    graph.spin_until(lambda: node.health.results() == 1, "the scan")
+
+    updates = graph.collect(PointCloud2, "map_updates", qos.stream(100))
+
+    expected = as_replica(expected_map(cloud()))
+    graph.spin_until(lambda: replica(updates) == expected, "the map")
+
+
+def test_a_map_that_is_resumed_is_told_without_a_scan(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "map.infomap"
+    expected_map(cloud()).save(file)
+
+    bench = Bench(graph, map_file=str(file), resume=True)
+
+    bench.wait_for_map(as_replica(expected_map(cloud())))
 
 
 def test_a_cloud_waits_for_its_pose(graph: Any) -> None:

@@ -1,0 +1,153 @@
+"""The topic map_updates: this robot's contribution, told to others.
+
+Each publication holds the voxels that changed since the last one. Who comes late needs the rest:
+when a subscriber appears, everything known is told again, a slice with each publication, so that
+neither the network nor the subscriber's queue overflows. Values are absolute, so telling them again
+harms nobody.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping import VoxelChanges, VoxelMap
+from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_contents import without_evidence
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.team import (
+    MAX_MESSAGE_BYTES,
+    OCCUPANCY_ROW,
+    MapUpdate,
+    encode_update,
+    next_version,
+    version_at,
+)
+
+_SLICE_BYTES = BLOCK_VOXELS * OCCUPANCY_ROW.itemsize
+
+
+@dataclass(frozen=True)
+class UpdateStreamConfig:
+    """How the own contribution is told.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    robot_id: int = parameter(
+        0, "Id of this robot in map_updates, unique in its team.", low=0, high=65535
+    )
+    repeat_rate: float = parameter(
+        5.0,
+        "About how fast what is known is told again when a subscriber of map_updates appears.",
+        unit="MB/s",
+        low=0.01,
+        high=1000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class UpdateStream:
+    """Publishes map_updates. Used by one thread, but for the news of subscribers.
+
+    Args:
+        node: that publishes.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._config = node.config(UpdateStreamConfig)
+        self._frame = node.config(ScanGateConfig).map_frame
+        self._types = RclpyMessageTypes()
+        self._version = version_at(time.time_ns())
+        self._told = time.monotonic()
+        self._newcomer = False
+        self._next_block = 0
+        self._blocks_left = 0
+        self._taken_back = np.empty((0, 3), np.int32)
+        events = PublisherEventCallbacks(matched=self._on_matched)
+        self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
+
+    @property
+    def behind(self) -> bool:
+        """Whether somebody still waits for what was known before."""
+        waiting = self._newcomer or self._blocks_left > 0 or len(self._taken_back) > 0
+        return waiting and self._publisher.get_subscription_count() > 0
+
+    def publish(self, voxel_map: VoxelMap, stamp: int, *, always: bool = True) -> None:
+        """Tell what changed and a slice of what others still wait for.
+
+        While nobody listens nothing is told: who comes later gets all of it.
+
+        Args:
+            voxel_map: own contribution, which tracks its changes.
+            stamp: of the messages [ns].
+            always: send an empty message if there is nothing to tell.
+        """
+        if not self._publisher.get_subscription_count():
+            self._taken_back = self._taken_back[:0]
+            self._newcomer = True
+            voxel_map.track_changes(True)  # forgets the changes
+            return
+        now = time.monotonic()
+        budget = min(self._config.repeat_rate * 1e6 * (now - self._told), MAX_MESSAGE_BYTES)
+        self._told = now
+        self._take_back(voxel_map, int(budget) // OCCUPANCY_ROW.itemsize, stamp)
+        self._repeat(voxel_map, max(1, int(budget) // _SLICE_BYTES))
+        changes = voxel_map.take_changes()
+        if always or len(changes.indices):
+            self._send(changes, voxel_map.config.voxel_size, stamp)
+
+    def replace(self, old: VoxelMap) -> None:
+        """From now on another map is told: take back what the `old` one had and that has not."""
+        self._taken_back = np.concatenate([self._taken_back, old.voxels()[0]])
+        self._newcomer = True
+
+    def _on_matched(self, event: QoSPublisherMatchedInfo) -> None:
+        if event.total_count_change > 0:
+            self._newcomer = True
+
+    def _repeat(self, voxel_map: VoxelMap, blocks: int) -> None:
+        """Count the next blocks as changed, from the first on when somebody is new."""
+        if self._newcomer:
+            self._newcomer = False
+            self._next_block, self._blocks_left = 0, 1
+        if self._blocks_left:
+            self._blocks_left = voxel_map.mark_changed(self._next_block, blocks)
+            self._next_block += blocks
+
+    def _take_back(self, voxel_map: VoxelMap, voxels: int, stamp: int) -> None:
+        """Say of the next voxels that they are not observed, unless they are again."""
+        if not len(self._taken_back):
+            return
+        size = voxel_map.config.voxel_size
+        indices, self._taken_back = np.split(self._taken_back, [max(1, voxels)])
+        gone = ~voxel_map.is_known((indices + 0.5) * size)
+        if gone.any():
+            self._send(without_evidence(indices[gone]), size, stamp)
+
+    def _send(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
+        self._version = next_version(self._version)
+        update = MapUpdate(
+            voxel_size,
+            self._config.robot_id,
+            self._version,
+            changes.indices,
+            changes.log_odds,
+            changes.has_gaussian,
+            changes.means,
+            changes.covariances,
+        )
+        for rows in encode_update(update) or [np.zeros(0, OCCUPANCY_ROW)]:
+            self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))

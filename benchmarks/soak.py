@@ -1,8 +1,9 @@
 """Soak: a bag in a loop through the live chain; memory must stay flat and nothing be lost.
 
-Prints one JSON line a minute and a last one with the verdict; exits with 1 when memory of a node
-grew by more than the map's own growth and 5 %, or when data were dropped. The first five minutes,
-in which map and caches fill, do not count.
+A listener in a process of its own counts the pairs that are played; at the end the player is
+stopped and every pair must be in the map. Prints one JSON line a minute and a last one with the
+verdict; exits with 1 when memory of a node grew by more than the map's own growth and 5 %, or when
+pairs were lost. The first five minutes, in which map and caches fill, do not count for memory.
 
     python benchmarks/soak.py [--minutes 60] [--rate 1.0]
 """
@@ -13,14 +14,89 @@ import argparse
 import json
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from sensor_msgs.msg import Image
 from stereo_bag import write_stereo_bag
 
-from infomap_ros.nodes.live_run import LiveRun
+from infomap_ros.nodes.live_run import LEFT, LiveRun
 
 SETTLING = 300.0  # [s]
 ALLOWED_GROWTH = 1.05
+
+
+class Soak:
+    """A run that is measured.
+
+    Args:
+        run: not yet started.
+    """
+
+    def __init__(self, run: LiveRun) -> None:
+        self._run = run
+        self._played: Counter[str] = Counter()
+        self._samples: list[dict[str, float]] = []
+        run.subscribe(Image, LEFT, self._on_image)
+
+    def _on_image(self, _: Any) -> None:
+        self._played[LEFT] += 1
+
+    def measure(self, seconds: float, interval: float) -> dict[str, object]:
+        """Run and report; returns the verdict."""
+        run = self._run
+        run.start()
+        run.spin_until(lambda: run.state.count("map_fusion") > 0, "the first scan", 180.0)
+        begin = time.monotonic()
+        while time.monotonic() < begin + seconds:
+            run.spin_for(interval)
+            self._samples.append(self._sample(time.monotonic() - begin))
+            print(json.dumps(self._samples[-1] | {"drops": run.state.drops()}), flush=True)
+        run.stop_player()
+        run.spin_until(lambda: run.settled, "the last scan", 60.0)
+        return self._verdict(min(SETTLING, seconds / 2.0))
+
+    def _sample(self, elapsed: float) -> dict[str, float]:
+        state = self._run.state
+        sample = {
+            "elapsed_s": round(elapsed),
+            "pairs_played": self._played[LEFT],
+            "pairs_fused": state.count("map_fusion"),
+            "map_mb": round(state.count("map_fusion", "map memory [bytes]") / 1e6, 1),
+        }
+        memory = {name: round(memory_of(pid) / 1e6, 1) for name, pid in self._run.pids.items()}
+        return sample | {f"{name}_mb": amount for name, amount in memory.items()}
+
+    def _verdict(self, settling: float) -> dict[str, object]:
+        """What has become of memory and data."""
+        counted = [sample for sample in self._samples if sample["elapsed_s"] >= settling]
+        growth = {name: growth_of(counted, name) for name in self._run.pids}
+        state = self._run.state
+        played, fused = self._played[LEFT], state.count("map_fusion")
+        flat = all(value <= ALLOWED_GROWTH for value in growth.values())
+        return {
+            "benchmark": "soak",
+            "minutes": round(self._samples[-1]["elapsed_s"] / 60.0, 1),
+            "flat": flat,
+            "growth": growth,
+            "pairs_played": played,
+            "pairs_measured": state.count("stereo_range"),
+            "pairs_fused": fused,
+            "drops": state.drops(),
+            "passed": flat and fused == played and not state.drops(),
+        }
+
+
+def growth_of(samples: list[dict[str, float]], name: str) -> float:
+    """Memory at the end over that at the begin, without what the map itself grew.
+
+    Each is the median of a quarter of the samples.
+    """
+    amounts = [s[f"{name}_mb"] - (s["map_mb"] if name == "map_fusion" else 0.0) for s in samples]
+    quarter = max(1, len(amounts) // 4)
+    return round(float(np.median(amounts[-quarter:]) / np.median(amounts[:quarter])), 3)
 
 
 def memory_of(pid: int) -> int:
@@ -28,59 +104,6 @@ def memory_of(pid: int) -> int:
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     kilobytes = sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
     return 1024 * kilobytes
-
-
-def soak(bag: Path, seconds: float, rate: float, interval: float) -> dict[str, object]:
-    """Run and report; the last report is the verdict."""
-    player = {"rate": rate, "loop": True}
-    with tempfile.TemporaryDirectory() as folder, LiveRun(bag, Path(folder), player) as run:
-        run.start()
-        run.spin_until(lambda: run.state.count("map_fusion") > 0, "the first scan", 180.0)
-        settling = min(SETTLING, seconds / 2.0)
-        begin = time.monotonic()
-        before: dict[str, int] = {}
-        while time.monotonic() < begin + seconds:
-            run.spin_for(interval)
-            report = report_of(run, time.monotonic() - begin)
-            print(json.dumps(report), flush=True)
-            if not before and time.monotonic() >= begin + settling:
-                before = {name: memory_of(pid) for name, pid in run.pids.items()}
-                map_before = run.state.count("map_fusion", "map memory [bytes]")
-        after = {name: memory_of(pid) for name, pid in run.pids.items()}
-        grown = run.state.count("map_fusion", "map memory [bytes]") - map_before
-        return verdict(before, after, grown, run)
-
-
-def report_of(run: LiveRun, elapsed: float) -> dict[str, object]:
-    memory = {name: round(memory_of(pid) / 1e6, 1) for name, pid in run.pids.items()}
-    return {
-        "elapsed_s": round(elapsed),
-        "scans": run.state.count("map_fusion"),
-        "drops": run.state.drops(),
-        "map_mb": round(run.state.count("map_fusion", "map memory [bytes]") / 1e6, 1),
-        "memory_mb": memory,
-    }
-
-
-def verdict(
-    before: dict[str, int], after: dict[str, int], map_growth: int, run: LiveRun
-) -> dict[str, object]:
-    """What has become of memory and data."""
-    growth = {}
-    for name, amount in after.items():
-        own = map_growth if name == "map_fusion" else 0
-        growth[name] = round((amount - own) / before[name], 3)
-    measured, fused = run.state.count("stereo_range"), run.state.count("map_fusion")
-    flat = all(value <= ALLOWED_GROWTH for value in growth.values())
-    return {
-        "benchmark": "soak",
-        "flat": flat,
-        "growth": growth,
-        "pairs_measured": measured,
-        "pairs_fused": fused,
-        "drops": run.state.drops(),
-        "passed": flat and not run.state.drops(),
-    }
 
 
 def main() -> int:
@@ -94,7 +117,9 @@ def main() -> int:
     bag = options.bag or Path("out/bench") / f"room_{options.frames}"
     bag.parent.mkdir(parents=True, exist_ok=True)
     write_stereo_bag(bag, options.frames)
-    result = soak(bag, 60.0 * options.minutes, options.rate, options.interval)
+    player = {"rate": options.rate, "loop": True}
+    with tempfile.TemporaryDirectory() as folder, LiveRun(bag, Path(folder), player) as run:
+        result = Soak(run).measure(60.0 * options.minutes, options.interval)
     print(json.dumps(result))
     return 0 if result["passed"] else 1
 

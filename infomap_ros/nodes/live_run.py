@@ -142,6 +142,14 @@ class LiveRun:
         """Start bag_player."""
         self.pids["bag_player"] = self._processes.start("bag_player", self._player)
 
+    def stop_player(self) -> None:
+        """End bag_player before its bag ends, as when it loops.
+
+        Raises:
+            ProcessError: it does not end.
+        """
+        self._processes.end("bag_player")
+
     def _connected(self) -> bool:
         """Whether the clouds have a listener, and the updates all of this process."""
         clouds = self.state.count("stereo_range", "/points2 subscribers")

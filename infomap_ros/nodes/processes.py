@@ -89,6 +89,16 @@ class NodeProcesses:
             raise ProcessError(f"{name} still runs after {timeout:.0f} s")
         return self._processes[name].wait()
 
+    def end(self, name: str, timeout: float = 15.0) -> None:
+        """Ask a process to end.
+
+        Raises:
+            ProcessError: it still runs after `timeout` [s].
+        """
+        if self.status(name) is None:
+            self._processes[name].send_signal(signal.SIGINT)
+        self.wait(name, timeout)
+
     def check(self, may_end: Sequence[str] = ()) -> None:
         """Make sure that all processes live.
 

@@ -187,15 +187,12 @@ def _sources(
     if situation.positions_hint is not None:
         yield 1.0, situation.positions_hint
         return
-    reached = np.flatnonzero(surroundings.reached)
-    offsets = surroundings.centres(reached) - situation.position
-    near = np.einsum("ij,ij->i", offsets, offsets) <= settings.local_radius**2
-    yield settings.local_share, reached[near]
+    yield settings.local_share, surroundings.reached_near(settings.local_radius)
     if settings.local_share < 1.0:
         sides = zip(surroundings.first, surroundings.reached.shape, strict=True)
         box = surroundings.states[tuple(slice(a, a + n) for a, n in sides)]
         yield 1.0, np.flatnonzero(box == FREE)
-        yield 1.0, reached
+        yield 1.0, np.flatnonzero(surroundings.reached)
 
 
 def _tests(

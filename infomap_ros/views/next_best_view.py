@@ -18,7 +18,8 @@ from infomap_ros.views.reach import Reachability
 from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.strategies import Strategy, make_strategy
-from infomap_ros.views.surroundings import Surroundings, SurroundingsConfig, survey
+from infomap_ros.views.surroundings import Surroundings
+from infomap_ros.views.survey import SurroundingsConfig, survey
 from infomap_ros.views.terms import RatingTerm
 from infomap_ros.views.view_information import ExpectedInformation
 

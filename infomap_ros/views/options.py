@@ -12,6 +12,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views import sight_kernels
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.surroundings import IntArray, Surroundings
+from infomap_ros.views.voxel_gains import VoxelGains
 from infomap_ros.views.wishes import Wishes, wishes_of
 
 _RAYS = (9, 7)  # of a glance, across and down
@@ -29,6 +30,9 @@ class InformationSource(Protocol):
 
     def exact(self, situation: Situation, poses: FloatArray) -> FloatArray:
         """Of views ``T_map_camera``, shape (M, 4, 4): (M,)."""
+
+    def gains(self, situation: Situation, T_map_camera: FloatArray) -> VoxelGains:
+        """Voxels that one view, shape (4, 4), informs, and by how much: what views share."""
 
     def full_view(self, situation: Situation) -> float:
         """Of a view into nothing but unknown space; the unit in which the rating counts."""

@@ -87,11 +87,13 @@ class Ratings:
         terms: value of each term by name, in its own unit, shape (M,) each.
         ratings: RF of eq. (11), shape (M,) [full views].
         shares: what counts of the information, by interests and teammates, shape (M,) [full views].
+        config: the weights.
     """
 
     terms: dict[str, FloatArray]
     ratings: FloatArray
     shares: FloatArray
+    config: RatingConfig
 
 
 class Rating:
@@ -119,9 +121,7 @@ class Rating:
         """
         self.config = config or RatingConfig()
         weight = self.config.information_weight
-        distance = Distance(
-            np.array(self.config.position_weights), np.array(self.config.rotation_weights)
-        )
+        distance = Distance(self.config.position_weights, self.config.rotation_weights)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
@@ -143,4 +143,4 @@ class Rating:
         values[self._risk.name] = risk
         counted = sum(values[name] for name in ("information", "interest", "teammates"))
         shares = np.asarray(counted / options.full_view)
-        return Ratings(values, total - risk * np.abs(total), shares)
+        return Ratings(values, total - risk * np.abs(total), shares, self.config)

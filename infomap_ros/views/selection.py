@@ -105,11 +105,12 @@ class Selection:
         with self._watch.stage("may_reach"):
             survivors = self._survivors(views, scores)
         with self._watch.stage("refinement"):
-            order, plan, kept = self._refine(views, survivors)
+            order, plans, kept = self._refine(views, survivors)
         with self._watch.stage("reach"):
             index, result = self._plan_motions(views, order)
         kept = kept and index == self._options.previous
-        return Selected(views, index, result, plan, kept)
+        followers = [] if index is None else list(plans.get(index, ()))
+        return Selected(views, index, result, self._options.poses[followers], kept)
 
     def _rank(self, options: Options) -> tuple[Ratings, Scores]:
         ratings = self._rating.rate(options)
@@ -165,10 +166,10 @@ class Selection:
 
     def _refine(
         self, views: list[RatedView], chosen: IntArray
-    ) -> tuple[list[int], FloatArray, bool]:
+    ) -> tuple[list[int], dict[int, tuple[int, ...]], bool]:
         """Rank the survivors by exact information; the previous goal first if it is to be kept."""
         if not len(chosen):
-            return [], np.empty((0, 4, 4)), False
+            return [], {}, False
         options = self._options
         exact = options.source.exact(options.situation, options.poses[chosen])
         options = options.refined(chosen, exact)
@@ -183,7 +184,11 @@ class Selection:
             assert self._options.previous is not None
             ranked.remove(self._options.previous)
             ranked.insert(0, self._options.previous)
-        return ranked, scores.plan, kept
+        plans = {
+            int(chosen[first]): tuple(int(chosen[i]) for i in others)
+            for first, others in scores.plans.items()
+        }
+        return ranked, plans, kept
 
     def _keeps(self, views: list[RatedView], ranked: list[int]) -> bool:
         """Whether the previous goal goes first although others score higher, or highest anyway."""

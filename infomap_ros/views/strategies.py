@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -25,11 +26,11 @@ class Scores:
 
     Attributes:
         values: the larger the better, shape (M,); only compared with each other.
-        plan: views that the best one is meant to be followed by, shape (K, 4, 4).
+        plans: by view, which views it is meant to be followed by, in that order.
     """
 
     values: FloatArray
-    plan: FloatArray
+    plans: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
 
 class Strategy(Protocol):
@@ -50,9 +51,6 @@ class Strategy(Protocol):
         """
 
 
-_NO_PLAN = np.empty((0, 4, 4))
-
-
 class LargestInformation:
     """The view with the largest rating of eq. (11)."""
 
@@ -60,7 +58,7 @@ class LargestInformation:
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """The ratings themselves."""
-        return Scores(ratings.ratings, _NO_PLAN)
+        return Scores(ratings.ratings)
 
 
 class RandomChoice:
@@ -73,7 +71,7 @@ class RandomChoice:
         values = options.rng.random(len(options))
         if options.previous is not None:
             values[options.previous] = 1.0
-        return Scores(values, _NO_PLAN)
+        return Scores(values)
 
 
 class LargestUnknown:
@@ -83,7 +81,7 @@ class LargestUnknown:
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Unknown volumes [m^3]."""
-        return Scores(options.glances.unknown, _NO_PLAN)
+        return Scores(options.glances.unknown)
 
 
 class SmallestKnown:
@@ -103,7 +101,7 @@ class SmallestKnown:
         opening = camera.width * camera.height / (camera.fx * camera.fy)
         whole = opening * situation.max_range**3 / 3.0
         seen = glances.known + glances.unknown + 0.1 * whole
-        return Scores(glances.unknown / seen, _NO_PLAN)
+        return Scores(glances.unknown / seen)
 
 
 class Raster:
@@ -125,7 +123,7 @@ class Raster:
         order = self._order(options, options.poses)
         taken = self._order(options, options.situation.past_views)
         behind = np.isin(order, taken) * (order.max(initial=0.0) + 1.0)
-        return Scores(-(order + behind), _NO_PLAN)
+        return Scores(-(order + behind))
 
     def _order(self, options: Options, poses: FloatArray) -> FloatArray:
         """Place of poses in the sequence, shape (M, 4, 4) -> (M,), a whole number."""
@@ -152,14 +150,17 @@ class Raster:
         return first, float(np.floor((high[0] + margin) / cell) - first[0] + 1.0)
 
 
-def strategies() -> dict[str, type[Strategy]]:
+def strategies() -> dict[str, Callable[[], Strategy]]:
     """The strategies that come with the package, by name."""
+    from infomap_ros.views.look_ahead import LookAhead
+
     return {
         "random": RandomChoice,
         "raster": Raster,
         "largest_unknown": LargestUnknown,
         "smallest_known": SmallestKnown,
         "largest_information": LargestInformation,
+        "look_ahead": LookAhead,
     }
 
 

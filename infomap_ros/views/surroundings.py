@@ -2,66 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
-from infomap_ros.geometry import PlacedSolid, points_inside
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import FREE, OccupancyThresholds, VoxelWindow
+from infomap_ros.mapping import VoxelWindow
 from infomap_ros.views import space_kernels
-from infomap_ros.views.situation import Situation
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class SurroundingsConfig:
-    """Configuration of `Surroundings`.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    free_probability: float = parameter(
-        0.05,
-        "A voxel less likely occupied than this is free (2 sigma; Sujan and Dubowsky 2005).",
-        low=1e-6,
-        high=0.5,
-    )
-    camera_radius: float = parameter(
-        0.1, "Radius of the ball around the camera that must be free.", unit="m", low=0.0, high=5.0
-    )
-    start_radius: float = parameter(
-        0.5,
-        "So near to where the camera is, it may pass through free space narrower than that ball.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
-    horizon: float = parameter(
-        8.0,
-        "Camera positions are sought so far from the present one, along each axis.",
-        unit="m",
-        low=0.1,
-        high=1000.0,
-    )
-    cell: float = parameter(
-        0.2,
-        "Edge of the cells in which ways and things to look at are counted.",
-        unit="m",
-        low=0.001,
-        high=100.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +77,15 @@ class Surroundings:
         places = np.stack(np.unravel_index(flat, self.reached.shape), axis=1)
         return self.window.centres_of(places + self.first)
 
+    def reached_near(self, radius: float) -> IntArray:
+        """Flat indices in the box of what is reached within `radius` [m] of the camera."""
+        middle, reach = self.camera - self.first, radius / self.voxel_size
+        low = np.maximum(middle - int(reach), 0)
+        high = np.minimum(middle + int(reach) + 1, self.reached.shape)
+        places = np.argwhere(self.reached[tuple(map(slice, low, high))]) + low
+        places = places[((places - middle) ** 2).sum(axis=1) <= reach * reach]
+        return np.ravel_multi_index(tuple(places.T), self.reached.shape)
+
     def path_lengths(self, points: FloatArray) -> FloatArray:
         """Way through free space from the camera to points, (N, 3) [m, map] -> (N,) [m].
 
@@ -139,6 +99,14 @@ class Surroundings:
         straight = np.linalg.norm(points - self.window.centres_of(self.camera[None]), axis=1)
         return np.asarray(np.maximum(lengths - self._edge * self.voxel_size, straight))
 
+    def path_lengths_from(self, start: FloatArray, points: FloatArray) -> FloatArray:
+        """The same from any place, shape (3,) [m, map], to points (N, 3): (N,) [m]."""
+        place, inside = self.in_box(start[None])
+        if not inside[0]:
+            return np.full(len(points), np.inf)
+        lengths = cell_lengths(np.isfinite(self._lengths), place[0] // self._edge)
+        return replace(self, camera=place[0] + self.first, _lengths=lengths).path_lengths(points)
+
     def gaps(self, points: FloatArray) -> FloatArray:
         """Distance from points, (N, 3) [m, map], to what may be looked at, (N,) [m], by cells.
 
@@ -151,137 +119,9 @@ class Surroundings:
         return gaps
 
 
-def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Surroundings:
-    """Copy the map around the camera into a window and find room, ways and things to look at."""
-    settings = config or SurroundingsConfig()
-    size = situation.voxel_map.config.voxel_size
-    reach = math.ceil(settings.camera_radius / size)
-    inner, outer = _boxes(situation, settings, (reach + 1) * size)
-    window = situation.voxel_map.window(*outer)
-    occupied = max(0.5, 2.0 * settings.free_probability)
-    states = window.states(OccupancyThresholds(settings.free_probability, occupied))
-    camera = window.positions_of(situation.position[None])[0]
-    _clear_body(window, states, camera, situation.free_body)
-    first = np.maximum(window.positions_of(inner[:1])[0], 0)
-    last = np.minimum(window.positions_of(inner[1:])[0], np.array(states.shape) - 1)
-    free = _padded_free(states, first, last, reach)
-    has_room = _room(free, reach, settings.camera_radius / size)
-    inside = tuple(slice(reach, side - reach) for side in free.shape)
-    reached = _reached(free[inside], has_room, camera - first, settings.start_radius / size)
-    edge = max(1, round(settings.cell / size))
-    targets, gaps = _things_to_see(window, states, situation, edge)
-    lengths = _ways(reached, camera - first, edge)
-    return Surroundings(
-        window, states, first, has_room, reached, targets, camera, lengths, gaps, edge
-    )
-
-
-def _boxes(
-    situation: Situation, settings: SurroundingsConfig, margin: float
-) -> tuple[FloatArray, FloatArray]:
-    """Box of the camera positions, and of all that is seen from them, (2, 3) [m, map] each."""
-    here, size = situation.position, situation.voxel_map.config.voxel_size
-    bounds = situation.voxel_map.bounds()
-    known = np.stack([here, here]) if bounds is None else np.stack(bounds) * size
-    known = known + np.array([[-1.0], [2.0]]) * size
-    region = np.stack([situation.region.low, situation.region.high])
-    grown = region + np.array([[-1.0], [1.0]]) * situation.max_range
-    inner = np.stack([here - settings.horizon, here + settings.horizon])
-    inner = _common(_common(inner, known), grown)
-    if situation.ground_height is None:
-        inner[:, 2] = np.clip(inner[:, 2], *situation.heights)
-    if situation.positions_hint is not None and len(situation.positions_hint):
-        hints = situation.positions_hint
-        around = np.stack([hints.min(axis=0) - 1.0, hints.max(axis=0) + 1.0])
-        inner = _common(inner, around)
-    inner[0] = np.minimum(inner[0], here - margin)
-    inner[1] = np.maximum(inner[1], here + margin)
-    outer = inner + np.array([[-1.0], [1.0]]) * situation.max_range
-    outer = _common(outer, known)
-    return inner, np.stack([np.minimum(outer[0], inner[0]), np.maximum(outer[1], inner[1])])
-
-
-def _common(box: FloatArray, other: FloatArray) -> FloatArray:
-    """The part of a box within another one, at least a point of it."""
-    return np.stack([np.clip(box[0], *other), np.clip(box[1], *other)])
-
-
-def _clear_body(
-    window: VoxelWindow, states: NDArray[np.uint8], camera: IntArray, body: Sequence[PlacedSolid]
-) -> None:
-    """Set the voxels of the robot's own body, and the camera's own, to free."""
-    for placed in body:
-        radius = placed.solid.bounding_radius + window.voxel_size
-        corners = placed.transform[:3, 3] + np.array([[-radius], [radius]])
-        low, high = window.positions_of(corners)
-        low, high = np.maximum(low, 0), np.minimum(high + 1, states.shape)
-        if (low >= high).any():
-            continue
-        places = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
-        flat = places.reshape(-1, 3)
-        inside = points_inside(window.centres_of(flat), [placed], 0.5 * window.voxel_size)
-        states[tuple(flat[inside].T)] = FREE
-    states[tuple(camera)] = FREE
-
-
-def _padded_free(
-    states: NDArray[np.uint8], first: IntArray, last: IntArray, reach: int
-) -> BoolArray:
-    """Which voxels are free, from `reach` before `first` to `reach` behind `last`."""
-    free = np.zeros(last - first + 1 + 2 * reach, np.bool_)
-    low = np.maximum(first - reach, 0)
-    high = np.minimum(last + reach + 1, states.shape)
-    part = states[tuple(map(slice, low, high))] == FREE
-    start = low - (first - reach)
-    free[tuple(map(slice, start, start + part.shape))] = part
-    return free
-
-
-def _room(free: BoolArray, reach: int, radius: float) -> BoolArray:
-    shape = np.array(free.shape) - 2 * reach
-    has_room = np.empty(shape, np.bool_)
-    near = np.empty(free.shape, np.int32)
-    space_kernels.free_balls(free, reach, radius * radius + 1e-6, near, has_room)
-    return has_room
-
-
-def _reached(free: BoolArray, has_room: BoolArray, start: IntArray, radius: float) -> BoolArray:
-    """Connected free space; near the camera also where there is no room for its ball."""
-    passable = has_room.copy()
-    low = np.maximum(start - int(radius), 0)
-    high = np.minimum(start + int(radius) + 1, free.shape)
-    near = tuple(map(slice, low, high))
-    offsets = [(np.arange(a, b) - s) ** 2 for a, b, s in zip(low, high, start, strict=True)]
-    square = offsets[0][:, None, None] + offsets[1][:, None] + offsets[2]
-    passable[near] |= free[near] & (square <= radius * radius)
-    reached = np.zeros(free.shape, np.bool_)
-    space_kernels.flood(passable, start, reached, np.empty(free.size, np.int64))
-    return reached
-
-
-def _ways(reached: BoolArray, start: IntArray, edge: int) -> NDArray[np.float32]:
-    cells = np.zeros(-(-np.array(reached.shape) // edge), np.bool_)
-    space_kernels.any_in_cells(reached, edge, cells)
+def cell_lengths(cells: BoolArray, start: IntArray) -> NDArray[np.float32]:
+    """Shortest ways over open cells, (cx, cy, cz) bool, from one of them, (3,), in cells."""
     lengths = np.full(cells.shape, np.inf, np.float32)
     queue, queued = np.empty(cells.size, np.int64), np.zeros(cells.shape, np.bool_)
-    space_kernels.path_lengths(cells, start // edge, lengths, queue, queued)
+    space_kernels.path_lengths(cells, start, lengths, queue, queued)
     return lengths
-
-
-def _things_to_see(
-    window: VoxelWindow, states: NDArray[np.uint8], situation: Situation, edge: int
-) -> tuple[Targets, FloatArray]:
-    """What is worth looking at in the task's region, and how far it is from every cell."""
-    shape = -(-np.array(states.shape) // edge)
-    counts, sums = np.zeros((*shape, 2), np.int32), np.zeros((*shape, 3))
-    bounds = np.stack([situation.region.low, situation.region.high])
-    limits = np.clip(bounds, window.centres_of(np.zeros(3)), window.centres_of(states.shape))
-    low, high = window.positions_of(limits)
-    space_kernels.count_targets(states, edge, low, high + 1, counts, sums)
-    cells = np.nonzero(counts[..., 0])
-    number = counts[..., 0][cells].astype(np.int64)
-    places = window.centres_of(sums[cells] / number[:, None])
-    seen = counts.any(axis=-1)
-    size = edge * window.voxel_size
-    gaps = distance_transform_edt(~seen) * size if seen.any() else np.full(tuple(shape), np.inf)
-    return Targets(places, number), np.asarray(gaps, dtype=np.float64)

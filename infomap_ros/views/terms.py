@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, LOG_ODDS_QUANTUM
@@ -80,19 +81,21 @@ class Distance:
 
     name, unit = "distance", "weighted m and rad"
 
-    def __init__(self, position_weights: FloatArray, rotation_weights: FloatArray) -> None:
+    def __init__(self, position_weights: ArrayLike, rotation_weights: ArrayLike) -> None:
         """Weights of x, y, z [1/m] and of the rotation about x, y, z of the map [1/rad]."""
-        self._position, self._rotation = position_weights, rotation_weights
+        self._position, self._rotation = np.array(position_weights), np.array(rotation_weights)
 
     def __call__(self, options: Options) -> FloatArray:
         """Distance of each view, shape (M,)."""
-        situation = options.situation
-        offsets = options.positions - situation.position
+        return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
+
+    def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Distance from one pose, (4, 4), to others, (M, 4, 4), over ways of `lengths` (M,) [m]."""
+        offsets = poses[:, :3, 3] - start[:3, 3]
         straight = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
-        lengths = np.where(np.isfinite(options.path_lengths), options.path_lengths, straight)
-        detour = np.maximum(lengths / straight, 1.0)
+        detour = np.maximum(np.where(np.isfinite(lengths), lengths, straight) / straight, 1.0)
         moved = detour * np.linalg.norm(offsets * self._position, axis=1)
-        turns = rotation_vectors(situation.T_map_camera, options.poses)
+        turns = rotation_vectors(start, poses)
         return np.hypot(moved, np.linalg.norm(turns * self._rotation, axis=1))
 
 

@@ -12,7 +12,11 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.views.expected_information import METRICS, expected_information
 from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.shared_rays import information_of_views
 from infomap_ros.views.situation import Situation
+from infomap_ros.views.voxel_gains import VoxelGains, view_gains
+
+_SHARED = "expected_entropy_reduction"  # the metric for which views of one position share rays
 
 
 class ExpectedInformation:
@@ -23,14 +27,15 @@ class ExpectedInformation:
         metric: str = "expected_entropy_reduction",
         config: InformationConfig | None = None,
         quick_ray_spacing: float = 0.06,
-        threads: int = 1,
+        threads: int = 2,
     ) -> None:
         """Choose what counts as information.
 
         Args:
             metric: one of `METRICS`.
             config: rays and sensor.
-            quick_ray_spacing: angle between the rays of the first ranking of all candidates [rad].
+            quick_ray_spacing: angle between the rays of the first ranking of all candidates by a
+                metric whose rays views of one position cannot share [rad].
             threads: that share the rays.
 
         Raises:
@@ -48,6 +53,17 @@ class ExpectedInformation:
         self, situation: Situation, positions: FloatArray, rotations: FloatArray
     ) -> FloatArray:
         """Of all orientations (P, O, 3, 3) at positions (P, 3), with few rays: (P, O)."""
+        if self._metric == _SHARED:
+            return information_of_views(
+                situation.voxel_map,
+                positions,
+                rotations,
+                situation.camera,
+                situation.max_range,
+                self._config,
+                _region(situation),
+                threads=self._threads,
+            )
         poses = np.tile(np.eye(4), (*rotations.shape[:2], 1, 1))
         poses[..., :3, :3] = rotations
         poses[..., :3, 3] = positions[:, None]
@@ -78,10 +94,20 @@ class ExpectedInformation:
             self._full_views[key] = float(value[0])
         return self._full_views[key]
 
+    def gains(self, situation: Situation, T_map_camera: FloatArray) -> VoxelGains:
+        """Voxels that one view, shape (4, 4), informs, by the expected reduction of entropy."""
+        return view_gains(
+            situation.voxel_map,
+            T_map_camera,
+            situation.camera,
+            situation.max_range,
+            self._config,
+            _region(situation),
+        )
+
     def _evaluate(
         self, situation: Situation, poses: FloatArray, config: InformationConfig
     ) -> FloatArray:
-        region = np.stack([situation.region.low, situation.region.high])
         return expected_information(
             situation.voxel_map,
             poses,
@@ -89,6 +115,10 @@ class ExpectedInformation:
             situation.max_range,
             self._metric,
             config,
-            region,
+            _region(situation),
             self._threads,
         )
+
+
+def _region(situation: Situation) -> FloatArray:
+    return np.stack([situation.region.low, situation.region.high])

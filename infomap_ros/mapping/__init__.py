@@ -3,6 +3,7 @@
 from infomap_ros.mapping.changes import VoxelChanges
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMapConfig
 from infomap_ros.mapping.integration import IntegrationReport
+from infomap_ros.mapping.terrain import Terrain, TerrainConfig, terrain_of
 from infomap_ros.mapping.voxel_map import VoxelMap
 from infomap_ros.mapping.window import (
     FREE,
@@ -22,8 +23,11 @@ __all__ = [
     "UNKNOWN",
     "IntegrationReport",
     "OccupancyThresholds",
+    "Terrain",
+    "TerrainConfig",
     "VoxelChanges",
     "VoxelMap",
     "VoxelMapConfig",
     "VoxelWindow",
+    "terrain_of",
 ]

@@ -1,0 +1,168 @@
+"""Small holes of the ground filled, and how rough and stepped it is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_RING = 5  # known cells around a hole without which nothing is said of it
+
+
+@njit(cache=True, nogil=True)
+def fill_holes(
+    heights: Any, sigmas: Any, forbidden: Any, largest: int, tolerance: float, filled: Any
+) -> None:
+    """Fill groups (4 neighbours) of at most `largest` cells without ground by interpolation.
+
+    A hole is filled when every cell around it has ground, these fit one plane within `tolerance`,
+    and no cell of the hole is forbidden. Its deviation is then the larger of the plane's worst
+    misfit and the largest deviation around.
+
+    Args:
+        heights: of the ground [m], NaN where unknown, shape (nx, ny); changed.
+        sigmas: deviations [m]; changed.
+        forbidden: cells that are known not to be ground, bool.
+        largest: cells.
+        tolerance: [m].
+        filled: receives which cells were filled, bool.
+    """
+    nx, ny = heights.shape
+    members = np.empty((largest + 1, 2), np.int64)
+    ring = np.empty((8 * (largest + 1), 2), np.int64)
+    filled[:] = False
+    if largest <= 0:
+        return
+    for i in range(nx):
+        for j in range(ny):
+            if not math.isnan(heights[i, j]) or forbidden[i, j]:
+                continue
+            count = _hole(heights, forbidden, i, j, members)
+            if count < 0:
+                continue
+            around = _ring(heights, members, count, ring)
+            if around >= _RING:
+                _fill(heights, sigmas, members[:count], ring[:around], tolerance, filled)
+
+
+@njit(cache=True, nogil=True)
+def _hole(heights: Any, forbidden: Any, i: int, j: int, members: Any) -> int:
+    """Cells of the hole at (i, j); -1 where it is too large, at the border, or forbidden."""
+    nx, ny = heights.shape
+    members[0, 0], members[0, 1] = i, j
+    count, next_one = 1, 0
+    while next_one < count:
+        x, y = members[next_one, 0], members[next_one, 1]
+        next_one += 1
+        if not (0 < x < nx - 1 and 0 < y < ny - 1) or forbidden[x, y]:
+            return -1
+        for a in range(x - 1, x + 2):
+            for b in range(y - 1, y + 2):
+                if not math.isnan(heights[a, b]) or _is_in(members, count, a, b):
+                    continue
+                if count == len(members) - 1:
+                    return -1
+                members[count, 0], members[count, 1] = a, b
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _is_in(cells: Any, count: int, a: int, b: int) -> bool:
+    found = False
+    for n in range(count):
+        found |= cells[n, 0] == a and cells[n, 1] == b
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _ring(heights: Any, members: Any, count: int, ring: Any) -> int:
+    """Cells with ground next to a hole (8 neighbours); their number."""
+    found = 0
+    for n in range(count):
+        x, y = members[n, 0], members[n, 1]
+        for a in range(x - 1, x + 2):
+            for b in range(y - 1, y + 2):
+                if not math.isnan(heights[a, b]) and not _is_in(ring, found, a, b):
+                    ring[found, 0], ring[found, 1] = a, b
+                    found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    heights: Any, sigmas: Any, members: Any, ring: Any, tolerance: float, filled: Any
+) -> None:
+    x0, y0 = members[0, 0], members[0, 1]
+    design, values = np.ones((len(ring), 3)), np.empty(len(ring))
+    worst = 0.0
+    for n in range(len(ring)):
+        design[n, 1], design[n, 2] = ring[n, 0] - x0, ring[n, 1] - y0
+        values[n] = heights[ring[n, 0], ring[n, 1]]
+        worst = max(worst, sigmas[ring[n, 0], ring[n, 1]])
+    plane = np.linalg.lstsq(design, values)[0]
+    misfit = np.max(np.abs(design @ plane - values))
+    if misfit > tolerance:
+        return
+    for n in range(len(members)):
+        x, y = members[n, 0], members[n, 1]
+        heights[x, y] = plane[0] + plane[1] * (x - x0) + plane[2] * (y - y0)
+        sigmas[x, y] = max(worst, misfit)
+        filled[x, y] = True
+
+
+@njit(cache=True, nogil=True)
+def largest_steps(heights: Any, steps: Any) -> None:
+    """Largest difference in height to one of the 8 neighbours [m]; NaN without ground."""
+    nx, ny = heights.shape
+    for i in range(nx):
+        for j in range(ny):
+            here, step = heights[i, j], 0.0
+            for a in range(max(i - 1, 0), min(i + 2, nx)):
+                for b in range(max(j - 1, 0), min(j + 2, ny)):
+                    difference = abs(heights[a, b] - here)
+                    if difference > step:
+                        step = difference
+            steps[i, j] = math.nan if math.isnan(here) else step
+
+
+@njit(cache=True, nogil=True)
+def plane_misfits(heights: Any, reach: int, roughness: Any) -> None:
+    """Root mean square distance in z from the plane that fits the cells within `reach` best [m].
+
+    NaN without ground; 0 where fewer than 4 cells have ground or all lie in one row.
+    """
+    nx, ny = heights.shape
+    for i in range(nx):
+        for j in range(ny):
+            roughness[i, j] = math.nan
+            if not math.isnan(heights[i, j]):
+                roughness[i, j] = _misfit(heights, i, j, reach)
+
+
+@njit(cache=True, nogil=True)
+def _misfit(heights: Any, i: int, j: int, reach: int) -> float:
+    nx, ny = heights.shape
+    origin = heights[i, j]
+    n, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
+    sxx, sxy, syy, sxz, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for a in range(max(i - reach, 0), min(i + reach + 1, nx)):
+        for b in range(max(j - reach, 0), min(j + reach + 1, ny)):
+            z = heights[a, b] - origin
+            if math.isnan(z):
+                continue
+            x, y = float(a - i), float(b - j)
+            n += 1.0
+            sx, sy, sz = sx + x, sy + y, sz + z
+            sxx, sxy, syy = sxx + x * x, sxy + x * y, syy + y * y
+            sxz, syz, szz = sxz + x * z, syz + y * z, szz + z * z
+    sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+    sxz, syz, szz = sxz - sx * sz / n, syz - sy * sz / n, szz - sz * sz / n
+    determinant = sxx * syy - sxy * sxy
+    if n < 4.0 or determinant < 1e-9:
+        return 0.0
+    slope_x = (syy * sxz - sxy * syz) / determinant
+    slope_y = (sxx * syz - sxy * sxz) / determinant
+    return math.sqrt(max(szz - slope_x * sxz - slope_y * syz, 0.0) / n)

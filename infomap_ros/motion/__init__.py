@@ -1,5 +1,7 @@
 """Robot models, and where they and what they carry can go."""
 
+from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.base_planner import BasePlanner
 from infomap_ros.motion.chain import KinematicChain
 from infomap_ros.motion.inverse_kinematics import (
     IkBatch,
@@ -10,14 +12,25 @@ from infomap_ros.motion.inverse_kinematics import (
 )
 from infomap_ros.motion.joint_limits import JointLimits
 from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.standing_ground import with_standing_ground
+from infomap_ros.motion.vehicle import Stance, StanceBatch, Vehicle
+from infomap_ros.motion.vehicle_config import VehicleConfig
 
 __all__ = [
+    "BasePath",
+    "BasePlanner",
+    "BasePlannerConfig",
     "IkBatch",
     "IkConfig",
     "IkResult",
     "JointLimits",
     "KinematicChain",
     "RobotModel",
+    "Stance",
+    "StanceBatch",
+    "Vehicle",
+    "VehicleConfig",
     "solve_ik",
     "solve_ik_batch",
+    "with_standing_ground",
 ]

@@ -1,0 +1,82 @@
+"""What planning a way of the base gives, and what it is planned by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+
+
+@dataclass(frozen=True)
+class BasePlannerConfig:
+    """How a way of the base is looked for.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    time_limit: float = parameter(
+        1.0, "Time after which sampling gives way to complete search.", unit="s", low=0.0,
+        high=600.0,
+    )  # fmt: skip
+    sampling_time: float = parameter(
+        0.25, "Time that sampling has before the reachable ground is known.", unit="s", low=0.0,
+        high=600.0,
+    )  # fmt: skip
+    headings: int = parameter(32, "Headings of the cells that sampling asks.", low=8, high=256)
+    reach: float = parameter(
+        1.0, "Longest motion by which a sampled tree grows.", unit="m", low=0.05, high=100.0
+    )
+    reverse: bool = parameter(True, "Whether the robot may drive backwards.")
+    turn_cost: float = parameter(
+        0.2, "Length that a turn by one radian counts as.", unit="m/rad", low=0.0, high=0.35
+    )
+    escape: float = parameter(
+        0.25, "A robot that stands where it should not may leave over up to this distance.",
+        unit="m", low=0.0, high=5.0,
+    )  # fmt: skip
+    standing_reach: float = parameter(
+        0.1, "Ground around the body that counts as known because the robot stands there.",
+        unit="m", low=0.0, high=5.0,
+    )  # fmt: skip
+    spacing: float = parameter(
+        0.1, "Largest distance of the poses of a path.", unit="m", low=0.005, high=10.0
+    )
+    turn_spacing: float = parameter(
+        0.2, "Largest turn between the poses of a path.", unit="rad", low=0.01, high=1.6
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class BasePath:
+    """A way of the base: turns in place and straight lines, forwards or backwards.
+
+    Attributes:
+        poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than the planner's
+            spacing apart, yaw continuous; empty where the robot cannot move at all.
+        T_map_base: how it stands at each, shape (K, 4, 4).
+        length: [m].
+        complete: whether it leads to a goal; else it is the farthest safe approach.
+        reason: why it is not complete, in words; empty where it is.
+        goal: index of the goal that it leads or comes nearest to; -1 for none.
+        method: what found it: sampling, search, or nothing.
+    """
+
+    poses: FloatArray
+    T_map_base: FloatArray
+    length: float
+    complete: bool
+    reason: str
+    goal: int
+    method: str
+
+    @property
+    def turning(self) -> float:
+        """Sum of all turns [rad]."""
+        return float(np.abs(np.diff(self.poses[:, 2])).sum()) if len(self.poses) else 0.0

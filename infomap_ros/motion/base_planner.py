@@ -1,0 +1,180 @@
+"""Ways of the base over rough ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain import Terrain
+from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.drive_reach import DriveReach
+from infomap_ros.motion.drive_sampling import sample_way
+from infomap_ros.motion.drive_space import DriveSpace
+from infomap_ros.motion.standing_ground import standing_pose, with_standing_ground
+from infomap_ros.motion.vehicle import Vehicle
+
+_SAME_PLACE = 1e-6  # [m and rad]
+
+
+class BasePlanner:
+    """Plans for one terrain, one vehicle in one posture, and one place where it stands.
+
+    What was found out about the ground is kept, so that many plans cost less than one each.
+
+    Args:
+        terrain: the ground as the map shows it.
+        vehicle: the robot.
+        config: None for the defaults.
+        standing: poses T_map_base in which the robot stands or has stood, shape (4, 4) or
+            (P, 4, 4): the ground there is known. Without it the ground under the first start is
+            taken for known, in the plane of the wheels at the terrain's `near`.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        vehicle: Vehicle,
+        config: BasePlannerConfig | None = None,
+        standing: ArrayLike | None = None,
+    ) -> None:
+        self.config = config or BasePlannerConfig()
+        self.vehicle = vehicle
+        self._declared = standing is not None
+        self._reach: DriveReach | None = None
+        self._space = DriveSpace(self._with_ground(terrain, standing), vehicle, self.config)
+
+    @property
+    def terrain(self) -> Terrain:
+        """The ground, with that on which the robot stands."""
+        return self._space.terrain
+
+    def plan(self, start: ArrayLike, goals: ArrayLike, time_limit: float | None = None) -> BasePath:
+        """Find a way to one of the goals, or as near to one as is safe.
+
+        Args:
+            start: x, y [m] and yaw [rad] of the base in the map, shape (3,).
+            goals: likewise, shape (3,) or (G, 3); yaw NaN for any heading.
+            time_limit: of sampling [s]; None for the configuration's. Complete search follows.
+
+        Raises:
+            InvalidInputError: shapes do not fit, or values are not finite.
+        """
+        here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
+        self._stand_at(here)
+        places, owners, reasons = self._space.standable_goals(targets)
+        known = self._reach is not None and np.abs(self._reach.start - here).max() < _SAME_PLACE
+        limit = self.config.time_limit if time_limit is None else float(time_limit)
+        if not known:
+            limit = min(limit, self.config.sampling_time)
+            way = self._sampled(here, places, limit)
+            if way is not None:
+                return self._space.finished(way, _owner(way[-1], places, owners), "sampling")
+        reach = self._reached_from(here)
+        found = reach.way_to_any(places)
+        if found is None:
+            return self._approach(reach, targets, reasons)
+        way = self._sampled(here, places[found[1] :][:1], limit) if known else None
+        if way is not None:
+            return self._space.finished(way, int(owners[found[1]]), "sampling")
+        return self._space.finished(self._shorter(found[0]), int(owners[found[1]]), "search")
+
+    def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
+        """Cells of the terrain in whose middle the base can stand and to which it can drive.
+
+        Args:
+            start: x, y, yaw of the base, shape (3,); None for the start of the last call.
+
+        Returns:
+            Shape (nx, ny), indexed [x, y] as `terrain`.
+
+        Raises:
+            InvalidInputError: there was no start yet, or it is not finite.
+        """
+        if start is not None:
+            here = _places(start, "start", False)[0]
+            self._stand_at(here)
+            self._reached_from(here)
+        if self._reach is None:
+            raise InvalidInputError("start", "is not known yet: give it or plan first")
+        return self._reach.cells()
+
+    def _reached_from(self, start: FloatArray) -> DriveReach:
+        """All ground that can be reached from a start, remembered for the last one."""
+        if self._reach is None or np.abs(self._reach.start - start).max() > _SAME_PLACE:
+            self._reach = DriveReach(self._space, start, self._reach)
+        return self._reach
+
+    def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
+        """A way found by sampling, made shorter, every stance on it asked itself; or None."""
+        space, config = self._space, self.config
+        if limit <= 0.0 or not len(goals) or not space.stands(start):
+            return None
+        space.trust(np.concatenate([start[None], goals]))
+        way = sample_way(
+            space.lattice, space.grid, start, goals, config.reverse, config.reach, limit,
+            space.kernel_arguments,
+        )  # fmt: skip
+        return None if way is None else self._checked(space.shortened(way), way)
+
+    def _checked(self, *ways: FloatArray) -> FloatArray | None:
+        """The first of several ways on which every stance is good."""
+        return next((way for way in ways if self._space.fault_on(way) is None), None)
+
+    def _shorter(self, way: FloatArray) -> FloatArray:
+        """A way of the graph, shortened where that holds."""
+        shorter = self._checked(self._space.shortened(way))
+        return way if shorter is None else shorter
+
+    def _approach(self, reach: DriveReach, targets: FloatArray, reasons: list[str]) -> BasePath:
+        """The farthest safe approach, or no way at all, and why."""
+        nearest = reach.nearest_to(targets)
+        if nearest is None:
+            return self._space.nowhere(
+                "the robot cannot leave its place: " + self._why_stuck(reach)
+            )
+        way, goal, left = nearest
+        reason = reasons[goal] or "no way to the goal over ground that is known and safe"
+        reason += f"; the farthest safe approach ends {left:.2f} m from it"
+        return self._space.finished(self._shorter(way), goal, "search", reason)
+
+    def _why_stuck(self, reach: DriveReach) -> str:
+        x, y, yaw = (float(value) for value in reach.start)
+        reason = self.vehicle.stance(self.terrain, x, y, yaw).reason
+        return reason or "no pose next to it is safe"
+
+    def _with_ground(self, terrain: Terrain, standing: ArrayLike | None) -> Terrain:
+        if standing is None:
+            return terrain
+        return with_standing_ground(terrain, self.vehicle, standing, self.config.standing_reach)
+
+    def _stand_at(self, start: FloatArray) -> None:
+        """Declare the ground under the first start as known, if no pose was given."""
+        if not self._declared:
+            self._declared = True
+            pose = standing_pose(self._space.terrain, self.vehicle, start)
+            terrain = self._with_ground(self._space.terrain, pose)
+            self._space = DriveSpace(terrain, self.vehicle, self.config)
+            self._reach = None
+
+
+def _places(values: ArrayLike, name: str, any_heading: bool) -> FloatArray:
+    rows = float_array(values, name)
+    if rows.ndim == 1:
+        rows = rows[None]
+    if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows):
+        raise InvalidInputError(name, f"shape {rows.shape}, expected (3,) or (N, 3)")
+    if not np.isfinite(rows[:, : 2 if any_heading else 3]).all() or np.isinf(rows).any():
+        raise InvalidInputError(name, "hold NaN or infinity")
+    return rows
+
+
+def _owner(place: FloatArray, places: FloatArray, owners: NDArray[np.int64]) -> int:
+    """Goal to which the place belongs at which a way ends."""
+    away = np.hypot(*(places[:, :2] - place[:2]).T)
+    away += np.abs((places[:, 2] - place[2] + math.pi) % (2.0 * math.pi) - math.pi)
+    return int(owners[away.argmin()])

@@ -1,0 +1,165 @@
+"""Driving of a robot that turns in place: turn, drive straight, turn. Compiled kernels.
+
+Whether it may stand somewhere is asked of a lattice of cells (x, y, heading) that remembers the
+answers of `infomap_ros.motion.stance` for the cells' middles.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.stance import MEASURES, STANDS, stand
+
+UNASKED, CLEAR, BLOCKED = 0, 1, 2
+"""States of a cell of the lattice."""
+
+
+class Scratch(NamedTuple):
+    """Working memory of one thread for `stand`."""
+
+    pose: FloatArray
+    gaps: FloatArray
+    measures: FloatArray
+
+
+def scratch_for(wheels: int) -> Scratch:
+    """Working memory for a vehicle of so many wheels."""
+    return Scratch(np.eye(4), np.empty(wheels), np.empty(MEASURES))
+
+
+def empty_lattice(shape: tuple[int, int], headings: int) -> NDArray[np.uint8]:
+    """A lattice of which nothing was asked yet."""
+    return np.zeros((*shape, headings), np.uint8)
+
+
+@njit(cache=True, nogil=True)
+def wrapped(angle: float) -> float:
+    """The same angle within -pi .. pi [rad]."""
+    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+
+
+@njit(cache=True, nogil=True)
+def legs_of(
+    ax: float, ay: float, ayaw: float, bx: float, by: float, byaw: float, reverse: bool
+) -> tuple[float, float, float]:
+    """First turn [rad], length [m] and last turn [rad] of the way from a to b.
+
+    Of driving forwards and, where allowed, backwards that with the smaller turns.
+    """
+    length = math.hypot(bx - ax, by - ay)
+    if length < 1e-6:
+        return wrapped(byaw - ayaw), 0.0, 0.0
+    heading = math.atan2(by - ay, bx - ax)
+    first, last = wrapped(heading - ayaw), wrapped(byaw - heading)
+    if reverse and abs(first) + abs(last) > math.pi + 1e-9:
+        return wrapped(first + math.pi), length, wrapped(last + math.pi)
+    return first, length, last
+
+
+@njit(cache=True, nogil=True)
+def counts_of(first: float, length: float, last: float, spacing: float, angle: float) -> Any:
+    """Steps of the three legs, none longer than `spacing` [m] or `angle` [rad]."""
+    return (
+        math.ceil(abs(first) / angle - 1e-9),
+        math.ceil(length / spacing - 1e-9),
+        math.ceil(abs(last) / angle - 1e-9),
+    )
+
+
+@njit(cache=True, nogil=True)
+def pose_at(a: Any, b: Any, legs: Any, counts: Any, step: int) -> tuple[float, float, float]:
+    """Place after a number of steps of the way from a to b."""
+    turn, drive, last = counts
+    heading = a[2] + legs[0]
+    if step <= turn:
+        share = step / turn if turn else 0.0
+        return a[0], a[1], a[2] + share * legs[0]
+    if step <= turn + drive:
+        share = (step - turn) / drive
+        return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), heading
+    return b[0], b[1], heading + (step - turn - drive) / last * legs[2]
+
+
+@njit(cache=True, nogil=True)
+def cell_of(shape: Any, grid: Any, x: float, y: float, yaw: float) -> tuple[int, int, int]:
+    """Cell of the lattice that holds a place; i = -1 outside. grid: x, y of its corner, edge."""
+    nx, ny, headings = shape
+    u, v = (x - grid[0]) / grid[2], (y - grid[1]) / grid[2]
+    if not (0.0 <= u < nx and 0.0 <= v < ny):
+        return -1, 0, 0
+    k = math.floor(yaw * headings / (2.0 * math.pi) + 0.5) % headings
+    return int(u), int(v), k
+
+
+@njit(cache=True, nogil=True)
+def known_drive(lattice: Any, grid: Any, a: Any, b: Any, reverse: bool) -> int:
+    """Whether the way from a to b is CLEAR or BLOCKED; UNASKED where a cell was not asked yet."""
+    angle = 2.0 * math.pi / lattice.shape[2]
+    legs = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
+    counts = counts_of(legs[0], legs[1], legs[2], grid[2], angle)
+    for step in range(counts[0] + counts[1] + counts[2] + 1):
+        x, y, yaw = pose_at(a, b, legs, counts, step)
+        i, j, k = cell_of(lattice.shape, grid, x, y, yaw)
+        state = lattice[i, j, k] if i >= 0 else BLOCKED
+        if state != CLEAR:
+            return state
+    return CLEAR
+
+
+@njit(cache=True, nogil=True)
+def ask_cell(
+    lattice: Any, grid: Any, i: int, j: int, k: int, terrain: Any, vehicle: Any, scratch: Any
+) -> int:
+    """State of a cell, found now if need be."""
+    if lattice[i, j, k] == UNASKED:
+        x, y = grid[0] + (i + 0.5) * grid[2], grid[1] + (j + 0.5) * grid[2]
+        yaw = 2.0 * math.pi * k / lattice.shape[2]
+        pose, gaps, measures = scratch
+        outcome = stand(terrain, vehicle, x, y, yaw, pose, gaps, measures)
+        lattice[i, j, k] = CLEAR if outcome == STANDS else BLOCKED
+    return int(lattice[i, j, k])
+
+
+@njit(cache=True, nogil=True)
+def ask_drive(
+    lattice: Any, grid: Any, a: Any, b: Any, reverse: bool, terrain: Any, vehicle: Any, scratch: Any
+) -> int:
+    """As `known_drive`, with cells asked where need be."""
+    angle = 2.0 * math.pi / lattice.shape[2]
+    legs = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
+    counts = counts_of(legs[0], legs[1], legs[2], grid[2], angle)
+    for step in range(counts[0] + counts[1] + counts[2] + 1):
+        x, y, yaw = pose_at(a, b, legs, counts, step)
+        i, j, k = cell_of(lattice.shape, grid, x, y, yaw)
+        if i < 0 or ask_cell(lattice, grid, i, j, k, terrain, vehicle, scratch) != CLEAR:
+            return BLOCKED
+    return CLEAR
+
+
+@njit(cache=True, nogil=True)
+def first_fault(
+    places: Any, reverse: bool, spacing: float, angle: float, terrain: Any, vehicle: Any,
+    scratch: Any, fault: Any,
+) -> int:  # fmt: skip
+    """Drive through places, shape (K, 3), and ask every stance on the way itself.
+
+    Returns:
+        STANDS, or the outcome of the first stance that is not good, which `fault` then holds.
+    """
+    pose, gaps, measures = scratch
+    for n in range(max(len(places) - 1, 1)):
+        a, b = places[n], places[min(n + 1, len(places) - 1)]
+        legs = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
+        counts = counts_of(legs[0], legs[1], legs[2], spacing, angle)
+        for step in range(counts[0] + counts[1] + counts[2] + 1):
+            fault[0], fault[1], fault[2] = pose_at(a, b, legs, counts, step)
+            outcome = stand(terrain, vehicle, fault[0], fault[1], fault[2], pose, gaps, measures)
+            if outcome != STANDS:
+                return outcome
+    return STANDS

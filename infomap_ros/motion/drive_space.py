@@ -1,0 +1,106 @@
+"""Where a vehicle can stand and drive on a terrain, found out as it is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain import Terrain
+from infomap_ros.motion import drive_kernels, drive_shortcut
+from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.drive_graph import HEADINGS
+from infomap_ros.motion.stance import STANDS
+from infomap_ros.motion.vehicle import Vehicle, terrain_arrays
+
+_SHORTEN_PASSES = 2
+_SHORTEN_SPACING = 0.5  # of the places between which a way is cut short [m]
+
+
+class DriveSpace:
+    """Memory of one terrain and one vehicle.
+
+    Args:
+        terrain: the ground.
+        vehicle: the robot.
+        config: of the planner.
+    """
+
+    def __init__(self, terrain: Terrain, vehicle: Vehicle, config: BasePlannerConfig) -> None:
+        self.terrain, self.vehicle, self.config = terrain, vehicle, config
+        self.grid = np.array([*terrain.origin, terrain.resolution])
+        self.lattice = drive_kernels.empty_lattice(terrain.heights.shape, config.headings)
+        scratch = drive_kernels.scratch_for(len(vehicle.arrays.centres))
+        self.kernel_arguments = (terrain_arrays(terrain), vehicle.arrays, scratch)
+
+    def stands(self, place: FloatArray) -> bool:
+        """Whether the robot may stand at x, y, yaw."""
+        return self.fault_on(place[None]) is None
+
+    def fault_on(self, places: FloatArray) -> tuple[int, FloatArray] | None:
+        """Outcome and place of the first stance on a way that is not good; None if all are."""
+        fault = np.empty(3)
+        spacing, angle = self.grid[2], 2.0 * np.pi / self.config.headings
+        outcome = drive_kernels.first_fault(
+            places, self.config.reverse, spacing, angle, *self.kernel_arguments, fault
+        )
+        return None if outcome == STANDS else (int(outcome), fault)
+
+    def trust(self, places: FloatArray) -> None:
+        """Take the cells of places that are good themselves for good, whatever their middles."""
+        for x, y, yaw in places:
+            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, x, y, yaw)
+            if i >= 0:
+                self.lattice[i, j, k] = drive_kernels.CLEAR
+
+    def standable_goals(self, goals: FloatArray) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
+        """Goals at which the robot may stand, NaN headings replaced by each heading that is good.
+
+        Returns:
+            Places, shape (P, 3); the goal that each stands for, shape (P,); and per goal why it
+            has none, empty where it has.
+        """
+        rows, owners = [], []
+        for index, (x, y, yaw) in enumerate(goals):
+            headings = HEADINGS if np.isnan(yaw) else np.array([yaw])
+            rows.append(np.column_stack([np.full((len(headings), 2), (x, y)), headings]))
+            owners += [index] * len(headings)
+        places, owner = np.concatenate(rows), np.array(owners)
+        good = self.vehicle.stances(self.terrain, places).ok
+        reasons = []
+        for index in range(len(goals)):
+            own = np.flatnonzero(owner == index)
+            bad = "" if good[own].any() else self._reason_at(places[own[0]])
+            reasons.append(bad and f"goal: {bad}")
+        return places[good], owner[good], reasons
+
+    def _reason_at(self, place: FloatArray) -> str:
+        return self.vehicle.stance(self.terrain, *(float(value) for value in place)).reason
+
+    def shortened(self, way: FloatArray) -> FloatArray:
+        """The way with detours and needless turns cut, as far as the lattice's cells allow."""
+        config = self.config
+        common = (self.lattice, self.grid, config.reverse)
+        for _ in range(_SHORTEN_PASSES):
+            way = drive_shortcut.points_along(way, config.reverse, _SHORTEN_SPACING, np.pi)
+            kept = drive_shortcut.best_subset(
+                way, *common, config.turn_cost, *self.kernel_arguments
+            )
+            way = np.ascontiguousarray(way[kept])
+            drive_shortcut.straighten_headings(way, *common, *self.kernel_arguments)
+        return way
+
+    def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
+        """A way as the caller gets it: in small steps, with the stance at each."""
+        config = self.config
+        poses = drive_shortcut.points_along(
+            np.ascontiguousarray(way), config.reverse, config.spacing, config.turn_spacing
+        )
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
+        stances = self.vehicle.stances(self.terrain, poses).T_map_base
+        return BasePath(poses, stances, length, not reason, reason, goal, method)
+
+    def nowhere(self, reason: str) -> BasePath:
+        """No way at all."""
+        return BasePath(np.zeros((0, 3)), np.zeros((0, 4, 4)), 0.0, False, reason, -1, "nothing")

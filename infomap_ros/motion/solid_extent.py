@@ -1,0 +1,37 @@
+"""Axis-aligned extent of placed solids."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, PlacedSolid
+from infomap_ros.geometry.transforms import FloatArray
+
+
+def solid_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates of a solid in the frame in which it is placed, (3,) [m]."""
+    rotation, middle, solid = placed.transform[:3, :3], placed.transform[:3, 3], placed.solid
+    if isinstance(solid, Box):
+        reach = np.abs(rotation) @ (0.5 * np.array(solid.size))
+    elif isinstance(solid, Cylinder):
+        axis = rotation[:, 2]
+        reach = 0.5 * solid.length * np.abs(axis)
+        reach = reach + solid.radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
+    elif isinstance(solid, ConvexPolytope):
+        return _polytope_extent(solid, rotation, middle)
+    else:
+        reach = np.full(3, solid.bounding_radius)
+    return middle - reach, middle + reach
+
+
+def _polytope_extent(
+    solid: ConvexPolytope, rotation: FloatArray, middle: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """By linear programming: a polytope is given by its planes."""
+    from scipy.optimize import linprog
+
+    planes = solid.normals @ rotation.T
+    bounds = [(None, None)] * 3
+    high = [-linprog(-axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
+    low = [linprog(axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
+    return middle + np.array(low), middle + np.array(high)

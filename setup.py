@@ -55,6 +55,7 @@ setup(
         "mujoco>=4.0",
         "numba>=0.58",
         "numpy>=1.26,<3",
+        "ompl>=2.0",
         "opencv-python-headless>=4.6",
         "pin>=4.0",
         "PyYAML>=6.0",

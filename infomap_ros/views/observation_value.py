@@ -13,20 +13,20 @@ then the mutual information of voxel and observation,
 
 never negative, largest near p = 1/2.
 
-From afar it tells less. The mean of the n pixels that see the voxel's face has a standard deviation
-along the ray, by eq. (1) of Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) and with the
-correlation c of the errors of neighbouring pixels,
+From afar the chance is smaller that a voxel is told anything. Where pixels are farther apart than
+voxels are wide only that share of the voxels is looked at. And the surface is told in the voxel in
+which it lies only as far as its range is known: the mean of the n pixels that see the voxel's face
+has, by eq. (1) of Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) and with the correlation
+c of the errors of neighbouring pixels, the variance along the ray
 
     sigma^2 = (S L^n)^2 (c + (1 - c) / n_pixels)
 
-The map gives a voxel only the share of a hit's evidence with which the surface lies in it,
-erf(s / sqrt(8) sigma) for a voxel of size s looked at squarely; and where pixels are farther apart
-than voxels are wide, only that share of the voxels is seen at all.
+so that a voxel of size s looked at squarely gets the share erf(s / (sqrt(8) sigma)) of it.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,16 +44,16 @@ def entropy_of(probability: ArrayLike) -> FloatArray:
     return np.asarray(-(p * np.log2(p) + q * np.log2(q)))
 
 
-def expected_reduction(probability: ArrayLike, hit: ArrayLike, miss: float) -> FloatArray:
+def expected_reduction(probability: ArrayLike, hit: float, miss: float) -> FloatArray:
     """Mutual information of a voxel and one observation of it [bits].
 
     Args:
         probability: that the voxel is occupied, any shape.
-        hit: log-odds that a hit adds, at least 0 [nats]; broadcasts against `probability`.
+        hit: log-odds that a hit adds, above 0 [nats].
         miss: log-odds that a miss adds, below 0 [nats].
     """
-    p, h = np.broadcast_arrays(np.asarray(probability, float), np.asarray(hit, float))
-    ratio_hit, ratio_miss = np.exp(h), np.exp(miss)
+    p = np.asarray(probability, dtype=np.float64)
+    ratio_hit, ratio_miss = math.exp(hit), math.exp(miss)
     hit_if_empty = (1.0 - ratio_miss) / (ratio_hit - ratio_miss)
     hit_if_occupied = ratio_hit * hit_if_empty
     p_hit = hit_if_occupied * p + hit_if_empty * (1.0 - p)
@@ -64,27 +64,22 @@ def expected_reduction(probability: ArrayLike, hit: ArrayLike, miss: float) -> F
     return np.maximum(entropy_of(p) - left, 0.0)
 
 
-def sensor_quality(
-    distances: ArrayLike, voxel_size: float, correlation: float, config: InformationConfig
-) -> tuple[FloatArray, FloatArray]:
-    """How well the sensor sees a voxel at some distance.
+def observed_share(
+    distances: ArrayLike, grid: VoxelMapConfig, config: InformationConfig
+) -> FloatArray:
+    """Chance that a scan tells a voxel at some distance what is in it, in [0, 1].
 
     Args:
         distances: from the camera, any shape [m].
-        voxel_size: [m].
-        correlation: of the range errors of neighbouring pixels, in [0, 1].
+        grid: of the map: voxel size, correlation of the range errors of neighbouring pixels.
         config: noise law and angle between pixels.
-
-    Returns:
-        Share of the evidence of a hit that a voxel gets, and probability that a pixel looks at it;
-        of the shape of `distances`, in [0, 1].
     """
     length = np.maximum(np.asarray(distances, dtype=np.float64), 1e-9)
-    pixels = (voxel_size / (config.pixel_angle * length)) ** 2
-    averaged = correlation + (1.0 - correlation) / np.maximum(pixels, 1.0)
+    pixels = (grid.voxel_size / (config.pixel_angle * length)) ** 2
+    averaged = grid.error_correlation + (1.0 - grid.error_correlation) / np.maximum(pixels, 1.0)
     sigma = config.range_noise * length**config.range_exponent * np.sqrt(averaged)
-    share = erf(voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * voxel_size))
-    return np.asarray(share), np.minimum(pixels, 1.0)
+    located = erf(grid.voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * grid.voxel_size))
+    return np.asarray(located * np.minimum(pixels, 1.0))
 
 
 def voxel_bits(
@@ -98,7 +93,6 @@ def voxel_bits(
         grid: of the map: voxel size, evidence of a hit and a miss, correlation of errors.
         config: of the sensor.
     """
-    share, seen = sensor_quality(distances, grid.voxel_size, grid.error_correlation, config)
-    hit: Any = grid.hit_quanta * LOG_ODDS_QUANTUM * share
-    miss = grid.miss_quanta * LOG_ODDS_QUANTUM
-    return np.asarray(seen * expected_reduction(probability, hit, miss))
+    hit, miss = grid.hit_quanta * LOG_ODDS_QUANTUM, grid.miss_quanta * LOG_ODDS_QUANTUM
+    share = observed_share(distances, grid, config)
+    return np.asarray(share * expected_reduction(probability, hit, miss))

@@ -71,11 +71,15 @@ class SceneBuilder:
         terrain: the ground of the world, for those who place things on it.
         start: where a robot starts: x, y [m], yaw [rad].
         region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
+        sun: whether the sun shines.
+        ambient: light from everywhere, red, green, blue.
     """
 
     terrain: Terrain
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+    sun: bool = True
+    ambient: tuple[float, float, float] = (0.34, 0.34, 0.37)
     _spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec, init=False)
     _parts: list[SurfacePart] = field(default_factory=list, init=False)
     _has_robot: bool = field(default=False, init=False)
@@ -201,17 +205,10 @@ class SceneBuilder:
 
     def _add_light(self) -> None:
         """Low sun with shadows, light from the sky, and a plain sky."""
-        self._spec.worldbody.add_light(
-            name="sun",
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=(-4.0, 5.0, 8.0),
-            dir=(0.50, -0.55, -0.80),
-            diffuse=(0.78, 0.76, 0.70),
-            specular=(0.0, 0.0, 0.0),
-            castshadow=True,
-        )
+        if self.sun:
+            self._add_sun()
         headlight = self._spec.visual.headlight
-        headlight.ambient = (0.34, 0.34, 0.37)
+        headlight.ambient = self.ambient
         headlight.diffuse = headlight.specular = (0.0, 0.0, 0.0)
         self._spec.add_texture(
             name="sky",
@@ -221,4 +218,15 @@ class SceneBuilder:
             rgb2=(1.0, 0.98, 0.94),
             width=64,
             height=384,
+        )
+
+    def _add_sun(self) -> None:
+        self._spec.worldbody.add_light(
+            name="sun",
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=(-4.0, 5.0, 8.0),
+            dir=(0.50, -0.55, -0.80),
+            diffuse=(0.78, 0.76, 0.70),
+            specular=(0.0, 0.0, 0.0),
+            castshadow=True,
         )

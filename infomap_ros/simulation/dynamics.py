@@ -1,8 +1,7 @@
 """Makes a robot in a world move by forces: springs at its wheels, servos in its joints.
 
 The URDF knows rigid wheels without motors. Here each driven wheel gets a spring between it and the
-body, loaded so that the robot stands as the URDF draws it; a servo that turns it; and friction
-with the ground. All other joints get position servos.
+body, a servo that turns it, and friction with the ground. All other joints get position servos.
 """
 
 from __future__ import annotations
@@ -12,17 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.rendering import COLLISION_GROUP
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.suspension import add_suspension
 from infomap_ros.simulation.trial import TrialModel, Wheel
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
-SUSPENSION = "_suspension"
-"""Ending of the names of the joints that are not in the URDF."""
-
-_GRAVITY = 9.81  # [m/s^2]
 _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 
 
@@ -70,10 +65,9 @@ def add_dynamics(
     spec.option.iterations, spec.option.ls_iterations = 60, 30
     for name in trial.locked:
         spec.delete(spec.joint(prefix + name))
-    loads = _loads(trial)
-    for wheel, load in zip(trial.wheels, loads, strict=True):
+    add_suspension(spec, prefix, setup, trial)
+    for wheel in trial.wheels:
         _shape_wheel(spec, prefix, wheel, setup)
-        _suspend(spec, prefix, wheel, float(load), setup)
         _drive(spec, prefix, wheel, setup)
     for link in setup.casters:
         for geom in _solids(spec.body(prefix + link)):
@@ -82,15 +76,6 @@ def add_dynamics(
         _add_servo(spec, prefix + name, inertia, config)
     for first, second in trial.touching:
         spec.add_exclude(bodyname1=prefix + first, bodyname2=prefix + second)
-
-
-def _loads(trial: TrialModel) -> FloatArray:
-    """Weight on each wheel at home: the least unequal forces that balance the robot [N]."""
-    places = np.array([wheel.place for wheel in trial.wheels])
-    lever = np.vstack([np.ones(len(places)), places[:, :2].T])
-    weight = trial.mass * _GRAVITY * np.array([1.0, *trial.center_of_mass[:2]])
-    forces = np.asarray(np.linalg.lstsq(lever, weight, rcond=None)[0])
-    return np.clip(forces, 0.0, trial.mass * _GRAVITY)
 
 
 def _shape_wheel(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSetupConfig) -> None:
@@ -116,46 +101,10 @@ def _shape_wheel(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSet
     )
 
 
-def _suspend(
-    spec: mujoco.MjSpec, prefix: str, wheel: Wheel, load: float, setup: RobotSetupConfig
-) -> None:
-    """Put a loaded spring before the wheel's hinge, along the vertical of the base."""
-    old = spec.joint(prefix + wheel.joint)
-    body = old.parent
-    hinge = {
-        "name": old.name,
-        "pos": np.array(old.pos),
-        "axis": np.array(old.axis),
-        "damping": np.array(old.damping),
-        "actfrcrange": np.array(old.actfrcrange),
-        "actfrclimited": old.actfrclimited,
-    }
-    spec.delete(old)
-    if setup.suspension_sag > 0.0 and load > 0.0:
-        stiffness = load / setup.suspension_sag
-        damping = 2.0 * setup.suspension_damping * np.sqrt(stiffness * load / _GRAVITY)
-        up = np.zeros(3)
-        mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), _conjugate(np.array(body.quat)))
-        body.add_joint(
-            name=prefix + wheel.joint + SUSPENSION,
-            type=mujoco.mjtJoint.mjJNT_SLIDE,
-            axis=up,
-            stiffness=stiffness,
-            damping=damping,
-            springref=-setup.suspension_sag,
-            range=(-setup.suspension_travel, setup.suspension_travel),
-            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        )
-    body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, armature=0.002, **hinge)
-
-
-def _conjugate(quaternion: FloatArray) -> FloatArray:
-    return quaternion * (1.0, -1.0, -1.0, -1.0)
-
-
 def _drive(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSetupConfig) -> None:
     """A position servo, which the drive moves at the wanted speed: it also holds on a slope."""
     joint = spec.joint(prefix + wheel.joint)
+    joint.armature = 0.002
     effort = float(np.ptp(joint.actfrcrange)) / 2.0 or setup.wheel_effort
     actuator = spec.add_actuator(
         name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT

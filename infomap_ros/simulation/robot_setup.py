@@ -47,14 +47,20 @@ class RobotSetupConfig:
         high=2.0,
     )
     suspension_sag: float = parameter(
-        0.006,
+        0.008,
         "How far the wheels' springs give under the robot's weight; 0 for rigid wheels.",
         unit="m",
         low=0.0,
         high=0.2,
     )
     suspension_travel: float = parameter(
-        0.02, "Way of a wheel up and down from rest.", unit="m", low=0.001, high=0.5
+        0.04, "Way of a wheel up and down from rest.", unit="m", low=0.001, high=0.5
+    )
+    suspension_warp: float = parameter(
+        0.05,
+        "Stiffness against uneven ground, as share of that against a shift of the load.",
+        low=0.0,
+        high=0.95,
     )
     suspension_damping: float = parameter(
         0.4, "Damping of the springs as share of the critical.", low=0.0, high=5.0

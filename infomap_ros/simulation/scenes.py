@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,9 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
+from infomap_ros.simulation.cave import CaveConfig, cave
+from infomap_ros.simulation.mars import MarsConfig, mars
+from infomap_ros.simulation.office import OfficeConfig, office
 from infomap_ros.simulation.rocks import boulder
 from infomap_ros.simulation.terrain import Terrain, rough_terrain
 
@@ -69,11 +73,52 @@ def rover_rocks(config: SceneConfig | None = None, description: str = "") -> Wor
     return builder.compile()
 
 
-SCENES: dict[str, Callable[[SceneConfig, str], World]] = {"rover_rocks": rover_rocks}
+@dataclass(frozen=True)
+class Scene:
+    """A kind of world.
+
+    Attributes:
+        config: class of its parameters; all have `seed` and `size`.
+        build: makes the world, the robot of a URDF text in it if that is not empty.
+    """
+
+    config: type
+    build: Callable[[Any, str], World]
+
+
+SCENES = {
+    "rover_rocks": Scene(SceneConfig, rover_rocks),
+    "mars": Scene(MarsConfig, mars),
+    "office": Scene(OfficeConfig, office),
+    "cave": Scene(CaveConfig, cave),
+}
 """Worlds by name."""
 
 
-def describe_scene(name: str, config: SceneConfig) -> str:
+def make_world(name: str, seed: int, description: str = "", **parameters: Any) -> World:
+    """Make a world from its name and a seed.
+
+    Args:
+        name: a key of `SCENES`.
+        seed: of everything random in it.
+        description: URDF text of a robot to put in; empty for none.
+        parameters: further fields of the world's configuration.
+
+    Raises:
+        InvalidInputError: no such world, or no such parameter.
+        ConfigError: a parameter is out of range.
+    """
+    if name not in SCENES:
+        raise InvalidInputError("world", f"'{name}' is unknown; known: {', '.join(SCENES)}")
+    scene = SCENES[name]
+    try:
+        config = scene.config(seed=seed, **parameters)
+    except TypeError as error:
+        raise InvalidInputError("world", f"'{name}': {error}") from error
+    return scene.build(config, description)
+
+
+def describe_scene(name: str, config: Any) -> str:
     """Name and parameters of a world as JSON, from which `build_scene` makes it again."""
     return json.dumps({"scene": name, "config": dataclasses.asdict(config)})
 
@@ -87,7 +132,8 @@ def build_scene(text: str, description: str = "") -> World:
     """
     try:
         content = json.loads(text)
-        return SCENES[content["scene"]](SceneConfig(**content["config"]), description)
+        scene = SCENES[content["scene"]]
+        return scene.build(scene.config(**content["config"]), description)
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise InvalidInputError("scene", f"{error!r}; known: {', '.join(SCENES)}") from error
 

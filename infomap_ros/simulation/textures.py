@@ -99,6 +99,27 @@ def worn_paint(size: int, rng: np.random.Generator) -> Image:
     return colorize(stains + 0.8, (0.35, 0.34, 0.33), (1.0, 1.0, 1.0))
 
 
+def carpet(size: int, rng: np.random.Generator) -> Image:
+    """A worn carpet of coloured fibres with stains."""
+    fibres = 0.9 * spectral_noise(size, 0.25, rng) + 0.9 * spectral_noise(size, 0.9, rng)
+    return colorize(fibres, (0.22, 0.26, 0.30), (0.74, 0.74, 0.72))
+
+
+def plaster(size: int, rng: np.random.Generator) -> Image:
+    """A wall with stains, scratches and scattered marks."""
+    marks = -1.4 * np.exp(-((spectral_noise(size, 1.4, rng) / 0.05) ** 2))
+    grain = 0.8 * spectral_noise(size, 1.0, rng) + 0.6 * spectral_noise(size, 0.35, rng)
+    return colorize(grain + marks + 0.5, (0.34, 0.31, 0.28), (0.95, 0.93, 0.88))
+
+
+def wood(size: int, rng: np.random.Generator) -> Image:
+    """Boards with grain, knots and scratches."""
+    v, _ = np.mgrid[0:size, 0:size] / size
+    rings = np.sin(2.0 * np.pi * (14.0 * v + 0.9 * spectral_noise(size, 1.7, rng)))
+    grain = 0.7 * spectral_noise(size, 1.0, rng) + 0.6 * spectral_noise(size, 0.35, rng)
+    return colorize(0.6 * rings + grain, (0.26, 0.16, 0.09), (0.82, 0.62, 0.42))
+
+
 def _gravel(size: int, rng: np.random.Generator) -> FloatArray:
     """Shaded stones of many sizes; the drawing wraps around the edges."""
     layer = np.zeros((size, size), np.float32)

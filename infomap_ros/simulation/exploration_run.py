@@ -1,0 +1,190 @@
+"""An exploration in the simulator, in one process and without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infomap_ros.exploration.control import Control
+from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.report import write_report
+from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.run_log import RunLogFile
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.export import write_ply
+from infomap_ros.motion import RobotModel
+from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+
+LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Which world is explored, and by which robot.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    name: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
+    seed: int = parameter(1, "Seed of the world and of all noise.", low=0)
+    description: str = parameter(
+        "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class ExplorationOptions:
+    """Everything that can be set of a simulated exploration."""
+
+    world: WorldConfig = field(default_factory=WorldConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+    map: VoxelMapConfig = field(default_factory=VoxelMapConfig)
+    planner: ViewPlannerConfig = field(default_factory=ViewPlannerConfig)
+    robot: ExploringRobotConfig = field(default_factory=ExploringRobotConfig)
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+
+
+class _MapPlanner:
+    """A `ViewPlanner` with its map: implements `infomap_ros.exploration.robot.Planner`."""
+
+    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap) -> None:
+        self._planner, self._map = planner, voxel_map
+
+    def choose(self, state: RobotState) -> Choice:
+        return self._planner.choose(self._map, state)
+
+    def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
+        return self._planner.way_home(self._map, state, base, joints)
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        self._planner.failed(pose, reason)
+
+
+class ExplorationRun:
+    """Builds world, robot, map and planner, explores, and writes what came of it.
+
+    Args:
+        options: of everything.
+        out: folder for the results.
+        on_entry: called with each entry of the run log.
+
+    Attributes:
+        map: what has been mapped.
+        simulator: with its ground truth.
+        control: for requests while it runs.
+
+    Raises:
+        InfomapError: world or robot cannot be made.
+        OSError: the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        options: ExplorationOptions,
+        out: Path,
+        on_entry: Callable[[Mapping[str, Any]], None] | None = None,
+    ) -> None:
+        self.options, self._out = options, out
+        out.mkdir(parents=True, exist_ok=True)
+        seed = options.world.seed
+        description = _description(options.world.description)
+        settings = dataclasses.replace(options.simulator, seed=seed)
+        world = make_world(options.world.name, seed)
+        self.simulator = Simulator(world, description, settings)
+        frames = settings.robot
+        robot = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
+        self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
+        self._robot = SimulatedRobot(self.simulator, robot, self.map, options.robot)
+        planner = ViewPlanner(robot, self._robot.rig, options.task, options.planner)
+        self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
+        self.control = Control()
+        self._exploration = Exploration(
+            self._robot, _MapPlanner(planner, self.map), options.task, self._log, self.control
+        )
+        self._write_start()
+
+    def run(self) -> Ending:
+        """Explore to the end."""
+        self._begin = time.monotonic()
+        return self._exploration.run()
+
+    def write_results(self, ending: Ending) -> dict[str, object]:
+        """Write map file, .ply, summary and report; returns the summary.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        self.map.save(self._out / MAP_FILE)
+        write_ply(self.map, self._out / PLY_FILE)
+        summary = self.summary(ending)
+        text = json.dumps(summary, indent=1) + "\n"
+        (self._out / SUMMARY_FILE).write_text(text, encoding="utf-8")
+        world = self.options.world
+        title = f"Exploring {world.name}, seed {world.seed}"
+        write_report(
+            self._out / REPORT_FILE, self._out / LOG_FILE, self.map, title, figures=summary
+        )
+        return summary
+
+    def summary(self, ending: Ending) -> dict[str, object]:
+        """Figures of the run, flat."""
+        mission, progress = self._exploration.mission, self._exploration.progress
+        known, sigma = (progress.known_fraction, progress.mean_sigma) if progress else (0.0, None)
+        return {
+            "world": self.options.world.name,
+            "seed": self.options.world.seed,
+            "end": ending.reason.value,
+            "detail": ending.detail,
+            "views": mission.views,
+            "distance": round(mission.distance, 2),
+            "known_fraction": round(known, 4),
+            "mean_sigma": sigma,
+            "contacts": self.simulator.contacts,
+            "simulated_seconds": round(self.simulator.time, 1),
+            "seconds": round(time.monotonic() - self._begin, 1),
+            "known_voxels": self.map.known_voxels,
+            "surface_voxels": self.map.surface_voxels,
+            "memory_bytes": self.map.memory_bytes(),
+            "voxel_size": self.map.config.voxel_size,
+        }
+
+    def close(self) -> None:
+        """Free what drawing needs."""
+        self.simulator.close()
+
+    def _write_start(self) -> None:
+        options, camera = self.options, self._robot.rig.left
+        names = ("width", "height", "fx", "fy", "cx", "cy")
+        self._log.write(
+            "start",
+            task=dataclasses.asdict(options.task),
+            robot=Path(options.world.description).stem,
+            world=f"{options.world.name} {options.world.seed}",
+            strategy=options.planner.strategy,
+            voxel_size=options.map.voxel_size,
+            camera={name: getattr(camera, name) for name in names},
+            max_range=options.planner.max_range,
+        )
+
+
+def _description(place: str) -> str:
+    """Text of a robot description."""
+    path = Path(place)
+    return (path if path.exists() else find_share(place)).read_text(encoding="utf-8")

@@ -10,9 +10,10 @@ from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.export import surface_sigmas
 
+_MARGIN = OccupancyThresholds().surface_margin
 _AROUND = ndimage.generate_binary_structure(3, 3)
 _Mask = NDArray[np.bool_]
 
@@ -45,8 +46,8 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
 
     - expanse: columns of the region without any surface, which space that is not known to be
       occupied joins to the robot. What lies behind closed walls is not missing.
-    - detail: unknown voxels on the border of the free space that touch a known surface, which
-      therefore goes on there.
+    - detail: unknown voxels on the border of the free space that are as near to a known surface,
+      which therefore goes on there.
 
     A large hole in a known surface counts with its rim alone, so the fraction errs towards 1 where
     hidden faces stand upright, and towards 0 where space is walled off by what cannot be seen.
@@ -95,7 +96,7 @@ def count_surface(states: NDArray[np.uint8], start: NDArray[np.int64]) -> tuple[
     known = int((occupied & beside_free).sum())
     has_surface = occupied.any(axis=2)
     expanse = int((~has_surface & (open_space & (unknown | free)).any(axis=2)).sum())
-    near_surface = ndimage.binary_dilation(occupied, _AROUND)
+    near_surface = ndimage.binary_dilation(occupied, _AROUND, iterations=_MARGIN + 1)
     detail = unknown & beside_free & near_surface & has_surface[:, :, None]
     return known, expanse + int(detail.sum())
 

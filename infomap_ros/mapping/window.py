@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import float_array
@@ -44,6 +45,15 @@ class OccupancyThresholds:
     occupied_probability: float = parameter(
         0.5, "A known voxel more likely occupied than this is occupied.", low=0.05, high=0.999
     )
+    surface_margin: int = parameter(
+        2,
+        "A scan leaves the voxels right before a surface unobserved, as noise may have put them "
+        "there. Unknown voxels with both an occupied and a free one within this many count as "
+        "free.",
+        unit="voxels",
+        low=0,
+        high=10,
+    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -77,6 +87,8 @@ class VoxelWindow:
         states[self.quanta < free] = FREE
         states[self.quanta > occupied] = OCCUPIED
         states[self.quanta == UNKNOWN_QUANTA] = UNKNOWN
+        if limits.surface_margin:
+            _close_margin(states, limits.surface_margin)
         return states
 
     def positions_of(self, points: ArrayLike) -> NDArray[np.int64]:
@@ -94,6 +106,14 @@ class VoxelWindow:
         """Which array positions, shape (..., 3), lie in the array, shape (...)."""
         places = np.asarray(positions)
         return np.asarray(((places >= 0) & (places < self.quanta.shape)).all(axis=-1))
+
+
+def _close_margin(states: NDArray[np.uint8], margin: int) -> None:
+    """Turn UNKNOWN into FREE where both OCCUPIED and FREE are within `margin` voxels."""
+    width = 2 * margin + 1
+    near_surface = maximum_filter(states == OCCUPIED, size=width, mode="constant")
+    near_free = maximum_filter(states == FREE, size=width, mode="constant")
+    states[(states == UNKNOWN) & near_surface & near_free] = FREE
 
 
 def window_of(blocks: Any, voxel_size: float, low: ArrayLike, high: ArrayLike) -> VoxelWindow:

@@ -64,7 +64,7 @@ def test_positions_and_centres_are_inverse(wall: VoxelMap) -> None:
 
 def test_states_follow_the_probabilities(wall: VoxelMap) -> None:
     window = wall.window((-1.2, -0.9, -1.3), (1.5, 1.0, 1.4))
-    states = window.states(OccupancyThresholds(0.05, 0.6))
+    states = window.states(OccupancyThresholds(0.05, 0.6, surface_margin=0))
     positions = np.argwhere(np.ones(states.shape, bool))
     centres = window.centres_of(positions)
     known, probability = wall.is_known(centres), wall.probability(centres)
@@ -73,6 +73,21 @@ def test_states_follow_the_probabilities(wall: VoxelMap) -> None:
     )
     np.testing.assert_array_equal(states[tuple(positions.T)], expected)
     assert set(np.unique(states)) == {UNKNOWN, FREE, UNCERTAIN, OCCUPIED}
+
+
+def test_margin_before_a_surface_counts_as_free(wall: VoxelMap) -> None:
+    window = wall.window((-1.2, -0.9, -1.3), (1.5, 1.0, 1.4))
+    plain = window.states(OccupancyThresholds(surface_margin=0))
+    closed = window.states(OccupancyThresholds(surface_margin=2))
+    changed = np.argwhere(plain != closed)
+    assert len(changed)
+    for position in np.argwhere(plain == UNKNOWN)[::17]:
+        low, high = np.maximum(position - 2, 0), position + 3
+        around = plain[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        between = (around == OCCUPIED).any() and (around == FREE).any()
+        assert (closed[tuple(position)] == FREE) == between
+    known = plain != UNKNOWN
+    np.testing.assert_array_equal(plain[known], closed[known])
 
 
 @pytest.mark.parametrize(

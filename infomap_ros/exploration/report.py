@@ -14,6 +14,7 @@ from infomap_ros.exploration.report_page.page import Section, page
 from infomap_ros.exploration.report_page.plan import plan
 from infomap_ros.exploration.report_page.scene import scene_of
 from infomap_ros.exploration.report_page.surface import drawn_surface
+from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.pictures import MapImage, map_from_above
 
@@ -21,10 +22,11 @@ Pictures = Sequence[tuple[Path, str]]
 """PNG files with their captions."""
 
 _KEYS = (
-    '<p class="keys"><span><i class="key base"></i>path of the base</span><span>'
-    '<i class="key camera"></i>path of the camera</span><span>numbered: chosen views, grey where '
-    "the robot did not look from there; wedges: where the camera looks; click one for its "
-    "terms</span></p>"
+    '<li><i class="key base"></i>path of the base</li>'
+    '<li><i class="key camera"></i>path of the camera</li>'
+    '<li><i class="key dot view"></i>chosen view, with its number; the wedge shows where the '
+    "camera looks; a click shows the view in 3-D and its terms</li>"
+    '<li><i class="key dot rejected"></i>chosen, but the robot did not look from there</li>'
 )
 
 
@@ -102,7 +104,7 @@ def write_map_report(
 
 def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
     sides = [
-        ("Task", tables.parameters_table(run.start.task)),
+        ("Task", tables.parameters_table(run.start.task, TaskConfig)),
         ("Computing time of the decisions", tables.stages_table(run)),
         ("Figures", tables.parameters_table(figures)),
     ]
@@ -118,10 +120,11 @@ def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
     if above is None:
         return "<p>The map has no surface.</p>"
     low, high = above.heights
-    note = f"Heights from {low:.2f} m (dark) to {high:.2f} m (bright)"
-    note += f"; what lies above {above.cut:.2f} m is left out." if above.cut is not None else "."
+    note = f"height from {low:.2f} to {high:.2f} m"
+    note += f"; what lies above {above.cut:.2f} m is left out" if above.cut is not None else ""
     keys = _KEYS if run is not None else ""
-    return f'{keys}{plan(above, run)}<p class="subtitle">{note.replace("-", MINUS)}</p>'
+    keys += f'<li><i class="key ramp"></i>{note.replace("-", MINUS)}</li>'
+    return f'<div class="above">{plan(above, run)}<ul class="keys">{keys}</ul></div>'
 
 
 def _above(voxel_map: VoxelMap) -> MapImage | None:

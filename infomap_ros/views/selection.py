@@ -14,7 +14,7 @@ from infomap_ros.views.decision import RatedView, Stopwatch
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Rating, Ratings
 from infomap_ros.views.reach import Reachability, ReachResult
-from infomap_ros.views.strategies import Scores, Strategy
+from infomap_ros.views.strategy import Scores, Strategy
 from infomap_ros.views.surroundings import IntArray
 
 KnownUnreachable = Callable[[FloatArray], Sequence[str]]
@@ -47,6 +47,13 @@ class SelectionConfig:
     )
     least_rating: float = parameter(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
+    )
+    alternatives: int = parameter(
+        3,
+        "Where the way turns out longer than it looked, at most so many views are compared by the "
+        "way that each really takes.",
+        low=1,
+        high=1000,
     )
     keep_margin: float = parameter(
         0.2,
@@ -107,7 +114,7 @@ class Selection:
         with self._watch.stage("refinement"):
             order, plans, kept = self._refine(views, survivors)
         with self._watch.stage("reach"):
-            index, result = self._plan_motions(views, order)
+            index, result = self._plan_motions(views, order, kept)
         kept = kept and index == self._options.previous
         followers = [] if index is None else list(plans.get(index, ()))
         return Selected(views, index, result, self._options.poses[followers], kept)
@@ -199,19 +206,39 @@ class Selection:
         return best - own <= self._config.keep_margin * max(abs(best), abs(own))
 
     def _plan_motions(
-        self, views: list[RatedView], order: list[int]
+        self, views: list[RatedView], order: list[int], kept: bool
     ) -> tuple[int | None, ReachResult | None]:
-        """Plan to the best views in turn until one is reached; else the best partial approach."""
-        second_best: tuple[int | None, ReachResult | None] = (None, None)
+        """Plan to the best views in turn until one is reached; else the best partial approach.
+
+        A way that is longer than it looked lowers the score; the next views are then tried too, as
+        long as they may still turn out better.
+        """
+        best: tuple[int | None, ReachResult | None] = (None, None)
+        second_best, best_score, reached = best, -np.inf, 0
         for index in order[: self._config.reach_attempts]:
+            if views[index].score <= best_score or reached == self._config.alternatives:
+                break
             result = self._reachability.reach(views[index].pose)
-            if not result.reason and not result.partial:
-                return index, result
-            if result.partial and second_best[0] is None:
-                second_best = index, result
-            reason = result.reason or "the way does not lead all the way"
-            views[index] = views[index].rejected(reason)
-        return second_best
+            if result.reason or result.partial:
+                reason = result.reason or "the way does not lead all the way"
+                views[index] = views[index].rejected(reason)
+                if result.partial and second_best[0] is None:
+                    second_best = index, result
+                continue
+            score = views[index].score - self._surcharge(index, result)
+            reached += 1
+            if score > best_score:
+                best, best_score = (index, result), score
+            if kept or not self._strategy.needs_worth:
+                break
+        return second_best if best[0] is None else best
+
+    def _surcharge(self, index: int, result: ReachResult) -> float:
+        """What the way really costs beyond what the rating has assumed [full views]."""
+        assumed = self._options.path_lengths[index]
+        weights = self._rating.config
+        excess = max(result.travel - assumed, 0.0) if np.isfinite(assumed) else 0.0
+        return float(weights.distance_weight * np.mean(weights.position_weights[:2]) * excess)
 
 
 def _views(options: Options, ratings: Ratings, scores: Scores) -> list[RatedView]:

@@ -8,47 +8,16 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """How a strategy ranks views.
-
-    Attributes:
-        values: the larger the better, shape (M,); only compared with each other.
-        plans: by view, which views it is meant to be followed by, in that order.
-    """
-
-    values: FloatArray
-    plans: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
-
-
-class Strategy(Protocol):
-    """Ranks views.
-
-    Attributes:
-        needs_worth: whether a view must be worth its cost by the rating to be chosen.
-    """
-
-    @property
-    def needs_worth(self) -> bool: ...  # noqa: D102
-
-    def score(self, options: Options, ratings: Ratings) -> Scores:
-        """Rank the views.
-
-        Asked twice: for all views, with information good enough for a first ranking, and for the
-        best of these that the robot may reach, with ``options.fine`` set; the second answer counts.
-        """
+from infomap_ros.views.strategy import Scores, Strategy
 
 
 class LargestInformation:
@@ -150,32 +119,31 @@ class Raster:
         return first, float(np.floor((high[0] + margin) / cell) - first[0] + 1.0)
 
 
-def strategies() -> dict[str, Callable[[], Strategy]]:
+def strategies(look_ahead: LookAheadConfig | None = None) -> dict[str, Callable[[], Strategy]]:
     """The strategies that come with the package, by name."""
-    from infomap_ros.views.look_ahead import LookAhead
-
     return {
         "random": RandomChoice,
         "raster": Raster,
         "largest_unknown": LargestUnknown,
         "smallest_known": SmallestKnown,
         "largest_information": LargestInformation,
-        "look_ahead": LookAhead,
+        "look_ahead": lambda: LookAhead(look_ahead),
     }
 
 
-def make_strategy(name: str) -> Strategy:
+def make_strategy(name: str, look_ahead: LookAheadConfig | None = None) -> Strategy:
     """Create a strategy.
 
     Args:
         name: of one that comes with the package, or the dotted path of a class, as in
             ``my_package.my_module.MyStrategy``, which is created without arguments.
+        look_ahead: configuration of the strategy of that name.
 
     Raises:
         ConfigError: there is no such strategy, the class cannot be imported or created, or it
             lacks what `Strategy` asks for.
     """
-    known = strategies()
+    known = strategies(look_ahead)
     if name in known:
         return known[name]()
     module_name, _, class_name = name.rpartition(".")

@@ -40,6 +40,7 @@ class Surroundings:
         reached: whether the camera gets there through connected free space, in that box.
         targets: what is worth looking at.
         camera: position of the camera in the window, shape (3,).
+        is_whole: the box holds all known space of the region; else the horizon has cut it.
     """
 
     window: VoxelWindow
@@ -49,6 +50,7 @@ class Surroundings:
     reached: BoolArray
     targets: Targets
     camera: IntArray
+    is_whole: bool
     _lengths: NDArray[np.float32]
     _gaps: FloatArray
     _edge: int

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from infomap_ros.views.surroundings import (
     Targets,
     cell_lengths,
 )
+
+_FARTHEST = 1000.0  # [m]
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,17 @@ class SurroundingsConfig:
     )
     horizon: float = parameter(
         8.0,
-        "Camera positions are sought so far from the present one, along each axis.",
+        "Camera positions are sought so far from the present one, along each axis; twice and four "
+        "times as far where nothing is found.",
         unit="m",
         low=0.1,
-        high=1000.0,
+        high=_FARTHEST,
+    )
+    largest_window: int = parameter(
+        100_000_000,
+        "The search does not widen to where it would look at more voxels than this.",
+        low=1000,
+        high=1_000_000_000,
     )
     cell: float = parameter(
         0.2,
@@ -73,7 +82,7 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     settings = config or SurroundingsConfig()
     size = situation.voxel_map.config.voxel_size
     reach = math.ceil(settings.camera_radius / size)
-    inner, outer = _boxes(situation, settings, (reach + 1) * size)
+    inner, outer, is_whole = _boxes(situation, settings, (reach + 1) * size)
     window = situation.voxel_map.window(*outer)
     occupied = max(0.5, 2.0 * settings.free_probability)
     states = window.states(OccupancyThresholds(settings.free_probability, occupied))
@@ -89,22 +98,46 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     targets, gaps = _things_to_see(window, states, situation, edge)
     lengths = _ways(reached, camera - first, edge)
     return Surroundings(
-        window, states, first, has_room, reached, targets, camera, lengths, gaps, edge
+        window, states, first, has_room, reached, targets, camera, is_whole, lengths, gaps, edge
     )
+
+
+def horizons(
+    situation: Situation, config: SurroundingsConfig | None = None
+) -> Iterator[SurroundingsConfig]:
+    """The configuration, then with twice and four times the horizon as far as that is affordable.
+
+    Args:
+        situation: what is known.
+        config: with the horizon to begin with.
+    """
+    settings = config or SurroundingsConfig()
+    yield settings
+    for factor in (2.0, 4.0):
+        wider = replace(settings, horizon=min(factor * settings.horizon, _FARTHEST))
+        outer = _boxes(situation, wider, 0.0)[1]
+        voxels = np.prod((outer[1] - outer[0]) / situation.voxel_map.config.voxel_size)
+        if voxels > settings.largest_window:
+            return
+        yield wider
 
 
 def _boxes(
     situation: Situation, settings: SurroundingsConfig, margin: float
-) -> tuple[FloatArray, FloatArray]:
-    """Box of the camera positions, and of all that is seen from them, (2, 3) [m, map] each."""
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Box of the camera positions, and of all that is seen from them, (2, 3) [m, map] each.
+
+    And whether the first holds all known space of the region.
+    """
     here, size = situation.position, situation.voxel_map.config.voxel_size
     bounds = situation.voxel_map.bounds()
     known = np.stack([here, here]) if bounds is None else np.stack(bounds) * size
     known = known + np.array([[-1.0], [2.0]]) * size
     region = np.stack([situation.region.low, situation.region.high])
     grown = region + np.array([[-1.0], [1.0]]) * situation.max_range
-    inner = np.stack([here - settings.horizon, here + settings.horizon])
-    inner = _common(_common(inner, known), grown)
+    horizon = np.stack([here - settings.horizon, here + settings.horizon])
+    whole, inner = _common(known, grown), _common(_common(horizon, known), grown)
+    is_whole = bool((inner == whole).all())
     if situation.ground_height is None:
         inner[:, 2] = np.clip(inner[:, 2], *situation.heights)
     if situation.positions_hint is not None and len(situation.positions_hint):
@@ -115,7 +148,8 @@ def _boxes(
     inner[1] = np.maximum(inner[1], here + margin)
     outer = inner + np.array([[-1.0], [1.0]]) * situation.max_range
     outer = _common(outer, known)
-    return inner, np.stack([np.minimum(outer[0], inner[0]), np.maximum(outer[1], inner[1])])
+    outer = np.stack([np.minimum(outer[0], inner[0]), np.maximum(outer[1], inner[1])])
+    return inner, outer, is_whole
 
 
 def _common(box: FloatArray, other: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views.expected_information import METRICS, expected_information
+from infomap_ros.views.expected_information import METRICS, expected_information, workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.shared_rays import information_of_views
 from infomap_ros.views.situation import Situation
@@ -94,16 +94,23 @@ class ExpectedInformation:
             self._full_views[key] = float(value[0])
         return self._full_views[key]
 
-    def gains(self, situation: Situation, T_map_camera: FloatArray) -> VoxelGains:
-        """Voxels that one view, shape (4, 4), informs, by the expected reduction of entropy."""
-        return view_gains(
-            situation.voxel_map,
-            T_map_camera,
-            situation.camera,
-            situation.max_range,
-            self._config,
-            _region(situation),
-        )
+    def gains(self, situation: Situation, poses: FloatArray) -> list[VoxelGains]:
+        """Voxels that each view, (M, 4, 4), informs, by the expected reduction of entropy."""
+        found: dict[int, VoxelGains] = {}
+
+        def gather(_: int, first: int, last: int) -> None:
+            for index in range(first, last):
+                found[index] = view_gains(
+                    situation.voxel_map,
+                    poses[index],
+                    situation.camera,
+                    situation.max_range,
+                    self._config,
+                    _region(situation),
+                )
+
+        workers_of(self._threads).run(gather, len(poses))
+        return [found[index] for index in range(len(poses))]
 
     def _evaluate(
         self, situation: Situation, poses: FloatArray, config: InformationConfig

@@ -1,0 +1,42 @@
+"""What a strategy is: something that ranks views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.options import Options
+from infomap_ros.views.rating import Ratings
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """How a strategy ranks views.
+
+    Attributes:
+        values: the larger the better, shape (M,); only compared with each other.
+        plans: by view, which views it is meant to be followed by, in that order.
+    """
+
+    values: FloatArray
+    plans: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+
+
+class Strategy(Protocol):
+    """Ranks views.
+
+    Attributes:
+        needs_worth: whether a view must be worth its cost by the rating to be chosen.
+    """
+
+    @property
+    def needs_worth(self) -> bool: ...  # noqa: D102
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """Rank the views.
+
+        Asked twice: for all views, with information good enough for a first ranking, and for the
+        best of these that the robot may reach, with ``options.fine`` set; the second answer counts.
+        """

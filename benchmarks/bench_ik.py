@@ -3,7 +3,7 @@
 Every pose is that of random joint positions within the limits, and the search starts at other
 random positions. A pose counts as reached when Pinocchio's forward kinematics of the answer is
 within 0.1 mm and 1 mrad and the answer is within the limits, whatever the solver says of itself.
-TRAC-IK (pytracik) bounds each component of its error alone; to it every component counts alone.
+TRAC-IK (pytracik) bounds each component of its error in the target's frame alone; so it is judged.
 `pinocchio_dls` is what one writes first in Python: damped least squares over Pinocchio's Jacobian
 with 10 restarts.
 
@@ -79,7 +79,7 @@ class Truth:
         if q is None or (q < self.chain.lower - 1e-9).any() or (q > self.chain.upper + 1e-9).any():
             return False
         camera = self.camera(q)
-        shift = camera[:3, 3] - target[:3, 3]
+        shift = target[:3, :3].T @ (camera[:3, 3] - target[:3, 3])
         turn = pinocchio.log3(camera[:3, :3].T @ target[:3, :3])
         size = (lambda v: np.abs(v).max()) if per_axis else np.linalg.norm
         return bool(size(shift) <= POSITION and size(turn) <= ROTATION)

@@ -23,6 +23,9 @@ from infomap_ros.errors import InvalidInputError
 FloatArray = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-4
+_ROW_TOLERANCE = 1e-9
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_IDENTITY = np.eye(3)
 _QUATERNION_TOLERANCE = 1e-2
 
 
@@ -62,10 +65,10 @@ def check_transform(transform: ArrayLike, name: str = "transform") -> FloatArray
         raise InvalidInputError(name, f"shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
         raise InvalidInputError(name, "holds NaN or infinity")
-    if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
+    if np.abs(matrix[3] - _LAST_ROW).max() > _ROW_TOLERANCE:
         raise InvalidInputError(name, f"last row is {matrix[3].tolist()}, expected [0, 0, 0, 1]")
     rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE):
+    if np.abs(rotation @ rotation.T - _IDENTITY).max() > _ROTATION_TOLERANCE:
         raise InvalidInputError(name, "its rotation part is not orthonormal")
     if np.linalg.det(rotation) < 0.0:
         raise InvalidInputError(name, "its rotation part is a reflection")
@@ -90,9 +93,10 @@ def check_transforms(transforms: ArrayLike, name: str = "transforms") -> FloatAr
         raise InvalidInputError(name, f"shape {matrices.shape}, expected (M, 4, 4)")
     rotations = matrices[:, :3, :3]
     with np.errstate(all="ignore"):
-        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        row = np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1)
-        rigid = (off < _ROTATION_TOLERANCE) & (row < 1e-9) & (np.linalg.det(rotations) > 0.0)
+        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
+        row = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=1)
+        rigid = (off <= _ROTATION_TOLERANCE) & (row <= _ROW_TOLERANCE)
+        rigid &= np.linalg.det(rotations) >= 0.0
     suspicious = ~(rigid & np.isfinite(matrices).all(axis=(1, 2)))
     for index in np.flatnonzero(suspicious):
         check_transform(matrices[index], f"{name}[{index}]")

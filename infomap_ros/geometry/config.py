@@ -81,11 +81,13 @@ def parameters_of(config: Any) -> Mapping[str, tuple[Any, ParameterInfo]]:
 
 def nested_configs(config: Any) -> Mapping[str, Any]:
     """Fields of a configuration class or object that are configurations: name -> their default."""
+    factories: dict[str, Any] = {
+        field.name: field.default_factory for field in dataclasses.fields(config)
+    }
     return {
-        field.name: field.default_factory()
-        for field in dataclasses.fields(config)
-        if isinstance(field.default_factory, type)
-        and dataclasses.is_dataclass(field.default_factory)
+        name: make()
+        for name, make in factories.items()
+        if isinstance(make, type) and dataclasses.is_dataclass(make)
     }
 
 

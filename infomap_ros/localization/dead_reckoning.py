@@ -1,0 +1,131 @@
+"""The camera's pose from odometry and kinematics alone: it drifts, and says how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import OdometryRecord, PoseRecord, check_transform, skew
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+
+
+@dataclass(frozen=True)
+class DeadReckoningConfig:
+    """How far odometry and kinematics are to be trusted.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    position_per_metre: float = parameter(
+        0.03,
+        "Position sigma after one metre, where odometry comes without covariance.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    rotation_per_metre: float = parameter(
+        0.01, "Rotation sigma after one metre, likewise.", unit="rad", low=0.0, high=3.0
+    )
+    rotation_per_radian: float = parameter(
+        0.02,
+        "Rotation sigma after turning by one radian, likewise.",
+        unit="rad",
+        low=0.0,
+        high=3.0,
+    )
+    kinematics_position_sigma: float = parameter(
+        0.003,
+        "Standard deviation of the camera's position on the robot, along each axis.",
+        unit="m",
+        low=1e-6,
+        high=1.0,
+    )
+    kinematics_rotation_sigma: float = parameter(
+        0.003,
+        "Standard deviation of the camera's rotation on the robot, about each axis.",
+        unit="rad",
+        low=1e-6,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class DeadReckoning:
+    """Adds up what odometry and kinematics say.
+
+    The covariance of odometry is taken over to the camera, which hangs on a lever, and that of the
+    kinematics is added. Odometry without covariance (unknown, or all zero) gets one whose variances
+    grow in proportion to the way, as those of independent steps do.
+
+    Args:
+        config: how far they are to be trusted.
+        T_map_odom: where odometry began, shape (4, 4); the map's origin where not given.
+    """
+
+    def __init__(
+        self, config: DeadReckoningConfig | None = None, T_map_odom: FloatArray | None = None
+    ) -> None:
+        self.config = config or DeadReckoningConfig()
+        self._T_map_odom = np.eye(4) if T_map_odom is None else check_transform(T_map_odom)
+        self._last: FloatArray | None = None
+        self._grown = np.zeros((6, 6))
+
+    def add(self, odometry: OdometryRecord) -> PoseRecord:
+        """Take odometry; returns the pose of the base in the map with its covariance.
+
+        Args:
+            odometry: ``T_odom_base``, in order of time.
+        """
+        pose = odometry.transform
+        if self._last is not None:
+            self._grow(self._last, pose)
+        self._last = pose
+        covariance = odometry.covariance
+        if covariance is None or not np.any(covariance):
+            covariance = self._grown
+        turn = np.kron(np.eye(2), self._T_map_odom[:3, :3])
+        return PoseRecord(
+            odometry.stamp,
+            "map",
+            self._T_map_odom @ pose,
+            turn @ covariance @ turn.T,
+            odometry.child_frame_id,
+        )
+
+    def camera_pose(self, base: PoseRecord, T_base_camera: FloatArray, frame: str) -> PoseRecord:
+        """Pose of the camera at the end of a kinematic chain.
+
+        Args:
+            base: pose of the base in the map, with covariance.
+            T_base_camera: shape (4, 4).
+            frame: name of the camera's frame.
+        """
+        lever = base.transform[:3, :3] @ T_base_camera[:3, 3]
+        over = np.eye(6)
+        over[:3, 3:] = -skew(lever)
+        config = self.config
+        sigmas = [config.kinematics_position_sigma] * 3 + [config.kinematics_rotation_sigma] * 3
+        assert base.covariance is not None
+        covariance = over @ base.covariance @ over.T + np.diag(np.square(sigmas))
+        return PoseRecord(
+            base.stamp, base.frame_id, base.transform @ T_base_camera, covariance, frame
+        )
+
+    def _grow(self, before: FloatArray, after: FloatArray) -> None:
+        """What one step adds to the covariance; an earlier heading error swings the position."""
+        step = after[:3, 3] - before[:3, 3]
+        way = float(np.linalg.norm(step))
+        turned = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
+        config = self.config
+        over = np.eye(6)
+        over[:3, 3:] = -skew(step)
+        position = config.position_per_metre**2 * way
+        rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
+        added = np.diag([position] * 3 + [rotation] * 3)
+        self._grown = over @ self._grown @ over.T + added

@@ -1,0 +1,103 @@
+"""dead_reckoning across DDS: one pose per camera info, with its stamp, frame and numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, JointState
+from std_msgs.msg import String
+
+from infomap_ros.geometry import (
+    CameraCalibration,
+    CameraInfoRecord,
+    JointStateRecord,
+    OdometryRecord,
+    TextRecord,
+    make_transform,
+)
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.replay.messages import (
+    decode_pose_with_covariance,
+    encode_camera_info,
+    encode_joint_state,
+    encode_odometry,
+    encode_text,
+)
+
+CAMERA = "left_camera_optical_frame"
+TYPES = RclpyMessageTypes()
+SECOND = 1_000_000_000
+
+
+class Stage:
+    def __init__(self, graph: Any) -> None:
+        self.graph = graph
+        self.text = find_share("config/rover.urdf").read_text()
+        self.robot = RobotModel.from_urdf(self.text, CAMERA, "base_link")
+        self.poses = graph.collect(PoseWithCovarianceStamped, "camera_pose")
+        self.node = graph.add(DeadReckoningNode)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.description = graph.tester.create_publisher(String, "robot_description", latched)
+        self.description.publish(encode_text(TYPES, TextRecord(0, "", self.text)))
+        self.infos = graph.publisher(CameraInfo, "left/camera_info")
+        self.joints = graph.publisher(JointState, "joint_states")
+        self.odometry = graph.publisher(Odometry, "odom")
+        graph.connect(self.infos, self.joints, self.odometry, self.description)
+        graph.spin_until(lambda: self.node._robot is not None, "the description")
+
+    def tell(self, stamp: int, x: float, pan: float) -> None:
+        names = tuple(joint.name for joint in self.robot.joints)
+        positions = np.array([pan if name == "arm_pan_joint" else 0.2 for name in names])
+        self.joints.publish(
+            encode_joint_state(TYPES, JointStateRecord(stamp, "", names, positions))
+        )
+        base = make_transform(np.eye(3), (x, 0.0, 0.1))
+        record = OdometryRecord(stamp, "odom", base, None, "base_link", np.zeros(6))
+        self.odometry.publish(encode_odometry(TYPES, record))
+
+    def look(self, stamp: int) -> None:
+        info = CameraInfoRecord(stamp, CAMERA, CameraCalibration(width=64, height=48))
+        self.infos.publish(encode_camera_info(TYPES, info))
+
+
+def test_pose_between_two_odometries(graph: Any) -> None:
+    stage = Stage(graph)
+    stage.tell(10 * SECOND, x=1.0, pan=0.0)
+    stage.look(10 * SECOND + SECOND // 10)
+    stage.tell(10 * SECOND + SECOND // 5, x=2.0, pan=0.4)
+    graph.spin_until(lambda: stage.poses, "a pose")
+    record = decode_pose_with_covariance(stage.poses[0])
+    joints = {joint.name: 0.2 for joint in stage.robot.joints}
+    expected = stage.robot.forward_kinematics(joints, CAMERA)
+    expected[0, 3] += 1.5
+    expected[2, 3] += 0.1
+    np.testing.assert_allclose(record.transform, expected, atol=1e-9)
+    assert (record.stamp, record.frame_id) == (10 * SECOND + SECOND // 10, "map")
+    assert record.covariance is not None
+    assert (np.diag(record.covariance) > 0.0).all()
+
+
+def test_info_without_odometry_is_dropped_and_counted(graph: Any) -> None:
+    stage = Stage(graph)
+    stage.tell(10 * SECOND, x=1.0, pan=0.0)
+    stage.look(9 * SECOND)
+    stage.tell(20 * SECOND, x=1.0, pan=0.0)
+    key = "dropped: no odometry or joints at the stamp"
+    graph.spin_until(lambda: stage.node.health.values().get(key) == "1", "the drop")
+    assert stage.poses == []
+
+
+@pytest.mark.parametrize("text", ["", "<robot"])
+def test_bad_description_is_counted(graph: Any, text: str) -> None:
+    stage = Stage(graph)
+    stage.description.publish(encode_text(TYPES, TextRecord(0, "", text)))
+    key = "dropped: robot description"
+    graph.spin_until(lambda: stage.node.health.values().get(key) == "1", "the drop")

@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 READY := $(STAMPS)/package $(STAMPS)/tf2
 
+EXTRAS := ros tf2 test bench dev
+
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'
 HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libOpenGL.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
@@ -48,7 +50,7 @@ lock:  ## pin the newest versions within the ranges of setup.py into requirement
 	$(PYTHON) -m venv --clear $(VENV)/lock
 	$(VENV)/lock/bin/pip install --quiet uv
 	$(VENV)/lock/bin/uv pip compile --quiet --upgrade --universal --fork-strategy fewest \
-		--python-version 3.11 --all-extras --no-annotate --no-emit-index-url \
+		--python-version 3.11 $(EXTRAS:%=--extra %) --no-annotate --no-emit-index-url \
 		--custom-compile-command "make lock" setup.py --output-file requirements.lock
 	rm -rf $(VENV)/lock
 	sed -i "/sys_platform == 'win32'/d" requirements.lock

@@ -106,6 +106,15 @@ class RobotModelError(InfomapError, ValueError):
     """A robot description cannot be used: malformed URDF, unknown joint or frame."""
 
 
+class MissingExtraError(InfomapError, ImportError):
+    """A function needs an optional dependency that is not installed."""
+
+    def __init__(self, extra: str, package: str) -> None:
+        super().__init__(
+            f"{package} is not installed: pip install 'infomap_ros[{extra}]' or {package}"
+        )
+
+
 class ResourceError(InfomapError, FileNotFoundError):
     """A file that belongs to the package is not where it should be."""
 

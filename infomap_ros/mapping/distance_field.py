@@ -105,6 +105,7 @@ def distance_field(
     thresholds: OccupancyThresholds | None = None,
     unknown_is_free: bool = False,
     known_free: Sequence[PlacedSolid] = (),
+    own_points: ArrayLike = (),
 ) -> DistanceField:
     """Distance to the nearest voxel that is not free.
 
@@ -118,6 +119,11 @@ def distance_field(
         known_free: space that is known to be free although it was never seen, such as that which
             the robot's body fills [map]. Voxels never observed whose centres lie in it are free;
             what was observed there is not touched.
+        own_points: points within the robot, shape (K, 3) [m, map]: the voxels that hold them are
+            free whatever was observed there, as nothing else can be in that place.
+
+    Raises:
+        InvalidInputError: `own_points` has another shape.
     """
     states = window.states(thresholds)
     blocked = (states == OCCUPIED) | (states == UNCERTAIN)
@@ -126,6 +132,10 @@ def distance_field(
         if known_free and unknown.any():
             _clear(unknown, window, known_free)
         blocked |= unknown
+    points = float_array(own_points, "own_points")
+    if points.size:
+        places = window.positions_of(_points(points))
+        blocked[tuple(places[window.contains(places)].T)] = False
     return field_of_blocked(blocked, window.first, window.voxel_size, unknown_is_free)
 
 

@@ -50,7 +50,7 @@ def chain_between(
             `held` is not finite or is that of an unknown joint.
     """
     way = list(_way(model, base, camera))
-    between = list(dict.fromkeys(_owner(model, index) for index, _ in way))
+    between = list(dict.fromkeys(owner_of(model, index) for index, _ in way))
     moving = [index for index in between if not joints or str(model.names[index]) in joints]
     names = tuple(str(model.names[index]) for index in moving)
     for name in joints:
@@ -83,7 +83,7 @@ def _way(model: pinocchio.Model, base: int, camera: int) -> Iterator[tuple[int, 
     yield from ((index, 1) for index in down[shared:])
 
 
-def _owner(model: pinocchio.Model, index: int) -> int:
+def owner_of(model: pinocchio.Model, index: int) -> int:
     """The joint whose position moves this one: itself, or the one that it mimics."""
     leaders = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     return int(leaders.get(index, index))
@@ -103,36 +103,36 @@ def _steps(
 ) -> tuple[list[_Step], FloatArray]:
     """The joints that move, and the camera in the frame of the last one."""
     data = model.createData()
-    pinocchio.forwardKinematics(model, data, _held_configuration(model, held))
+    pinocchio.forwardKinematics(model, data, held_configuration(model, held))
     steps: list[_Step] = []
-    before = invert_transform(_homogeneous(model.frames[base].placement))
+    before = invert_transform(homogeneous(model.frames[base].placement))
     for index, sign in way:
-        if _owner(model, index) not in moving or _scaling(model, index)[0] == 0.0:
-            pose = _homogeneous(data.liMi[index])
+        if owner_of(model, index) not in moving or scaling_of(model, index)[0] == 0.0:
+            pose = homogeneous(data.liMi[index])
             before = before @ (pose if sign > 0 else invert_transform(pose))
             continue
-        placement = _homogeneous(model.jointPlacements[index])
-        step, turn = _step(model, data, index, sign)
+        placement = homogeneous(model.jointPlacements[index])
+        step, turn = joint_step(model, data, index, sign)
         T_before_joint = before @ placement if sign > 0 else before
         steps.append(_Step(*step, T_before_joint @ turn))
         before = turn.T if sign > 0 else turn.T @ invert_transform(placement)
-    return steps, before @ _homogeneous(model.frames[camera].placement)
+    return steps, before @ homogeneous(model.frames[camera].placement)
 
 
-def _step(
+def joint_step(
     model: pinocchio.Model, data: pinocchio.Data, index: int, sign: int
 ) -> tuple[tuple[int, float, float, bool], FloatArray]:
     """What a `_Step` holds but its placement, and the turn, (4, 4), that takes z to the axis."""
-    scaling, offset = _scaling(model, index)
+    scaling, offset = scaling_of(model, index)
     motion = np.asarray(data.joints[index].S, dtype=np.float64).reshape(6) / scaling
     prismatic = bool(np.linalg.norm(motion[:3]) > 0.5)
     turn = make_transform(_turn_of_z(motion[:3] if prismatic else motion[3:]), np.zeros(3))
-    return (_owner(model, index), sign * scaling, sign * offset, prismatic), turn
+    return (owner_of(model, index), sign * scaling, sign * offset, prismatic), turn
 
 
-def _scaling(model: pinocchio.Model, index: int) -> tuple[float, float]:
-    """Factor and offset from the position of `_owner` to that of the joint."""
-    if _owner(model, index) == index:
+def scaling_of(model: pinocchio.Model, index: int) -> tuple[float, float]:
+    """Factor and offset from the position of `owner_of` to that of the joint."""
+    if owner_of(model, index) == index:
         return 1.0, 0.0
     mimic = model.joints[index].extract()
     return float(mimic.scaling), float(mimic.offset)
@@ -146,7 +146,7 @@ def _turn_of_z(axis: FloatArray) -> FloatArray:
     return np.column_stack([x, np.cross(axis, x), axis])
 
 
-def _held_configuration(model: pinocchio.Model, held: Mapping[str, float]) -> FloatArray:
+def held_configuration(model: pinocchio.Model, held: Mapping[str, float]) -> FloatArray:
     q = np.asarray(pinocchio.neutral(model))
     indices = {str(name): index for index, name in enumerate(model.names) if index > 0}
     for name, position in held.items():
@@ -178,5 +178,5 @@ def _arrays(steps: list[_Step], moving: list[int], tail: FloatArray) -> ChainArr
     )
 
 
-def _homogeneous(placement: pinocchio.SE3) -> FloatArray:
+def homogeneous(placement: pinocchio.SE3) -> FloatArray:
     return np.array(placement.homogeneous)

@@ -134,6 +134,11 @@ class RobotModel:
         return tuple(self._frame_ids)
 
     @property
+    def shapes(self) -> tuple[BodyShape, ...]:
+        """Collision shapes of all links, each in the frame of the joint that moves it."""
+        return self._shapes
+
+    @property
     def links_with_solids(self) -> tuple[str, ...]:
         """Names of the links that have collision shapes, in the order of `solids_in`."""
         return tuple(dict.fromkeys(shape.link for shape in self._shapes))

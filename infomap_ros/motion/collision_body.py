@@ -1,0 +1,218 @@
+"""A robot as spheres on its links, for collision checks; it depends on no map."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion import collision_kernels as kernels
+from infomap_ros.motion.body_shapes import BodyShape
+from infomap_ros.motion.chain import KinematicChain
+from infomap_ros.motion.collision_kernels import BodyArrays
+from infomap_ros.motion.link_pairs import movable_pairs
+from infomap_ros.motion.link_tree import LinkTree
+from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.sphere_cover import cover_by_spheres
+
+_REFINEMENTS = 2
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """How the body is modelled and what counts as in its way.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    tolerance: float = parameter(
+        0.015,
+        "How far the spheres that cover the body may stick out of its collision shapes.",
+        unit="m",
+        low=0.001,
+        high=0.5,
+    )
+    margin: float = parameter(
+        0.01,
+        "Distance that is kept to everything. A motion is checked in steps in which no point of "
+        "the body goes farther than twice this, so that all of it is known to be free.",
+        unit="m",
+        low=0.0005,
+        high=0.5,
+    )
+    unknown_is_free: bool = parameter(False, "The arm may enter space that was never observed.")
+    ground_links: tuple[str, ...] = parameter(
+        ("*_wheel",),
+        "Links (patterns) that stand on the ground: they are not compared with the map, as the "
+        "planner of the base answers for where they stand.",
+    )
+    always_share: float = parameter(
+        0.95,
+        "Links that touch in at least this share of random configurations touch by design and are "
+        "not compared, as links joined by a joint are not.",
+        low=0.5,
+        high=1.0,
+    )
+    samples: int = parameter(500, "Number of random configurations for that.", low=50, high=100000)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionBody:
+    """The spheres of a robot's links and the pairs of links that must not touch.
+
+    Attributes:
+        robot: whose body it is.
+        chain: the joints that move it, ``robot.arm``.
+        config: how it was made.
+        links: names of the links with shapes.
+        tree: kinematics.
+        arrays: for kernels.
+        moving_links: numbers of the links that the arm moves and the map may block.
+        base_links: of those that stand still on the base, without the ground links.
+    """
+
+    robot: RobotModel
+    chain: KinematicChain
+    config: CollisionConfig
+    links: tuple[str, ...]
+    tree: LinkTree
+    arrays: BodyArrays
+    moving_links: NDArray[np.int64]
+    base_links: NDArray[np.int64]
+
+    @classmethod
+    def from_robot(
+        cls,
+        robot: RobotModel,
+        config: CollisionConfig | None = None,
+        joint_positions: Mapping[str, float] | None = None,
+    ) -> CollisionBody:
+        """Cover a robot's links by spheres.
+
+        Links never compared with each other: those that do not move against each other, those
+        joined by a joint, and those that touch in nearly all configurations. Where the spheres of
+        two links nearly always touch, they are made finer before that is believed.
+
+        Args:
+            robot: with a camera frame.
+            config: how.
+            joint_positions: of the joints that are not of the arm [rad or m]; zero where not given.
+
+        Raises:
+            RobotModelError: the robot has no camera frame or its arm moves its own base.
+        """
+        settings = config or CollisionConfig()
+        tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
+        pairs = movable_pairs(robot, tree)
+        qs = _random_configurations(robot.arm, settings.samples)
+        tolerances = np.full(len(links), settings.tolerance)
+        for _ in range(_REFINEMENTS + 1):
+            arrays = _body_arrays(robot, tree, tolerances, pairs)
+            counts = np.zeros(len(pairs), dtype=np.int64)
+            kernels.count_touching(tree.arrays, arrays, qs, counts)
+            always = counts >= settings.always_share * len(qs)
+            if not always.any():
+                break
+            tolerances[np.unique(pairs[always])] *= 0.5
+        arrays = arrays._replace(pairs=np.ascontiguousarray(pairs[~always]))
+        ground = np.array([_is_any(link, settings.ground_links) for link in links], dtype=bool)
+        moves = arrays.bodies > 0
+        return cls(
+            robot, robot.arm, settings, links, tree, arrays,
+            np.flatnonzero(moves & ~ground), np.flatnonzero(~moves & ~ground),
+        )  # fmt: skip
+
+    @property
+    def compared_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Names of the links that are compared with each other."""
+        return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
+
+    def spheres(self, q: FloatArray, T_map_base: FloatArray) -> FloatArray:
+        """Centres in the map and radii of all spheres, shape (S, 4) [m].
+
+        Args:
+            q: positions of the arm, shape (n,).
+            T_map_base: shape (4, 4).
+        """
+        placed = np.empty_like(self.arrays.spheres)
+        base = np.ascontiguousarray(T_map_base[:3])
+        kernels.place_spheres(self.tree.arrays, self.arrays, q, base, placed)
+        return placed
+
+
+def _is_any(link: str, patterns: tuple[str, ...]) -> bool:
+    return any(fnmatch.fnmatchcase(link, pattern) for pattern in patterns)
+
+
+def _random_configurations(chain: KinematicChain, count: int) -> FloatArray:
+    """Within the limits, a joint without limits within a turn; always the same."""
+    low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    return np.random.default_rng(0).uniform(low, high, (count, len(chain)))
+
+
+def _body_arrays(
+    robot: RobotModel, tree: LinkTree, tolerances: FloatArray, pairs: NDArray[np.int64]
+) -> BodyArrays:
+    links = robot.links_with_solids
+    covers = [_link_cover(robot, tree, *item) for item in zip(links, tolerances, strict=True)]
+    bodies = np.array([tree.bodies[_shapes(robot, link)[0].joint] for link in links])
+    balls = np.array([_ball(cover) for cover in covers]).reshape(-1, 4)
+    return BodyArrays(
+        bodies=bodies.astype(np.int64),
+        balls=balls,
+        starts=np.cumsum([0, *(len(cover) for cover in covers)]),
+        spheres=np.concatenate([np.zeros((0, 4)), *covers]),
+        pairs=np.ascontiguousarray(pairs),
+        reach=np.array([_reach(robot, tree, *item) for item in zip(bodies, covers, strict=True)]),
+    )
+
+
+def _shapes(robot: RobotModel, link: str) -> list[BodyShape]:
+    return [shape for shape in robot.shapes if shape.link == link]
+
+
+def _link_cover(robot: RobotModel, tree: LinkTree, link: str, tolerance: float) -> FloatArray:
+    """Spheres of all shapes of a link, in the frame of its body."""
+    covers = []
+    for shape in _shapes(robot, link):
+        cover = cover_by_spheres(shape.solid, tolerance)
+        T_body_solid = tree.placements[shape.joint] @ shape.placement
+        cover[:, :3] = cover[:, :3] @ T_body_solid[:3, :3].T + T_body_solid[:3, 3]
+        covers.append(cover)
+    return np.concatenate(covers)
+
+
+def _ball(cover: FloatArray) -> FloatArray:
+    """A sphere that holds spheres, shape (K, 4): about the middle of their extent."""
+    low, high = (cover[:, :3] - cover[:, 3:]).min(axis=0), (cover[:, :3] + cover[:, 3:]).max(axis=0)
+    middle = 0.5 * (low + high)
+    radius = (np.linalg.norm(cover[:, :3] - middle, axis=1) + cover[:, 3]).max()
+    return np.array([*middle, radius])
+
+
+def _reach(robot: RobotModel, tree: LinkTree, body: int, cover: FloatArray) -> FloatArray:
+    """Bound of the way of any point of a link, per unit of each position, shape (n,)."""
+    chain, arrays = robot.arm, tree.arrays
+    reach = np.zeros(len(chain))
+    off_axis = float((np.linalg.norm(cover[:, :2], axis=1) + cover[:, 3]).max())
+    radius = float((np.linalg.norm(cover[:, :3], axis=1) + cover[:, 3]).max())
+    for number, joint in enumerate(b - 1 for b in tree.bodies_up_from(int(body))):
+        column, scale = int(arrays.columns[joint]), abs(float(arrays.scales[joint]))
+        if arrays.prismatic[joint]:
+            reach[column] += scale
+            ends = np.array([chain.lower[column], chain.upper[column]]) * arrays.scales[joint]
+            radius += float(np.abs(ends + arrays.offsets[joint]).max())
+        else:
+            reach[column] += scale * (radius if number else off_axis)
+        radius += float(np.linalg.norm(arrays.placements[joint][:, 3]))
+    return reach

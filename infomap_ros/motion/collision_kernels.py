@@ -1,0 +1,268 @@
+"""Compiled collision checks of a body of spheres; the public form is `collision.CollisionChecker`.
+
+Poses are the upper three rows of a transform, shape (3, 4). A number >= 0 names what is touched,
+CLEAR is nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.mapping.field_kernels import clearance_bounds, nearest_blocked, sphere_clear
+from infomap_ros.motion.chain_kernels import compose, move
+
+CLEAR = -1
+
+
+class BodyArrays(NamedTuple):
+    """A robot as spheres on links, the links on the bodies of a `link_tree.TreeArrays`.
+
+    Attributes:
+        bodies: body of each link, shape (L,).
+        balls: a sphere that holds all spheres of the link: centre in the body's frame and radius,
+            shape (L, 4) [m].
+        starts: link l has the spheres [starts[l], starts[l + 1]), shape (L + 1,).
+        spheres: centre in the body's frame and radius, shape (S, 4) [m].
+        pairs: links that must not touch each other, shape (P, 2).
+        reach: bound of the way of any point of a link, per unit of each of the arm's positions,
+            shape (L, n) [m/rad or 1].
+    """
+
+    bodies: NDArray[np.int64]
+    balls: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    spheres: NDArray[np.float64]
+    pairs: NDArray[np.int64]
+    reach: NDArray[np.float64]
+
+
+class MotionSpace(NamedTuple):
+    """Where an arm moves: what it is, and what is in its way.
+
+    Attributes:
+        tree: a `link_tree.TreeArrays`.
+        body: a `BodyArrays`.
+        field: a `mapping.field_kernels.FieldArrays`.
+        links: links that are checked against the map, shape (M,).
+        radii: radii of the spheres against the map, at most those of `body`, shape (S,) [m].
+        margin: what the spheres are grown by in every check [m].
+        T_map_base: shape (3, 4).
+    """
+
+    tree: Any
+    body: BodyArrays
+    field: Any
+    links: NDArray[np.int64]
+    radii: NDArray[np.float64]
+    margin: float
+    T_map_base: NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def place_bodies(tree: Any, q: Any, T_map_base: Any, places: Any) -> None:
+    """Place all bodies, `places` shape (B + 1, 3, 4), the base first."""
+    parents, columns, scales, offsets, prismatic, placements = tree
+    places[0] = T_map_base
+    for k in range(len(parents)):
+        compose(places[parents[k]], placements[k], places[k + 1])
+        move(places[k + 1], prismatic[k], scales[k] * q[columns[k]] + offsets[k])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _placed(place: Any, ball: Any) -> tuple[float, float, float]:
+    x, y, z = ball[0], ball[1], ball[2]
+    return (
+        place[0, 0] * x + place[0, 1] * y + place[0, 2] * z + place[0, 3],
+        place[1, 0] * x + place[1, 1] * y + place[1, 2] * z + place[1, 3],
+        place[2, 0] * x + place[2, 1] * y + place[2, 2] * z + place[2, 3],
+    )
+
+
+@njit(cache=True, nogil=True)
+def map_contact(body: Any, field: Any, links: Any, radii: Any, margin: float, places: Any) -> int:
+    """First sphere that touches what is blocked in the map, or CLEAR."""
+    distances, first, size, outside_is_free = field
+    bodies, balls, starts, spheres = body.bodies, body.balls, body.starts, body.spheres
+    for link in links:
+        place, ball = places[bodies[link]], balls[link]
+        x, y, z = _placed(place, ball)
+        low, _ = clearance_bounds(distances, first, size, outside_is_free, x, y, z)
+        if low > ball[3] + margin:
+            continue
+        for s in range(starts[link], starts[link + 1]):
+            x, y, z = _placed(place, spheres[s])
+            radius = radii[s] + margin
+            if not sphere_clear(distances, first, size, outside_is_free, x, y, z, radius):
+                return s
+    return CLEAR
+
+
+@njit(cache=True, nogil=True)
+def _links_touch(body: Any, a: int, b: int, margin: float, places: Any) -> bool:
+    """Whether a sphere of link a touches one of link b, grown by `margin` in total."""
+    bodies, balls, starts, spheres = body.bodies, body.balls, body.starts, body.spheres
+    there = places[bodies[b]]
+    bx, by, bz = _placed(there, balls[b])
+    for s in range(starts[a], starts[a + 1]):
+        x, y, z = _placed(places[bodies[a]], spheres[s])
+        radius = spheres[s, 3] + margin
+        reach = radius + balls[b, 3]
+        if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
+            continue
+        for t in range(starts[b], starts[b + 1]):
+            u, v, w = _placed(there, spheres[t])
+            reach = radius + spheres[t, 3]
+            if (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 <= reach * reach:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def pair_touches(body: Any, pair: int, margin: float, places: Any) -> bool:
+    """Whether the links of a pair touch, each that moves grown by `margin`."""
+    a, b = body.pairs[pair, 0], body.pairs[pair, 1]
+    grown = margin * ((body.bodies[a] > 0) + (body.bodies[b] > 0))
+    ax, ay, az = _placed(places[body.bodies[a]], body.balls[a])
+    bx, by, bz = _placed(places[body.bodies[b]], body.balls[b])
+    reach = body.balls[a, 3] + body.balls[b, 3] + grown
+    if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 > reach * reach:
+        return False
+    return _links_touch(body, a, b, grown, places)
+
+
+@njit(cache=True, nogil=True)
+def self_contact(body: Any, margin: float, places: Any) -> int:
+    """First pair of links that touch each other, or CLEAR."""
+    for pair in range(len(body.pairs)):
+        if pair_touches(body, pair, margin, places):
+            return pair
+    return CLEAR
+
+
+@njit(cache=True, nogil=True)
+def is_free(space: Any, q: Any, places: Any) -> bool:
+    """Whether a configuration touches nothing; `places` is scratch, shape (B + 1, 3, 4)."""
+    place_bodies(space.tree, q, space.T_map_base, places)
+    if self_contact(space.body, space.margin, places) != CLEAR:
+        return False
+    touched = map_contact(space.body, space.field, space.links, space.radii, space.margin, places)
+    return touched == CLEAR
+
+
+@njit(cache=True, nogil=True)
+def steps_between(reach: Any, margin: float, first: Any, second: Any) -> int:
+    """Number of steps in which no point of the body goes farther than twice the margin.
+
+    Every point is then always within the margin of where it was checked.
+    """
+    longest = 0.0
+    for link in range(len(reach)):
+        way = 0.0
+        for j in range(len(first)):
+            way += abs(second[j] - first[j]) * reach[link, j]
+        longest = max(longest, way)
+    return max(1, math.ceil(longest / (2.0 * margin)))
+
+
+@njit(cache=True, nogil=True)
+def first_on_way(space: Any, first: Any, second: Any, places: Any) -> float:
+    """Share of the straight way between two configurations at which something is touched, or -1.
+
+    Checks the ends, then coarse before fine: of a way that is not free, a step near its middle
+    mostly tells.
+    """
+    if not is_free(space, first, places):
+        return 0.0
+    if not is_free(space, second, places):
+        return 1.0
+    steps = steps_between(space.body.reach, space.margin, first, second)
+    q, stride = np.empty(len(first)), 1
+    while stride < steps:
+        stride *= 2
+    while stride > 1:
+        for step in range(stride // 2, steps, stride):
+            share = step / steps
+            for j in range(len(q)):
+                q[j] = first[j] + share * (second[j] - first[j])
+            if not is_free(space, q, places):
+                return share
+        stride //= 2
+    return -1.0
+
+
+@njit(cache=True, nogil=True)
+def all_free(space: Any, qs: Any, T_map_bases: Any, free: Any) -> None:
+    """`is_free` for configurations, shape (N, n), each with its base pose, shape (N, 3, 4)."""
+    places = np.empty((len(space.tree.parents) + 1, 3, 4))
+    for i in range(len(qs)):
+        place_bodies(space.tree, qs[i], T_map_bases[i], places)
+        free[i] = self_contact(space.body, space.margin, places) == CLEAR
+        if free[i]:
+            touched = map_contact(
+                space.body, space.field, space.links, space.radii, space.margin, places
+            )
+            free[i] = touched == CLEAR
+
+
+@njit(cache=True, nogil=True)
+def count_touching(tree: Any, body: Any, qs: Any, counts: Any) -> None:
+    """In how many configurations, shape (N, n), each pair of links touches, shape (P,)."""
+    places = np.empty((len(tree.parents) + 1, 3, 4))
+    base = np.eye(4)[:3]
+    for i in range(len(qs)):
+        place_bodies(tree, qs[i], base, places)
+        for pair in range(len(counts)):
+            counts[pair] += pair_touches(body, pair, 0.0, places)
+
+
+@njit(cache=True, nogil=True)
+def first_contact(space: Any, q: Any) -> tuple[int, int, float, float, float]:
+    """What a configuration touches, for a message.
+
+    Returns:
+        The pair of links that touch, or CLEAR; the sphere that touches the map, or CLEAR; and where
+        that sphere is: x, y, z [m].
+    """
+    places = np.empty((len(space.tree.parents) + 1, 3, 4))
+    place_bodies(space.tree, q, space.T_map_base, places)
+    pair = self_contact(space.body, space.margin, places)
+    sphere = map_contact(space.body, space.field, space.links, space.radii, space.margin, places)
+    x, y, z = 0.0, 0.0, 0.0
+    if sphere != CLEAR:
+        link = np.searchsorted(space.body.starts, sphere, side="right") - 1
+        x, y, z = _placed(places[space.body.bodies[link]], space.body.spheres[sphere])
+    return pair, sphere, x, y, z
+
+
+@njit(cache=True, nogil=True)
+def sphere_clearances(space: Any, q: Any, limits: Any, found: Any) -> None:
+    """Distance of each sphere's centre to what is blocked, at most its limit, shapes (S,) [m]."""
+    distances, first, size, outside_is_free = space.field
+    places = np.empty((len(space.tree.parents) + 1, 3, 4))
+    place_bodies(space.tree, q, space.T_map_base, places)
+    body = space.body
+    for link in range(len(body.bodies)):
+        for s in range(body.starts[link], body.starts[link + 1]):
+            x, y, z = _placed(places[body.bodies[link]], body.spheres[s])
+            low, _ = clearance_bounds(distances, first, size, outside_is_free, x, y, z)
+            found[s] = limits[s]
+            if low < limits[s]:
+                found[s] = nearest_blocked(
+                    distances, first, size, outside_is_free, x, y, z, limits[s]
+                )
+
+
+@njit(cache=True, nogil=True)
+def place_spheres(tree: Any, body: Any, q: Any, T_map_base: Any, placed: Any) -> None:
+    """Centres and radii of all spheres in the map, shape (S, 4)."""
+    places = np.empty((len(tree.parents) + 1, 3, 4))
+    place_bodies(tree, q, T_map_base, places)
+    for link in range(len(body.bodies)):
+        for s in range(body.starts[link], body.starts[link + 1]):
+            x, y, z = _placed(places[body.bodies[link]], body.spheres[s])
+            placed[s, 0], placed[s, 1], placed[s, 2], placed[s, 3] = x, y, z, body.spheres[s, 3]

@@ -1,0 +1,110 @@
+"""Covering solids by spheres: the whole solid is in them, and they stick out by a bounded length.
+
+A sphere about a point at depth d inside the solid may have the radius d + tolerance, as it then
+stays within the solid grown by the tolerance. The solid is cut into cells, small ones near its
+surface and larger ones in its depth, so that the sphere about each cell's own centre would hold the
+cell. Of these spheres, and those of the larger cells that were cut, enough are chosen that each
+cell is wholly in one, greedily the sphere that holds most cells not yet held (set cover); each is
+then shrunk to what it must hold.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PlacedSolid, Solid, Sphere
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.solid_extent import solid_extent
+
+_CELLS = 6000
+_GROWTH = 1.25
+_SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its centre
+_SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
+
+
+def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
+    """Spheres whose union holds a solid.
+
+    Args:
+        solid: a convex body.
+        tolerance: how far the spheres may stick out of the solid [m]. A solid that would need too
+            many cells for this is covered with the least larger tolerance that needs fewer.
+
+    Returns:
+        Centres in the solid's frame and radii, shape (K, 4) [m].
+
+    Raises:
+        InvalidInputError: the tolerance is not positive.
+    """
+    if not tolerance > 0.0:
+        raise InvalidInputError("tolerance", f"is {tolerance}, expected more than 0 m")
+    if isinstance(solid, Sphere):
+        return np.array([[0.0, 0.0, 0.0, solid.radius]])
+    while True:
+        cut = _cut(solid, tolerance)
+        if cut is not None:
+            return _chosen(*cut)
+        tolerance *= _GROWTH
+
+
+def _cut(solid: Solid, tolerance: float) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Cells (centre and half diagonal, shape (N, 4)), and centres (M, 3) and radii (M,) of spheres.
+
+    None where there are too many cells.
+    """
+    low, high = solid_extent(PlacedSolid(solid, np.eye(4)))
+    size = np.maximum(high - low, 1e-3 * tolerance) + _SLACK
+    counts = np.maximum(np.round(size / max(size.min(), tolerance)), 1).astype(int)
+    axes = [a + w * (np.arange(n) + 0.5) / n for a, w, n in zip(low, size, counts, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    edges, cells, candidates, radii = size / counts, [], [], []
+    while len(centres):
+        half = 0.5 * float(np.linalg.norm(edges)) + _SLACK
+        allowed = tolerance - solid.signed_distance(centres)
+        centres, allowed = (
+            centres[allowed >= tolerance - half],
+            allowed[allowed >= tolerance - half],
+        )
+        candidates.append(centres[allowed > 0.0])
+        radii.append(allowed[allowed > 0.0])
+        done = half <= _SHARE * allowed
+        cells.append(np.column_stack([centres[done], np.full(np.count_nonzero(done), half)]))
+        if sum(map(len, cells)) + np.count_nonzero(~done) > _CELLS:
+            return None
+        centres, edges = _halved(centres[~done], edges)
+    return np.concatenate(cells), np.concatenate(candidates), np.concatenate(radii)
+
+
+def _halved(centres: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut boxes in half along their long axes; new centres, shape (N, 3), and edges, (3,)."""
+    long = edges > 0.6 * edges.max()
+    edges = np.where(long, 0.5 * edges, edges)
+    signs = [(-0.5, 0.5) if is_long else (0.0,) for is_long in long]
+    offsets = np.array(list(product(*signs))) * edges
+    return (centres[:, None] + offsets).reshape(-1, 3), edges
+
+
+def _chosen(cells: FloatArray, centres: FloatArray, radii: FloatArray) -> FloatArray:
+    """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,)."""
+    held = np.stack(
+        [np.linalg.norm(centres - cell[:3], axis=1) + cell[3] <= radii + _SLACK for cell in cells]
+    )
+    gains, left, spheres = held.sum(axis=0), np.ones(len(cells), dtype=bool), []
+    while left.any():
+        best = _best(gains, radii)
+        new = left & held[:, best]
+        distances = np.linalg.norm(cells[new, :3] - centres[best], axis=1) + cells[new, 3]
+        spheres.append([*centres[best], float(distances.max())])
+        left &= ~new
+        gains = gains - held[new].sum(axis=0)
+    return np.array(spheres)
+
+
+def _best(gains: NDArray[np.int64], radii: FloatArray) -> int:
+    """The sphere that holds most; of equal ones the smallest."""
+    most = np.flatnonzero(gains == gains.max())
+    return int(most[np.argmin(radii[most])])

@@ -1,0 +1,232 @@
+"""Collision checks against coal's exact shapes and against scenes with known answers."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import coal
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import make_transform
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
+from infomap_ros.motion.collision import CollisionBody, CollisionChecker, CollisionConfig
+from infomap_ros.motion.collision_kernels import is_free
+from infomap_ros.motion.robot_model import RobotModel
+from test.motion.bodies import CoalBody, distance, rover
+
+SIZE = 0.05
+FIRST = np.array((-30, -30, -10))
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return rover()
+
+
+@pytest.fixture(scope="module")
+def body(robot: RobotModel) -> CollisionBody:
+    return CollisionBody.from_robot(robot)
+
+
+@pytest.fixture(scope="module")
+def shapes(robot: RobotModel) -> CoalBody:
+    return CoalBody(robot, find_share("config/rover.urdf").read_text("utf-8"))
+
+
+def nothing() -> DistanceField:
+    return field_of_blocked(np.zeros((60, 60, 50), bool), FIRST, SIZE, outside_is_free=True)
+
+
+def random_arm(robot: RobotModel, rng: np.random.Generator, count: int) -> np.ndarray:
+    return rng.uniform(robot.arm.lower, robot.arm.upper, (count, len(robot.arm)))
+
+
+def test_never_free_where_coal_finds_links_in_contact(
+    robot: RobotModel, body: CollisionBody, shapes: CoalBody, rng: np.random.Generator
+) -> None:
+    """And free wherever coal finds all of them farther apart than the cover can stick out."""
+    checker = CollisionChecker(body, nothing())
+    compared = {frozenset(pair) for pair in body.compared_pairs}
+    qs = random_arm(robot, rng, 400)
+    free = checker.are_free(qs, np.eye(4))
+    far = 2.0 * (body.config.tolerance + body.config.margin) + 0.002
+    closest = np.full(len(qs), np.inf)
+    for n, q in enumerate(qs):
+        placed = shapes.place(robot.arm.by_name(q), np.eye(4))
+        closest[n] = min(
+            distance(a, b)
+            for i, a in enumerate(placed)
+            for b in placed[i + 1 :]
+            if frozenset((a[0], b[0])) in compared
+        )
+    assert not (free & (closest <= 0.0)).any()
+    assert free[closest > far].all()
+    assert (closest <= 0.0).sum() > 50 and (closest > far).sum() > 20
+
+
+def test_only_joined_links_and_those_of_one_body_are_not_compared(body: CollisionBody) -> None:
+    compared = {frozenset(pair) for pair in body.compared_pairs}
+    arm = ["base_link", "arm_turret", "arm_upper", "arm_forearm", "arm_wrist"]
+    for joined in pairwise(arm):
+        assert frozenset(joined) not in compared
+    assert frozenset(("arm_wrist", "stereo_link")) not in compared
+    assert frozenset(("base_link", "front_left_wheel")) not in compared
+    for apart in [
+        ("arm_forearm", "stereo_link"),
+        ("base_link", "arm_upper"),
+        ("stereo_link", "rear_left_wheel"),
+        ("arm_turret", "stereo_link"),
+    ]:
+        assert frozenset(apart) in compared
+
+
+def test_never_free_where_coal_finds_the_body_in_a_blocked_voxel(
+    robot: RobotModel, body: CollisionBody, shapes: CoalBody, rng: np.random.Generator
+) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[tuple(rng.integers(0, (60, 60, 50), (60, 3)).T)] = True
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    cube = coal.Box(SIZE, SIZE, SIZE)
+    cubes = [
+        ("voxel", cube, coal.Transform3s(np.eye(3), place))
+        for place in (np.argwhere(blocked) + FIRST + 0.5) * SIZE
+    ]
+    far = body.config.tolerance + body.config.margin + 0.012
+    seen = [0, 0]
+    for q in random_arm(robot, rng, 150):
+        tilt = Rotation.from_euler("xyz", rng.uniform(-0.4, 0.4, 3)).as_matrix()
+        T_map_base = make_transform(tilt, rng.uniform(-0.3, 0.3, 3))
+        links = [
+            item
+            for item in shapes.place(robot.arm.by_name(q), T_map_base)
+            if "wheel" not in item[0]
+        ]
+        closest = min(distance(a, b) for a in links for b in cubes)
+        report = checker.check(q, T_map_base)
+        touches_map = "with the map" in report.what
+        if closest <= 0.0:
+            assert not report.free
+            seen[0] += 1
+        if closest > far:
+            assert not touches_map
+            seen[1] += 1
+    assert min(seen) > 10
+
+
+def test_report_names_what_touches_what(body: CollisionBody) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[36:] = True  # a wall from x = 0.3 on
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    upright = np.zeros(4)
+    assert checker.check(upright, np.eye(4)).free
+    leaning = checker.check([0.0, 1.2, 0.0, 0.0], np.eye(4))
+    assert leaning.what.startswith("arm_upper with the map at (0.")
+    folded = checker.check([0.0, -1.9, -2.7, 1.5], np.eye(4))
+    assert not folded.free and " with " in folded.what
+
+
+def test_wheels_may_stand_on_the_ground_and_the_arm_may_not(body: CollisionBody) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[:, :, :9] = True  # the ground up to z = -0.05, above the wheels' lowest points
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    assert checker.check(np.zeros(4), np.eye(4)).free
+    low = checker.check([0.0, 1.7, 0.9, 0.0], np.eye(4))
+    assert "with the map" in low.what
+
+
+def test_base_is_compared_with_the_map_only_when_asked_for(body: CollisionBody) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[25, 30, 11] = True  # within base_link
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    assert "base_link with the map" in checker.check(np.zeros(4), np.eye(4)).what
+    assert checker.check(np.zeros(4), np.eye(4), base=False).free
+
+
+def test_unknown_space_blocks_unless_the_configuration_allows_it(robot: RobotModel) -> None:
+    empty = VoxelMap(VoxelMapConfig())
+    assert "with the map" in CollisionChecker(robot, empty).check(np.zeros(4), np.eye(4)).what
+    allowed = CollisionChecker(robot, empty, CollisionConfig(unknown_is_free=True))
+    assert allowed.check(np.zeros(4), np.eye(4)).free
+
+
+def test_batch_agrees_with_single_checks(
+    robot: RobotModel, body: CollisionBody, rng: np.random.Generator
+) -> None:
+    blocked = rng.random((60, 60, 50)) < 0.002
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE))
+    qs = random_arm(robot, rng, 60)
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, :3, 3] = rng.uniform(-0.3, 0.3, (60, 3))
+    single = [checker.check(q, pose).free for q, pose in zip(qs, poses, strict=True)]
+    np.testing.assert_array_equal(checker.are_free(qs, poses), single)
+    assert 0 < sum(single) < 60
+
+
+def test_no_point_of_the_body_moves_farther_than_its_bound(
+    robot: RobotModel, body: CollisionBody, rng: np.random.Generator
+) -> None:
+    starts, arrays = random_arm(robot, rng, 200), body.arrays
+    link_of = np.repeat(np.arange(len(body.links)), np.diff(arrays.starts))
+    for q in starts:
+        step = rng.uniform(-0.05, 0.05, len(q))
+        before, after = body.spheres(q, np.eye(4)), body.spheres(q + step, np.eye(4))
+        moved = np.linalg.norm(after - before, axis=1)
+        bound = (arrays.reach @ np.abs(step))[link_of]
+        assert (moved <= bound + 1e-12).all()
+
+
+def test_way_that_is_called_free_is_free_everywhere(
+    robot: RobotModel, body: CollisionBody, shapes: CoalBody, rng: np.random.Generator
+) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[tuple(rng.integers(0, (60, 60, 50), (40, 3)).T)] = True
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    ends = random_arm(robot, rng, 400)
+    free = 0
+    for first, second in zip(ends[::2], ends[1::2], strict=True):
+        report = checker.first_on_way(first, second, np.eye(4))
+        dense = first + np.linspace(0, 1, 700)[:, None] * (second - first)
+        spheres_free = _free_of_voxels(body, blocked, dense[:: 1 if report.free else 20])
+        if report.free:
+            assert spheres_free.all()
+            free += 1
+    assert free > 10
+
+
+def _free_of_voxels(body: CollisionBody, blocked: np.ndarray, qs: np.ndarray) -> np.ndarray:
+    """Without any margin, and only for the moving links."""
+    field = field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True)
+    link_of = np.repeat(np.arange(len(body.links)), np.diff(body.arrays.starts))
+    moving = np.isin(link_of, body.moving_links)
+    spheres = np.stack([body.spheres(q, np.eye(4))[moving] for q in qs])
+    clear = field.spheres_clear(spheres[..., :3].reshape(-1, 3), spheres[..., 3].ravel())
+    return clear.reshape(len(qs), -1).all(axis=1)
+
+
+def test_robot_beside_a_wall_may_leave_it_and_not_approach(body: CollisionBody) -> None:
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[33:] = True  # from x = 0.15 on: the upright arm at x = 0.1 touches it, by the map
+    checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
+    upright = np.zeros(4)
+    assert not checker.check(upright, np.eye(4), base=False).free
+    radii = checker.departing_radii(upright, np.eye(4))
+    space = checker.space(np.eye(4), radii=radii)
+    places = np.empty((5, 3, 4))
+    assert is_free(space, upright, places)
+    assert is_free(space, np.array([0.0, -0.4, 0.0, 0.0]), places)
+    assert not is_free(space, np.array([0.0, 0.1, 0.0, 0.0]), places)
+
+
+def test_malformed_input_is_named(body: CollisionBody) -> None:
+    checker = CollisionChecker(body, nothing())
+    with pytest.raises(InvalidInputError, match="q"):
+        checker.check(np.zeros(3), np.eye(4))
+    with pytest.raises(InvalidInputError, match="T_map_bases"):
+        checker.are_free(np.zeros((2, 4)), np.zeros((3, 4, 4)))
+    with pytest.raises(ConfigError, match="margin"):
+        CollisionConfig(margin=-1.0)

@@ -147,6 +147,7 @@ def _turn_of_z(axis: FloatArray) -> FloatArray:
 
 
 def held_configuration(model: pinocchio.Model, held: Mapping[str, float]) -> FloatArray:
+    """Pinocchio's configuration with joints as for `chain_between`, shape (nq,)."""
     q = np.asarray(pinocchio.neutral(model))
     indices = {str(name): index for index, name in enumerate(model.names) if index > 0}
     for name, position in held.items():
@@ -179,4 +180,5 @@ def _arrays(steps: list[_Step], moving: list[int], tail: FloatArray) -> ChainArr
 
 
 def homogeneous(placement: pinocchio.SE3) -> FloatArray:
+    """A pose of Pinocchio's as a transform, shape (4, 4)."""
     return np.array(placement.homogeneous)

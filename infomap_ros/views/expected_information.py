@@ -17,13 +17,14 @@ from infomap_ros.mapping.workers import Workers
 from infomap_ros.views.field import (
     EMPTY,
     SOLID,
-    UNKNOWN,
     VisibleField,
     code_probabilities,
+    is_known_code,
     visible_field,
 )
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import voxel_bits
+from infomap_ros.views.predicted_field import with_predictions
 from infomap_ros.views.ray_kernels import view_bits
 from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach
 
@@ -67,7 +68,9 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
     before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
     step = reach / steps
     clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
-    clear[UNKNOWN] = (1.0 - config.unknown_occlusion) ** (1.0 / steps)
+    clear[~is_known_code(config.certain_probability)] *= (1.0 - config.unknown_occlusion) ** (
+        1.0 / steps
+    )
     return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
 
 
@@ -76,7 +79,10 @@ def field_around(
 ) -> VisibleField:
     """The part of a map that can be seen from positions, shape (M, 3) [m], within `max_range`."""
     low, high = positions.min(axis=0) - max_range, positions.max(axis=0) + max_range
-    return visible_field(m, low, high, config.certain_probability)
+    field = visible_field(m, low, high, config.certain_probability)
+    return (
+        with_predictions(field, m, config.certain_probability) if config.predict_unknown else field
+    )
 
 
 def checked_region(region: ArrayLike | None) -> FloatArray:

@@ -26,9 +26,13 @@ from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, 
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
 
 EMPTY, UNKNOWN, SOLID, UNCERTAIN = 0, 1, 2, 3
-"""Codes of voxels; the first of the uncertain ones, which follow each other by evidence."""
+"""Codes of voxels; the first of the uncertain ones, which follow each other by evidence.
+
+After them come those of unknown voxels with a predicted probability, in the same order.
+"""
 
 _TABLE_QUANTA = 64
+_MOST_UNCERTAIN = 62  # so that a code fits in a byte
 _LARGEST = 1 << 27
 
 
@@ -57,14 +61,27 @@ class VisibleField:
 def uncertain_quanta(certain_probability: float) -> int:
     """Largest evidence, for or against, of a voxel that is not certain [quanta]."""
     certain = math.log(1.0 / certain_probability - 1.0) / LOG_ODDS_QUANTUM
-    return min(math.ceil(certain - 1e-9) - 1, _TABLE_QUANTA - 1)
+    return min(math.ceil(certain - 1e-9) - 1, _MOST_UNCERTAIN)
 
 
 def code_probabilities(certain_probability: float) -> FloatArray:
     """Probability of occupancy of each code, shape (n,)."""
     limit = uncertain_quanta(certain_probability)
     evidence = np.arange(-limit, limit + 1) * LOG_ODDS_QUANTUM
-    return np.concatenate([[0.0, 0.5, 1.0], 1.0 / (1.0 + np.exp(-evidence))])
+    uncertain = 1.0 / (1.0 + np.exp(-evidence))
+    return np.concatenate([[0.0, 0.5, 1.0], uncertain, uncertain])
+
+
+def is_known_code(certain_probability: float) -> NDArray[np.bool_]:
+    """Which codes are those of known voxels, shape (n,)."""
+    known = np.ones(UNCERTAIN + 2 * (2 * uncertain_quanta(certain_probability) + 1), np.bool_)
+    known[UNKNOWN], known[predicted_code(certain_probability) :] = False, False
+    return known
+
+
+def predicted_code(certain_probability: float) -> int:
+    """First code of unknown voxels with a predicted probability."""
+    return UNCERTAIN + 2 * uncertain_quanta(certain_probability) + 1
 
 
 def visible_field(

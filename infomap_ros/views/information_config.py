@@ -74,6 +74,13 @@ class InformationConfig:
         high=0.99,
     )
 
+    predict_unknown: bool = parameter(
+        False,
+        "Whether unknown voxels near known ones have the average probability of their neighbours "
+        "instead of 0.5. They then tell less than 1 bit, and hide what is behind them where they "
+        "are more likely occupied than not.",
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
 

@@ -26,6 +26,8 @@ from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig
 from infomap_ros.motion.collision_kernels import CLEAR, MotionSpace
 from infomap_ros.motion.robot_model import RobotModel
 
+_SLACK = 1e-6  # [m]
+
 __all__ = ["CollisionBody", "CollisionChecker", "CollisionConfig", "CollisionReport"]
 
 
@@ -122,47 +124,44 @@ class CollisionChecker:
         )
         return free
 
-    def space(
-        self, T_map_base: ArrayLike, base: bool = False, radii: FloatArray | None = None
-    ) -> MotionSpace:
+    def space(self, T_map_base: ArrayLike, base: bool = False) -> MotionSpace:
         """What the kernels take.
 
         Args:
             T_map_base: shape (4, 4).
             base: compare the links that stand still on the base with the map too.
-            radii: of the spheres against the map, shape (S,); their own where not given.
         """
         body, pose = self.body, check_transform(T_map_base, "T_map_base")
-        links = self._all_links if base else body.moving_links
         return MotionSpace(
             tree=body.tree.arrays,
             body=body.arrays,
             field=self.field.arrays,
-            links=links,
-            radii=self._radii if radii is None else np.ascontiguousarray(radii),
+            links=self._all_links if base else body.moving_links,
+            radii=self._radii,
+            gaps=self._gaps,
             margin=float(body.config.margin),
             T_map_base=np.ascontiguousarray(pose[:3]),
         )
 
-    def departing_radii(self, q: ArrayLike, T_map_base: ArrayLike) -> FloatArray:
-        """Radii, shape (S,) [m], with which a robot that touches the map may still move away.
+    def departure(self, q: ArrayLike, T_map_base: ArrayLike) -> MotionSpace:
+        """The space for a motion that begins in a configuration, which it may leave in any case.
 
-        A robot that stands beside a wall may, by the map, stand in it. The spheres of a link that
-        touches are shrunk until they do not, so that the link comes no nearer to anything than it
-        is now; other links keep their margin.
+        A robot that stands beside a wall may, by the map, stand in it. A link that touches the map,
+        or another link, may come no nearer to anything, or to that link, than it is now; all others
+        keep their margin. Without a contact this is `space`.
 
         Args:
             q: where the arm is, shape (n,).
             T_map_base: where the base is, shape (4, 4).
         """
-        space = self.space(T_map_base)
-        margin, found = self.body.config.margin, np.empty_like(self._radii)
-        kernels.sphere_clearances(
-            space, self.body.chain.check(q), self._radii + 1.001 * margin, found
-        )
-        starts = self.body.arrays.starts
-        depths = np.minimum.reduceat(found - 1.001 * margin - self._radii, starts[:-1])
-        return self._radii + np.repeat(np.minimum(depths, 0.0), np.diff(starts))
+        space, position = self.space(T_map_base), self.body.chain.check(q)
+        kept, starts = 1.001 * space.margin, self.body.arrays.starts
+        found, gaps = np.empty_like(space.radii), np.empty_like(space.gaps)
+        kernels.sphere_clearances(space, position, space.radii + kept, found)
+        depths = np.minimum.reduceat(found - kept - space.radii, starts[:-1])
+        shrunk = space.radii + np.repeat(np.minimum(depths, 0.0), np.diff(starts))
+        kernels.pair_gaps(space, position, space.gaps + _SLACK, gaps)
+        return space._replace(radii=shrunk, gaps=gaps - _SLACK)
 
     def first_on_way(
         self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike
@@ -173,8 +172,7 @@ class CollisionChecker:
             InvalidInputError: malformed positions or pose.
         """
         first, second = (self.body.chain.check(q) for q in (q_start, q_goal))
-        places = np.empty((len(self.body.tree.arrays.parents) + 1, 3, 4))
-        share = kernels.first_on_way(self.space(T_map_base), first, second, places)
+        share = kernels.first_on_way(self.space(T_map_base), first, second, self.body.scratch())
         if share < 0.0:
             return CollisionReport(True)
         return self.check(first + share * (second - first), T_map_base, base=False)
@@ -182,6 +180,12 @@ class CollisionChecker:
     @cached_property
     def _radii(self) -> FloatArray:
         return np.ascontiguousarray(self.body.arrays.spheres[:, 3])
+
+    @cached_property
+    def _gaps(self) -> FloatArray:
+        """Links that stand still do not come nearer between two checks."""
+        moving = (self.body.arrays.bodies > 0)[self.body.arrays.pairs].sum(axis=1)
+        return self.body.config.margin * moving.astype(np.float64)
 
     @cached_property
     def _all_links(self) -> NDArray[np.int64]:

@@ -136,6 +136,10 @@ class CollisionBody:
         """Names of the links that are compared with each other."""
         return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
 
+    def scratch(self) -> FloatArray:
+        """Room for the poses of all bodies, as the kernels need it."""
+        return np.empty((len(self.tree.arrays.parents) + 1, 3, 4))
+
     def spheres(self, q: FloatArray, T_map_base: FloatArray) -> FloatArray:
         """Centres in the map and radii of all spheres, shape (S, 4) [m].
 

@@ -50,7 +50,8 @@ class MotionSpace(NamedTuple):
         field: a `mapping.field_kernels.FieldArrays`.
         links: links that are checked against the map, shape (M,).
         radii: radii of the spheres against the map, at most those of `body`, shape (S,) [m].
-        margin: what the spheres are grown by in every check [m].
+        gaps: distance that the links of each pair keep from each other, shape (P,) [m].
+        margin: what the spheres are grown by against the map [m].
         T_map_base: shape (3, 4).
     """
 
@@ -59,6 +60,7 @@ class MotionSpace(NamedTuple):
     field: Any
     links: NDArray[np.int64]
     radii: NDArray[np.float64]
+    gaps: NDArray[np.float64]
     margin: float
     T_map_base: NDArray[np.float64]
 
@@ -103,43 +105,62 @@ def map_contact(body: Any, field: Any, links: Any, radii: Any, margin: float, pl
 
 
 @njit(cache=True, nogil=True)
-def _links_touch(body: Any, a: int, b: int, margin: float, places: Any) -> bool:
-    """Whether a sphere of link a touches one of link b, grown by `margin` in total."""
-    bodies, balls, starts, spheres = body.bodies, body.balls, body.starts, body.spheres
-    there = places[bodies[b]]
-    bx, by, bz = _placed(there, balls[b])
+def pair_gap(body: Any, pair: int, limit: float, places: Any) -> float:
+    """Least distance of the spheres of two links, negative where they overlap, at most `limit`."""
+    spheres, starts = body.spheres, body.starts
+    a, b = body.pairs[pair, 0], body.pairs[pair, 1]
+    here, there = places[body.bodies[a]], places[body.bodies[b]]
+    ball_a, ball_b = body.balls[a], body.balls[b]
+    bx, by, bz = _placed(there, ball_b)
+    x, y, z = _placed(here, ball_a)
+    reach = ball_a[3] + ball_b[3] + limit
+    if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
+        return limit
+    best = limit
     for s in range(starts[a], starts[a + 1]):
-        x, y, z = _placed(places[bodies[a]], spheres[s])
-        radius = spheres[s, 3] + margin
-        reach = radius + balls[b, 3]
+        x, y, z = _placed(here, spheres[s])
+        reach = spheres[s, 3] + ball_b[3] + best
+        if reach <= 0.0 or (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
+            continue
+        for t in range(starts[b], starts[b + 1]):
+            u, v, w = _placed(there, spheres[t])
+            sizes = spheres[s, 3] + spheres[t, 3]
+            square, reach = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2, sizes + best
+            if reach > 0.0 and square < reach * reach:
+                best = math.sqrt(square) - sizes
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _pair_touches(body: Any, pair: int, gap: float, places: Any) -> bool:
+    """Whether the links of a pair are nearer to each other than `gap`."""
+    spheres, starts = body.spheres, body.starts
+    a, b = body.pairs[pair, 0], body.pairs[pair, 1]
+    here, there = places[body.bodies[a]], places[body.bodies[b]]
+    ball_a, ball_b = body.balls[a], body.balls[b]
+    bx, by, bz = _placed(there, ball_b)
+    x, y, z = _placed(here, ball_a)
+    reach = ball_a[3] + ball_b[3] + gap
+    if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
+        return False
+    for s in range(starts[a], starts[a + 1]):
+        x, y, z = _placed(here, spheres[s])
+        reach = spheres[s, 3] + ball_b[3] + gap
         if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
             continue
         for t in range(starts[b], starts[b + 1]):
             u, v, w = _placed(there, spheres[t])
-            reach = radius + spheres[t, 3]
-            if (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 <= reach * reach:
+            reach = spheres[s, 3] + spheres[t, 3] + gap
+            if reach > 0.0 and (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 <= reach * reach:
                 return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def pair_touches(body: Any, pair: int, margin: float, places: Any) -> bool:
-    """Whether the links of a pair touch, each that moves grown by `margin`."""
-    a, b = body.pairs[pair, 0], body.pairs[pair, 1]
-    grown = margin * ((body.bodies[a] > 0) + (body.bodies[b] > 0))
-    ax, ay, az = _placed(places[body.bodies[a]], body.balls[a])
-    bx, by, bz = _placed(places[body.bodies[b]], body.balls[b])
-    reach = body.balls[a, 3] + body.balls[b, 3] + grown
-    if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 > reach * reach:
-        return False
-    return _links_touch(body, a, b, grown, places)
-
-
-@njit(cache=True, nogil=True)
-def self_contact(body: Any, margin: float, places: Any) -> int:
-    """First pair of links that touch each other, or CLEAR."""
+def self_contact(body: Any, gaps: Any, places: Any) -> int:
+    """First pair of links nearer to each other than its gap, or CLEAR."""
     for pair in range(len(body.pairs)):
-        if pair_touches(body, pair, margin, places):
+        if _pair_touches(body, pair, gaps[pair], places):
             return pair
     return CLEAR
 
@@ -148,7 +169,7 @@ def self_contact(body: Any, margin: float, places: Any) -> int:
 def is_free(space: Any, q: Any, places: Any) -> bool:
     """Whether a configuration touches nothing; `places` is scratch, shape (B + 1, 3, 4)."""
     place_bodies(space.tree, q, space.T_map_base, places)
-    if self_contact(space.body, space.margin, places) != CLEAR:
+    if self_contact(space.body, space.gaps, places) != CLEAR:
         return False
     touched = map_contact(space.body, space.field, space.links, space.radii, space.margin, places)
     return touched == CLEAR
@@ -201,7 +222,7 @@ def all_free(space: Any, qs: Any, T_map_bases: Any, free: Any) -> None:
     places = np.empty((len(space.tree.parents) + 1, 3, 4))
     for i in range(len(qs)):
         place_bodies(space.tree, qs[i], T_map_bases[i], places)
-        free[i] = self_contact(space.body, space.margin, places) == CLEAR
+        free[i] = self_contact(space.body, space.gaps, places) == CLEAR
         if free[i]:
             touched = map_contact(
                 space.body, space.field, space.links, space.radii, space.margin, places
@@ -217,7 +238,7 @@ def count_touching(tree: Any, body: Any, qs: Any, counts: Any) -> None:
     for i in range(len(qs)):
         place_bodies(tree, qs[i], base, places)
         for pair in range(len(counts)):
-            counts[pair] += pair_touches(body, pair, 0.0, places)
+            counts[pair] += _pair_touches(body, pair, 0.0, places)
 
 
 @njit(cache=True, nogil=True)
@@ -230,7 +251,7 @@ def first_contact(space: Any, q: Any) -> tuple[int, int, float, float, float]:
     """
     places = np.empty((len(space.tree.parents) + 1, 3, 4))
     place_bodies(space.tree, q, space.T_map_base, places)
-    pair = self_contact(space.body, space.margin, places)
+    pair = self_contact(space.body, space.gaps, places)
     sphere = map_contact(space.body, space.field, space.links, space.radii, space.margin, places)
     x, y, z = 0.0, 0.0, 0.0
     if sphere != CLEAR:
@@ -255,6 +276,15 @@ def sphere_clearances(space: Any, q: Any, limits: Any, found: Any) -> None:
                 found[s] = nearest_blocked(
                     distances, first, size, outside_is_free, x, y, z, limits[s]
                 )
+
+
+@njit(cache=True, nogil=True)
+def pair_gaps(space: Any, q: Any, limits: Any, found: Any) -> None:
+    """`pair_gap` of all pairs, each with its limit, shapes (P,) [m]."""
+    places = np.empty((len(space.tree.parents) + 1, 3, 4))
+    place_bodies(space.tree, q, space.T_map_base, places)
+    for pair in range(len(found)):
+        found[pair] = pair_gap(space.body, pair, limits[pair], places)
 
 
 @njit(cache=True, nogil=True)

@@ -9,9 +9,10 @@ from scipy.ndimage import distance_transform_edt
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PlacedSolid, Sphere, make_transform
 from infomap_ros.mapping.distance_field import distance_field, field_of_blocked
-from infomap_ros.mapping.window import UNKNOWN_QUANTA, VoxelWindow
+from infomap_ros.mapping.window import UNKNOWN_QUANTA, OccupancyThresholds, VoxelWindow
 
 SIZE = 0.1
+STRICT = OccupancyThresholds(surface_margin=0)
 
 
 def distance_to_cubes(blocked: np.ndarray) -> np.ndarray:
@@ -88,9 +89,11 @@ def test_unknown_counts_as_blocked_unless_told_otherwise() -> None:
     quanta[1, 2, 3] = UNKNOWN_QUANTA
     quanta[3, 3, 3] = 20
     quanta[2, 0, 0] = 0
-    zero = np.argwhere(distance_field(window(quanta)).distances == 0.0)
+    zero = np.argwhere(distance_field(window(quanta), thresholds=STRICT).distances == 0.0)
     np.testing.assert_array_equal(zero, [(1, 2, 3), (2, 0, 0), (3, 3, 3)])
-    zero = np.argwhere(distance_field(window(quanta), unknown_is_free=True).distances == 0.0)
+    zero = np.argwhere(
+        distance_field(window(quanta), thresholds=STRICT, unknown_is_free=True).distances == 0.0
+    )
     np.testing.assert_array_equal(zero, [(2, 0, 0), (3, 3, 3)])
 
 
@@ -103,12 +106,21 @@ def test_known_free_space_clears_what_was_never_seen_and_nothing_else() -> None:
     beyond = PlacedSolid(
         Box((1.0, 0.05, 0.05)), make_transform(np.eye(3), view.centres_of([(0, 0, 7)])[0])
     )
-    free = distance_field(view, known_free=[ball, beyond]).distances > 0.0
+    free = distance_field(view, thresholds=STRICT, known_free=[ball, beyond]).distances > 0.0
     places = np.argwhere(np.ones(free.shape, bool))
     offsets = np.linalg.norm(places - 4, axis=1)
     expected = (offsets < 1.5) & (offsets > 0.0)
     expected |= (places[:, 1] == 0) & (places[:, 2] == 7) & (places[:, 0] <= 5)
     np.testing.assert_array_equal(free[tuple(places.T)], expected)
+
+
+def test_voxels_that_hold_the_robot_are_free_whatever_was_seen_there() -> None:
+    quanta = np.full((5, 5, 5), -20)
+    quanta[2, 2, 2:4] = 20
+    view = window(quanta)
+    own = view.centres_of([(2, 2, 2), (9, 9, 9)]) + 0.04
+    zero = np.argwhere(distance_field(view, thresholds=STRICT, own_points=own).distances == 0.0)
+    np.testing.assert_array_equal(zero, [(2, 2, 3)])
 
 
 def test_malformed_input_is_named() -> None:

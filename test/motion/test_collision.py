@@ -214,12 +214,20 @@ def test_robot_beside_a_wall_may_leave_it_and_not_approach(body: CollisionBody) 
     checker = CollisionChecker(body, field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True))
     upright = np.zeros(4)
     assert not checker.check(upright, np.eye(4), base=False).free
-    radii = checker.departing_radii(upright, np.eye(4))
-    space = checker.space(np.eye(4), radii=radii)
-    places = np.empty((5, 3, 4))
+    space, places = checker.departure(upright, np.eye(4)), body.scratch()
     assert is_free(space, upright, places)
     assert is_free(space, np.array([0.0, -0.4, 0.0, 0.0]), places)
     assert not is_free(space, np.array([0.0, 0.1, 0.0, 0.0]), places)
+
+
+def test_links_that_touch_may_part_and_not_close(body: CollisionBody) -> None:
+    checker = CollisionChecker(body, nothing())
+    folded = np.array([0.0, 0.0, 0.0, 1.2])  # the cameras near the forearm
+    assert checker.check(folded, np.eye(4)).what == "arm_forearm with stereo_link"
+    space, places = checker.departure(folded, np.eye(4)), body.scratch()
+    assert is_free(space, folded, places)
+    assert is_free(space, np.array([0.0, 0.0, 0.0, 1.0]), places)
+    assert not is_free(space, np.array([0.0, 0.0, 0.0, 1.3]), places)
 
 
 def test_malformed_input_is_named(body: CollisionBody) -> None:

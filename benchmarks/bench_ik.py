@@ -187,6 +187,15 @@ def compare(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
         reached = [truth.reached(*item, False) for item in zip(batch.q, targets, strict=True)]
         label = f"solve_ik_batch, threads {threads}"
         result[label] = {"reached": float(np.mean(reached)), "mean_ms": round(spent, 4)}
+    shifted = targets.copy()
+    shifted[:, :3, 3] += 0.3
+    began = time.perf_counter()
+    batch = solve_ik_batch(robot, shifted, q_start=starts)
+    spent = 1e3 * (time.perf_counter() - began) / len(targets)
+    result["solve_ik_batch, 0.5 m beside"] = {
+        "reached": float(np.mean(batch.converged)),
+        "mean_ms": round(spent, 4),
+    }
     for timeout in arguments.timeouts:
         result[f"trac_ik, timeout {1e3 * timeout:g} ms"] = measured(
             tracik(urdf, robot, timeout), truth, targets, starts, per_axis=True

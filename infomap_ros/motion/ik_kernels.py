@@ -19,8 +19,8 @@ from infomap_ros.motion.chain_kernels import fill_jacobian, place_chain
 DAMPING = 0.05  # per squared error; 0.02 to 0.1 are within a few percent of each other in time
 LEAST_DAMPING = 1e-6  # keeps the matrix regular at the goal
 LARGEST_STEP = 1.0  # of a joint in one iteration [rad or m]
-PROGRESS = 0.98  # a squared error below this times the best so far counts as progress
-PATIENCE = 5  # iterations without progress that end a descent
+PROGRESS = 0.9  # a squared error below this times the best so far counts as progress
+PATIENCE = 2  # iterations without progress that end a descent
 REFINED = 1e-6  # squared error, in units of the tolerances, below which refining ends
 
 _TURN = 2.0 * math.pi

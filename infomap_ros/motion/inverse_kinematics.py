@@ -198,4 +198,4 @@ def _starts(chain: KinematicChain, q_start: ArrayLike | None, count: int) -> Flo
     if not np.isfinite(starts).all():
         raise InvalidInputError("q_start", "holds NaN or infinity")
     clipped = np.clip(starts, arm.lower, arm.upper)
-    return np.ascontiguousarray(np.broadcast_to(clipped, (count, n)))
+    return np.array(np.broadcast_to(clipped, (count, n)), order="C")

@@ -11,6 +11,9 @@ from infomap_ros.simulation.trial import TrialModel
 import mujoco  # isort: skip  # after the backend has been chosen
 
 
+_SAME_TOUCH = 1.0  # [s] within which a touch that comes again is the same
+
+
 @dataclass(frozen=True)
 class ContactEvent:
     """A forbidden touch, at its beginning.
@@ -35,7 +38,7 @@ class ContactMonitor:
 
     Wheels and casters may touch the ground, and other things up to the height of a step above
     their lowest point; a wheel that touches a thing higher up has driven against it. Everything
-    else must not be touched, nor links each other. What touches without end counts once.
+    else must not be touched, nor links each other. What touches on and on counts once.
 
     Args:
         model: the compiled world.
@@ -60,12 +63,11 @@ class ContactMonitor:
         radius |= dict.fromkeys((prefix + link for link in casters), np.inf)
         self._radius = np.array([radius.get(name, 0.0) for name in names])[model.geom_bodyid]
         self._ground = model.geom("ground").id
-        self._touching: set[tuple[int, int]] = set()
+        self._last_touch: dict[tuple[int, int], float] = {}
         self.events: list[ContactEvent] = []
 
     def update(self, data: mujoco.MjData) -> None:
         """Look at the present contacts."""
-        touching = set()
         contacts = data.contact
         for index in range(data.ncon):
             first, second = contacts.geom[index]
@@ -77,11 +79,9 @@ class ContactMonitor:
             if depth < 0.0 or self._may_touch(data, first, second, place):
                 continue
             pair = (int(first), int(second))
-            touching.add(pair)
-            if pair not in self._touching:
-                self._touching.add(pair)
+            if data.time - self._last_touch.get(pair, -np.inf) > _SAME_TOUCH:
                 self.events.append(self._event(data, pair, depth, place))
-        self._touching = touching
+            self._last_touch[pair] = data.time
 
     def _may_touch(self, data: mujoco.MjData, first: int, second: int, place: np.ndarray) -> bool:
         radius = self._radius[first]

@@ -25,7 +25,7 @@ _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 class DynamicsConfig:
     """Parameters of the simulation of forces."""
 
-    timestep: float = parameter(0.004, "Step of the integration.", unit="s", low=0.0002, high=0.01)
+    timestep: float = parameter(0.005, "Step of the integration.", unit="s", low=0.0002, high=0.01)
     control_period: float = parameter(
         0.02, "Time between two commands to the servos.", unit="s", low=0.001, high=0.2
     )

@@ -29,7 +29,7 @@ class MarsConfig:
         0.035, "Distance of height field nodes", unit="m", low=0.01, high=0.5
     )
     relief: float = parameter(
-        0.03, "Standard deviation of the floor's relief", unit="m", low=0.0, high=1.0
+        0.025, "Standard deviation of the floor's relief", unit="m", low=0.0, high=1.0
     )
     roughness: float = parameter(
         0.005, "Standard deviation of bumps below 0.4 m", unit="m", low=0.0, high=0.1

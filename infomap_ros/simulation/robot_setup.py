@@ -66,7 +66,7 @@ class RobotSetupConfig:
         0.4, "Damping of the springs as share of the critical.", low=0.0, high=5.0
     )
     wheel_friction: float = parameter(
-        0.9, "Friction coefficient of the wheels on the ground.", low=0.05, high=3.0
+        1.0, "Friction coefficient of the wheels on the ground.", low=0.05, high=3.0
     )
     wheel_effort: float = parameter(
         8.0,

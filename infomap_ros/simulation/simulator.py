@@ -23,7 +23,7 @@ from infomap_ros.simulation.arm_motion import ArmMotion
 from infomap_ros.simulation.base_motion import BaseMotion, BaseMotionConfig
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.contacts import ContactEvent, ContactMonitor
-from infomap_ros.simulation.drive_train import DriveTrain, DriveTrainConfig, planar
+from infomap_ros.simulation.drive_train import DriveTrain, DriveTrainConfig
 from infomap_ros.simulation.dynamics import DynamicsConfig
 from infomap_ros.simulation.eyes import Eyes, StereoPair
 from infomap_ros.simulation.image_sensor import ImageSensorConfig
@@ -35,6 +35,7 @@ from infomap_ros.simulation.wheel_odometry import WheelOdometry, WheelOdometryCo
 
 _STILL_FOR = 0.4  # [s]
 _STILL = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01])  # [m/s, rad/s]
+_LONGEST_SWING = 6.0  # [s] after which it is held as it is, come what may
 _SETTLING = 3.0  # [s] before the first moment
 
 
@@ -106,7 +107,7 @@ class Simulator:
         self._drive = DriveTrain(self._body, config.drive, config.following)
         self._base = BaseMotion(self._drive, config.base, config.following)
         self._period = config.dynamics.steps * config.dynamics.timestep
-        self._ticks, self._still, self._left = 0, 0.0, 0.0
+        self._ticks, self._still, self._idle, self._left = 0, 0.0, 0.0, 0.0
         self._settle()
         self._odometry = WheelOdometry(config.odometry, self._body.base_pose(), odometry)
         self._contacts = ContactMonitor(
@@ -132,7 +133,7 @@ class Simulator:
         if not (np.isfinite(speed) and np.isfinite(turn_rate)):
             raise InvalidInputError("velocity", f"{speed} m/s, {turn_rate} rad/s is not finite")
         self._base.drive(speed, turn_rate)
-        self._still = 0.0
+        self._still = self._idle = 0.0
 
     def follow_base_path(self, poses: ArrayLike, T_odom_path: FloatArray | None = None) -> None:
         """Drive along base poses and stop at the last.
@@ -145,13 +146,15 @@ class Simulator:
         Raises:
             InvalidInputError: wrong shape, no pose, or not finite.
         """
-        path = np.array(poses, dtype=np.float64)
-        if T_odom_path is not None and path.ndim == 2 and path.shape[1] == 3:
-            x, y, yaw = planar(T_odom_path)
-            turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-            path = np.column_stack([path[:, :2] @ turn.T + (x, y), path[:, 2] + yaw])
-        self._base.follow(path)
-        self._still = 0.0
+        self._base.follow(np.array(poses, dtype=np.float64), T_odom_path)
+        self._still = self._idle = 0.0
+
+    def correct_path(self, T_odom_path: FloatArray) -> None:
+        """Tell the robot on its way where localisation now has the frame of its path in odom.
+
+        Without it, a long way ends beside its goal by as much as the odometry has drifted.
+        """
+        self._base.correct(T_odom_path)
 
     def follow_arm_trajectory(
         self, names: Sequence[str], positions: ArrayLike, times: ArrayLike
@@ -163,7 +166,7 @@ class Simulator:
             InvalidInputError: as `ArmMotion.follow`.
         """
         self._arm.follow(names, positions, times)
-        self._still = 0.0
+        self._still = self._idle = 0.0
 
     def stop(self) -> None:
         """Stop base and arm."""
@@ -199,6 +202,7 @@ class Simulator:
         self._contacts.update(body.data)
         at_rest = (np.abs(body.base_velocity) < _STILL).all() and body.joint_speed() < 0.02
         commanded = self._base.active or self._arm.active
+        self._idle = 0.0 if commanded else self._idle + period
         self._still = self._still + period if at_rest and not commanded else 0.0
 
     # What is to be known
@@ -216,7 +220,7 @@ class Simulator:
     @property
     def is_moving(self) -> bool:
         """Whether a command is being carried out or the robot still swings from it."""
-        return self._still < _STILL_FOR
+        return self._still < _STILL_FOR and self._idle < _LONGEST_SWING
 
     @property
     def problem(self) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import invert_transform, make_transform, skew
+from infomap_ros.geometry import make_transform, skew
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.odometry import OdometryEstimate
@@ -30,10 +30,21 @@ class WheelOdometryConfig:
         0.004, "Noise of the way after 1 m, grows with its root.", unit="m", low=0.0, high=1.0
     )
     slip: float = parameter(
-        0.03, "Slip that is to be expected, as share of the way.", low=0.0, high=1.0
+        0.05, "Slip that is to be expected, as share of the way.", low=0.0, high=1.0
+    )
+    side_slip: float = parameter(
+        0.04,
+        "Slip in any direction after 1 m, grows with its root.",
+        unit="m",
+        low=0.0,
+        high=1.0,
     )
     turn_slip: float = parameter(
-        0.01, "Sideways motion to be expected per radian.", unit="m", low=0.0, high=1.0
+        0.05,
+        "Slip in any direction after a turn of 1 rad, grows with its root.",
+        unit="m",
+        low=0.0,
+        high=1.0,
     )
     gyro_scale_error: float = parameter(
         0.005, "Standard deviation of the gyroscope's scale, as share.", low=0.0, high=0.5
@@ -94,9 +105,9 @@ class WheelOdometry:
             duration: since the last reading [s].
         """
         config = self._config
-        motion = invert_transform(self._last) @ T_world_base
+        motion = self._last[:3, :3].T @ T_world_base[:3, :3]
         self._last = T_world_base
-        yaw = float(Rotation.from_matrix(motion[:3, :3]).as_rotvec()[2])
+        yaw = float(np.arctan2(motion[1, 0], motion[0, 0]))
         effort = abs(way) + abs(yaw)
         sigma_way = config.encoder_noise * np.sqrt(abs(way))
         sigma_turn = config.gyro_noise * np.sqrt(effort)
@@ -128,7 +139,8 @@ class WheelOdometry:
         """True roll and pitch under the heading that is believed."""
         truth = T_world_base[:3, :3]
         heading = np.arctan2(truth[1, 0], truth[0, 0])
-        turn = Rotation.from_euler("z", self._heading - heading).as_matrix()
+        cosine, sine = np.cos(self._heading - heading), np.sin(self._heading - heading)
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         return np.asarray(turn @ truth)
 
     def _spread(
@@ -138,8 +150,8 @@ class WheelOdometry:
         forward = np.eye(6)
         forward[:3, 3:] = -skew(step)
         own = np.diag([way**2, 0.0, 0.0])
-        slip = self._config.slip * float(np.linalg.norm(step))
-        own += np.eye(3) * (0.3 * slip**2 + (self._config.turn_slip * yaw) ** 2)
+        slip = self._config.side_slip**2 * float(np.linalg.norm(step))
+        own += np.diag([1.0, 1.0, 0.1]) * (slip + self._config.turn_slip**2 * yaw)
         self._noise = forward @ self._noise @ forward.T
         self._noise[:3, :3] += rotation @ own @ rotation.T
         self._noise[5, 5] += turn**2

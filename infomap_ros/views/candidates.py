@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.transforms import FloatArray, check_transform
+from infomap_ros.geometry.transforms import FloatArray, check_transforms
 from infomap_ros.mapping import FREE
 from infomap_ros.views.orientations import OrientationConfig, choose_orientations, look_rotations
 from infomap_ros.views.situation import Situation
@@ -74,7 +74,8 @@ class Candidates:
     Attributes:
         positions: camera positions that passed, shape (P, 3) [m, map].
         orientations: ``R_map_camera`` per position, shape (P, O, 3, 3).
-        extra: single views that passed besides, shape (E, 4, 4): the previous goal.
+        extra: single views that passed besides, shape (E, 4, 4): those of the arm alone and the
+            previous goal.
         rejected: poses of those that did not pass, shape (R, 4, 4), with a level glance.
         reasons: why not, one per rejected pose.
     """
@@ -101,7 +102,7 @@ def find_candidates(
     rng: np.random.Generator,
     config: CandidateConfig | None = None,
     orientations: OrientationConfig | None = None,
-    extra: Sequence[FloatArray] = (),
+    extra: ArrayLike = (),
 ) -> Candidates:
     """Draw camera positions from the known free space, test them, and look around from each.
 
@@ -113,7 +114,7 @@ def find_candidates(
         rng: draws the positions.
         config: how many, and what is near.
         orientations: how many views per position.
-        extra: single views ``T_map_camera`` to be tested as well.
+        extra: single views ``T_map_camera`` to be tested as well, shape (E, 4, 4).
 
     Returns:
         At least the present position's views unless it is outside region or heights; fewer than
@@ -128,10 +129,11 @@ def find_candidates(
         accepted = np.concatenate([here, accepted])[:wanted]
     else:
         rejected, reasons = np.concatenate([here, rejected]), [*against, *reasons]
-    views = [check_transform(view, "extra view") for view in extra]
-    verdicts = [_tests(situation, surroundings, v[None, :3, 3], settings)[0] for v in views]
-    passed = [view for view, verdict in zip(views, verdicts, strict=True) if not verdict]
-    failed = [(v, verdict) for v, verdict in zip(views, verdicts, strict=True) if verdict]
+    views = check_transforms(
+        np.reshape(np.asarray(extra, dtype=np.float64), (-1, 4, 4)), "extra views"
+    )
+    verdicts = _tests(situation, surroundings, views[:, :3, 3], settings)
+    stands = np.array([not verdict for verdict in verdicts], np.bool_)
     looks = choose_orientations(
         surroundings, situation.camera, situation.max_range, accepted, directions, rng
     )
@@ -139,9 +141,9 @@ def find_candidates(
     return Candidates(
         accepted,
         looks,
-        np.array(passed).reshape(-1, 4, 4),
-        np.concatenate([rejected_poses, np.array([v for v, _ in failed]).reshape(-1, 4, 4)]),
-        (*reasons, *(verdict for _, verdict in failed)),
+        views[stands],
+        np.concatenate([rejected_poses, views[~stands]]),
+        (*reasons, *(verdict for verdict in verdicts if verdict)),
     )
 
 

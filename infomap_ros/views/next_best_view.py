@@ -99,7 +99,7 @@ class NextBestView:
             with watch.stage("candidates"):
                 candidates = self._candidates(situation, surroundings, rng, previous_goal)
             with watch.stage("information"):
-                options = self._appraise(situation, surroundings, candidates, rng)
+                options = self._appraise(situation, surroundings, candidates, rng, previous_goal)
             selected = self._select(options, reachability, known_unreachable, watch)
             if selected.index is not None or surroundings.is_whole:
                 break
@@ -130,7 +130,8 @@ class NextBestView:
         rng: np.random.Generator,
         previous_goal: FloatArray | None,
     ) -> Candidates:
-        extra = () if previous_goal is None else (previous_goal,)
+        goal = np.empty((0, 4, 4)) if previous_goal is None else np.array([previous_goal])
+        extra = np.concatenate([situation.arm_views, goal])
         settings = self.config
         return find_candidates(
             situation, surroundings, rng, settings.candidates, settings.orientations, extra
@@ -142,6 +143,7 @@ class NextBestView:
         surroundings: Surroundings,
         candidates: Candidates,
         rng: np.random.Generator,
+        previous_goal: FloatArray | None,
     ) -> Options:
         """All candidates with the information that is good enough for a first ranking."""
         source = self._information
@@ -161,7 +163,7 @@ class NextBestView:
             full_view,
             source,
             rng,
-            previous=len(candidates.poses) - 1 if len(candidates.extra) else None,
+            previous=_place_of(previous_goal, candidates),
         )
 
     def _explain(
@@ -187,3 +189,11 @@ class NextBestView:
             selected.plan,
             self.strategy_name,
         )
+
+
+def _place_of(goal: FloatArray | None, candidates: Candidates) -> int | None:
+    """Where the previous goal is among all that passed: the last, unless it was ruled out."""
+    if goal is None or not len(candidates.extra):
+        return None
+    is_last = bool(np.array_equal(candidates.extra[-1], goal))
+    return len(candidates.poses) - 1 if is_last else None

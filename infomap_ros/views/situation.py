@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform
-from infomap_ros.geometry.transforms import FloatArray, float_array
+from infomap_ros.geometry.transforms import FloatArray, check_transforms, float_array
 from infomap_ros.mapping import VoxelMap
 
 GroundHeight = Callable[[FloatArray], FloatArray]
@@ -114,6 +114,8 @@ class Situation:
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
             above the ground where `ground_height` is given.
         ground_height: height of the ground at a place.
+        arm_views: ``T_map_camera`` that the arm can take while the base stays, shape (A, 4, 4);
+            candidates besides those that are drawn.
         positions_hint: camera positions to choose from instead of sampling the free space, shape
             (K, 3) [m, map], for example those which an arm reaches from where a base can stand.
 
@@ -134,6 +136,7 @@ class Situation:
     free_body: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
     ground_height: GroundHeight | None = None
+    arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     positions_hint: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -146,6 +149,8 @@ class Situation:
             raise InvalidInputError("heights", f"{self.heights} is not a band")
         past = float_array(self.past_views, "past_views").reshape(-1, 4, 4)
         object.__setattr__(self, "past_views", past)
+        views = check_transforms(self.arm_views, "arm_views")
+        object.__setattr__(self, "arm_views", views)
         if self.positions_hint is not None:
             hint = float_array(self.positions_hint, "positions_hint")
             if hint.ndim != 2 or hint.shape[1] != 3 or not np.isfinite(hint).all():

@@ -39,7 +39,7 @@ class Surroundings:
         has_room: whether the camera's ball is free, in that box.
         reached: whether the camera gets there through connected free space, in that box.
         targets: what is worth looking at.
-        camera: position of the camera in the window, shape (3,).
+        position: of the camera, shape (3,) [m, map].
         is_whole: the box holds all known space of the region; else the horizon has cut it.
     """
 
@@ -49,7 +49,7 @@ class Surroundings:
     has_room: BoolArray
     reached: BoolArray
     targets: Targets
-    camera: IntArray
+    position: FloatArray
     is_whole: bool
     _lengths: NDArray[np.float32]
     _gaps: FloatArray
@@ -81,7 +81,8 @@ class Surroundings:
 
     def reached_near(self, radius: float) -> IntArray:
         """Flat indices in the box of what is reached within `radius` [m] of the camera."""
-        middle, reach = self.camera - self.first, radius / self.voxel_size
+        middle = self.window.positions_of(self.position[None])[0] - self.first
+        reach = radius / self.voxel_size
         low = np.maximum(middle - int(reach), 0)
         high = np.minimum(middle + int(reach) + 1, self.reached.shape)
         places = np.argwhere(self.reached[tuple(map(slice, low, high))]) + low
@@ -98,7 +99,7 @@ class Surroundings:
         lengths = np.full(len(points), np.inf)
         cells = places[inside] // self._edge
         lengths[inside] = self._lengths[tuple(cells.T)] * (self._edge * self.voxel_size)
-        straight = np.linalg.norm(points - self.window.centres_of(self.camera[None]), axis=1)
+        straight = np.linalg.norm(points - self.position, axis=1)
         return np.asarray(np.maximum(lengths - self._edge * self.voxel_size, straight))
 
     def path_lengths_from(self, start: FloatArray, points: FloatArray) -> FloatArray:
@@ -107,7 +108,7 @@ class Surroundings:
         if not inside[0]:
             return np.full(len(points), np.inf)
         lengths = cell_lengths(np.isfinite(self._lengths), place[0] // self._edge)
-        return replace(self, camera=place[0] + self.first, _lengths=lengths).path_lengths(points)
+        return replace(self, position=start, _lengths=lengths).path_lengths(points)
 
     def gaps(self, points: FloatArray) -> FloatArray:
         """Distance from points, (N, 3) [m, map], to what may be looked at, (N,) [m], by cells.

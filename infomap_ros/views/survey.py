@@ -98,7 +98,17 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     targets, gaps = _things_to_see(window, states, situation, edge)
     lengths = _ways(reached, camera - first, edge)
     return Surroundings(
-        window, states, first, has_room, reached, targets, camera, is_whole, lengths, gaps, edge
+        window,
+        states,
+        first,
+        has_room,
+        reached,
+        targets,
+        situation.position,
+        is_whole,
+        lengths,
+        gaps,
+        edge,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,13 +13,12 @@ from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain import Terrain
 from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.drive_kernels import legs_of
 from infomap_ros.motion.drive_reach import DriveReach
 from infomap_ros.motion.drive_sampling import sample_way
 from infomap_ros.motion.drive_space import DriveSpace
 from infomap_ros.motion.standing_ground import standing_pose, with_standing_ground
 from infomap_ros.motion.vehicle import Vehicle
-
-_SAME_PLACE = 1e-6  # [m and rad]
 
 
 class BasePlanner:
@@ -67,21 +67,24 @@ class BasePlanner:
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
         self._stand_at(here)
         places, owners, reasons = self._space.standable_goals(targets)
-        known = self._reach is not None and np.abs(self._reach.start - here).max() < _SAME_PLACE
+        known = self._reach is not None and self._reach.starts_at(here)
         limit = self.config.time_limit if time_limit is None else float(time_limit)
+        way, found = None, None
         if not known:
-            limit = min(limit, self.config.sampling_time)
-            way = self._sampled(here, places, limit)
-            if way is not None:
-                return self._space.finished(way, _owner(way[-1], places, owners), "sampling")
-        reach = self._reached_from(here)
-        found = reach.way_to_any(places)
-        if found is None:
-            return self._approach(reach, targets, reasons)
-        way = self._sampled(here, places[found[1] :][:1], limit) if known else None
-        if way is not None:
-            return self._space.finished(way, int(owners[found[1]]), "sampling")
-        return self._space.finished(self._shorter(found[0]), int(owners[found[1]]), "search")
+            way = self._sampled(here, places, min(limit, self.config.sampling_time))
+        if way is None:
+            found = self._reached_from(here).way_to_any(places)
+            if found is None:
+                return self._approach(targets, reasons)
+            if known:
+                way = self._sampled(here, places[found[1]][None], limit)
+        method = "sampling" if way is not None else "search"
+        if way is None and found is not None:
+            way = self._shorter(found[0])
+        assert way is not None
+        goal = _owner(way[-1], places, owners)
+        way = self._free_arrival(way) if np.isnan(targets[goal, 2]) else way
+        return self._space.finished(way, goal, method)
 
     def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Cells of the terrain in whose middle the base can stand and to which it can drive.
@@ -105,21 +108,29 @@ class BasePlanner:
 
     def _reached_from(self, start: FloatArray) -> DriveReach:
         """All ground that can be reached from a start, remembered for the last one."""
-        if self._reach is None or np.abs(self._reach.start - start).max() > _SAME_PLACE:
+        if self._reach is None or not self._reach.starts_at(start):
             self._reach = DriveReach(self._space, start, self._reach)
         return self._reach
 
     def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
         """A way found by sampling, made shorter, every stance on it asked itself; or None."""
         space, config = self._space, self.config
-        if limit <= 0.0 or not len(goals) or not space.stands(start):
+        if not len(goals) or not space.stands(start):
             return None
-        space.trust(np.concatenate([start[None], goals]))
-        way = sample_way(
-            space.lattice, space.grid, start, goals, config.reverse, config.reach, limit,
-            space.kernel_arguments,
-        )  # fmt: skip
-        return None if way is None else self._checked(space.shortened(way), way)
+        end = time.monotonic() + limit
+        while (left := end - time.monotonic()) > 0.0:
+            space.trust(np.concatenate([start[None], goals]))
+            way = sample_way(
+                space.lattice, space.grid, start, goals, config.reverse, config.reach, left,
+                space.ground,
+            )  # fmt: skip
+            if way is None:
+                return None
+            checked = self._checked(space.shortened(way), way)
+            if checked is not None:
+                return checked
+            space.distrust(way)
+        return None
 
     def _checked(self, *ways: FloatArray) -> FloatArray | None:
         """The first of several ways on which every stance is good."""
@@ -130,13 +141,24 @@ class BasePlanner:
         shorter = self._checked(self._space.shortened(way))
         return way if shorter is None else shorter
 
-    def _approach(self, reach: DriveReach, targets: FloatArray, reasons: list[str]) -> BasePath:
+    def _free_arrival(self, way: FloatArray) -> FloatArray:
+        """A way to a goal of any heading without its last turn, where that may be left out."""
+        if len(way) < 2:
+            return way
+        a, b = way[-2:]
+        first, length, _ = legs_of(*a, *b, self.config.reverse)
+        arrival = way.copy()
+        arrival[-1, 2] = a[2] + first if length > 0.0 else a[2]
+        arrived = self._checked(arrival[-2:])
+        return way if arrived is None else arrival
+
+    def _approach(self, targets: FloatArray, reasons: list[str]) -> BasePath:
         """The farthest safe approach, or no way at all, and why."""
-        nearest = reach.nearest_to(targets)
+        assert self._reach is not None
+        nearest = self._reach.nearest_to(targets)
         if nearest is None:
-            return self._space.nowhere(
-                "the robot cannot leave its place: " + self._why_stuck(reach)
-            )
+            reason = self._why_stuck(self._reach)
+            return self._space.nowhere(f"the robot cannot leave its place: {reason}")
         way, goal, left = nearest
         reason = reasons[goal] or "no way to the goal over ground that is known and safe"
         reason += f"; the farthest safe approach ends {left:.2f} m from it"

@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.motion.drive_kernels import BLOCKED, CLEAR, UNASKED, wrapped
-from infomap_ros.motion.stance import STANDS, stand
+from infomap_ros.motion.drive_kernels import BLOCKED, CLEAR, UNASKED, empty_lattice, wrapped
+from infomap_ros.motion.quick_stance import is_good
 
 MOVES = np.array(
     [
@@ -53,41 +53,45 @@ class DriveGraph(NamedTuple):
     origins: NDArray[np.int32]
 
 
-def empty_graph(shape: tuple[int, int]) -> DriveGraph:
-    """A graph of which nothing was asked yet."""
-    full = (*shape, len(MOVES))
-    nodes, turns, moves = (np.zeros(full, np.uint8) for _ in range(3))
+def empty_graph(easy: NDArray[np.bool_]) -> DriveGraph:
+    """A graph of which nothing was asked yet but the cells that are easy, shape (nx, ny)."""
+    full = (*easy.shape, len(MOVES))
+    nodes, turns, moves = (empty_lattice(easy, len(MOVES)) for _ in range(3))
+    # The half-way pose of a knight's move lies at the edge of the cell half-way towards it.
+    for h, (dx, dy) in enumerate(MOVES):
+        half = np.roll(easy, (-int(dx / 2), -int(dy / 2)), axis=(0, 1))
+        moves[:, :, h] = np.where(half, np.uint8(CLEAR), np.uint8(UNASKED))
     return DriveGraph(nodes, turns, moves, np.full(full, -1, np.int32), np.full(full, -1, np.int32))
 
 
 @njit(cache=True, nogil=True)
 def _asked(
-    table: Any, i: int, j: int, h: int, u: float, v: float, yaw: float, grid: Any, terrain: Any,
-    vehicle: Any, scratch: Any,
+    table: Any, i: int, j: int, h: int, u: float, v: float, yaw: float, grid: Any, ground: Any,
 ) -> bool:  # fmt: skip
     """Remembered answer of a table, or that for the place (u, v) [cells]."""
     if table[i, j, h] == UNASKED:
-        pose, gaps, measures = scratch
         x, y = grid[0] + u * grid[2], grid[1] + v * grid[2]
-        good = stand(terrain, vehicle, x, y, yaw, pose, gaps, measures) == STANDS
+        good = is_good(ground, x, y, yaw)
         table[i, j, h] = CLEAR if good else BLOCKED
     return table[i, j, h] == CLEAR
 
 
 @njit(cache=True, nogil=True)
 def node_is_clear(
-    graph: Any, i: int, j: int, h: int, grid: Any, terrain: Any, vehicle: Any, scratch: Any
+    graph: Any,
+    i: int,
+    j: int,
+    h: int,
+    grid: Any,
+    ground: Any,
 ) -> bool:
     """Whether the robot may stand in the middle of a cell at a heading."""
-    return _asked(
-        graph.nodes, i, j, h, i + 0.5, j + 0.5, HEADINGS[h], grid, terrain, vehicle, scratch
-    )
+    return _asked(graph.nodes, i, j, h, i + 0.5, j + 0.5, HEADINGS[h], grid, ground)
 
 
 @njit(cache=True, nogil=True)
 def _edge_is_clear(
-    graph: Any, i: int, j: int, h: int, edge: int, grid: Any, terrain: Any, vehicle: Any,
-    scratch: Any,
+    graph: Any, i: int, j: int, h: int, edge: int, grid: Any, ground: Any,
 ) -> bool:  # fmt: skip
     """Whether the half-way pose of an edge is good; edges 0, 1 turn left, right; 2, 3 drive."""
     if edge < 2:
@@ -95,19 +99,19 @@ def _edge_is_clear(
         following = HEADINGS[(k + 1) % 16]
         half = 0.5 * ((following - HEADINGS[k]) % (2.0 * math.pi))
         u, v, yaw = i + 0.5, j + 0.5, HEADINGS[k] + half
-        return _asked(graph.turns, i, j, k, u, v, yaw, grid, terrain, vehicle, scratch)
+        return _asked(graph.turns, i, j, k, u, v, yaw, grid, ground)
     dx, dy = MOVES[h, 0], MOVES[h, 1]
     if abs(dx) + abs(dy) < 3:
         return True
     a, b = (i, j) if edge == 2 else (i - dx, j - dy)
     u, v = a + 0.5 + 0.5 * dx, b + 0.5 + 0.5 * dy
-    return _asked(graph.moves, a, b, h, u, v, HEADINGS[h], grid, terrain, vehicle, scratch)
+    return _asked(graph.moves, a, b, h, u, v, HEADINGS[h], grid, ground)
 
 
 @njit(cache=True, nogil=True)
 def flood(
     graph: Any, starts: Any, start_costs: Any, reverse: bool, turn_cost: float, grid: Any,
-    terrain: Any, vehicle: Any, scratch: Any,
+    ground: Any,
 ) -> int:  # fmt: skip
     """Find the best way to every node that can be reached (Dijkstra, Dial's buckets).
 
@@ -118,9 +122,7 @@ def flood(
         reverse: whether driving backwards is allowed.
         turn_cost: of a turn, in cells per radian.
         grid: x, y of the corner of cell (0, 0) and edge of a cell [m, map].
-        terrain: a `TerrainArrays`.
-        vehicle: a `VehicleArrays`.
-        scratch: a `Scratch`.
+        ground: a `Ground`.
 
     Returns:
         Number of nodes reached.
@@ -155,9 +157,9 @@ def flood(
             total = cost + price
             if settled[other] or 0 <= tentative[other] <= total:
                 continue
-            if not node_is_clear(graph, a, b, g, grid, terrain, vehicle, scratch):
+            if not node_is_clear(graph, a, b, g, grid, ground):
                 continue
-            if not _edge_is_clear(graph, i, j, h, edge, grid, terrain, vehicle, scratch):
+            if not _edge_is_clear(graph, i, j, h, edge, grid, ground):
                 continue
             if tentative[other] >= 0:
                 _leave(bucket, following, preceding, tentative[other] % _RING, other)

@@ -7,35 +7,22 @@ answers of `infomap_ros.motion.stance` for the cells' middles.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.stance import MEASURES, STANDS, stand
+from infomap_ros.motion.quick_stance import is_good
 
 UNASKED, CLEAR, BLOCKED = 0, 1, 2
 """States of a cell of the lattice."""
 
 
-class Scratch(NamedTuple):
-    """Working memory of one thread for `stand`."""
-
-    pose: FloatArray
-    gaps: FloatArray
-    measures: FloatArray
-
-
-def scratch_for(wheels: int) -> Scratch:
-    """Working memory for a vehicle of so many wheels."""
-    return Scratch(np.eye(4), np.empty(wheels), np.empty(MEASURES))
-
-
-def empty_lattice(shape: tuple[int, int], headings: int) -> NDArray[np.uint8]:
-    """A lattice of which nothing was asked yet."""
-    return np.zeros((*shape, headings), np.uint8)
+def empty_lattice(easy: NDArray[np.bool_], headings: int) -> NDArray[np.uint8]:
+    """A lattice of which no cell was asked yet but those that are easy, shape (nx, ny)."""
+    states = np.where(easy, np.uint8(CLEAR), np.uint8(UNASKED))
+    return np.repeat(states[:, :, None], headings, axis=2)
 
 
 @njit(cache=True, nogil=True)
@@ -114,22 +101,21 @@ def known_drive(lattice: Any, grid: Any, a: Any, b: Any, reverse: bool) -> int:
 
 @njit(cache=True, nogil=True)
 def ask_cell(
-    lattice: Any, grid: Any, i: int, j: int, k: int, terrain: Any, vehicle: Any, scratch: Any
-) -> int:
+    lattice: Any, grid: Any, i: int, j: int, k: int, ground: Any,
+) -> int:  # fmt: skip
     """State of a cell, found now if need be."""
     if lattice[i, j, k] == UNASKED:
         x, y = grid[0] + (i + 0.5) * grid[2], grid[1] + (j + 0.5) * grid[2]
         yaw = 2.0 * math.pi * k / lattice.shape[2]
-        pose, gaps, measures = scratch
-        outcome = stand(terrain, vehicle, x, y, yaw, pose, gaps, measures)
-        lattice[i, j, k] = CLEAR if outcome == STANDS else BLOCKED
+        good = is_good(ground, x, y, yaw)
+        lattice[i, j, k] = CLEAR if good else BLOCKED
     return int(lattice[i, j, k])
 
 
 @njit(cache=True, nogil=True)
 def ask_drive(
-    lattice: Any, grid: Any, a: Any, b: Any, reverse: bool, terrain: Any, vehicle: Any, scratch: Any
-) -> int:
+    lattice: Any, grid: Any, a: Any, b: Any, reverse: bool, ground: Any,
+) -> int:  # fmt: skip
     """As `known_drive`, with cells asked where need be."""
     angle = 2.0 * math.pi / lattice.shape[2]
     legs = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
@@ -137,29 +123,26 @@ def ask_drive(
     for step in range(counts[0] + counts[1] + counts[2] + 1):
         x, y, yaw = pose_at(a, b, legs, counts, step)
         i, j, k = cell_of(lattice.shape, grid, x, y, yaw)
-        if i < 0 or ask_cell(lattice, grid, i, j, k, terrain, vehicle, scratch) != CLEAR:
+        if i < 0 or ask_cell(lattice, grid, i, j, k, ground) != CLEAR:
             return BLOCKED
     return CLEAR
 
 
 @njit(cache=True, nogil=True)
-def first_fault(
-    places: Any, reverse: bool, spacing: float, angle: float, terrain: Any, vehicle: Any,
-    scratch: Any, fault: Any,
-) -> int:  # fmt: skip
+def drives_well(
+    places: Any, reverse: bool, spacing: float, angle: float, ground: Any, fault: Any,
+) -> bool:  # fmt: skip
     """Drive through places, shape (K, 3), and ask every stance on the way itself.
 
     Returns:
-        STANDS, or the outcome of the first stance that is not good, which `fault` then holds.
+        Whether all are good; if not, `fault` holds the place of the first that is not.
     """
-    pose, gaps, measures = scratch
     for n in range(max(len(places) - 1, 1)):
         a, b = places[n], places[min(n + 1, len(places) - 1)]
         legs = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
         counts = counts_of(legs[0], legs[1], legs[2], spacing, angle)
         for step in range(counts[0] + counts[1] + counts[2] + 1):
             fault[0], fault[1], fault[2] = pose_at(a, b, legs, counts, step)
-            outcome = stand(terrain, vehicle, fault[0], fault[1], fault[2], pose, gaps, measures)
-            if outcome != STANDS:
-                return outcome
-    return STANDS
+            if not is_good(ground, fault[0], fault[1], fault[2]):
+                return False
+    return True

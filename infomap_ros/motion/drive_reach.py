@@ -11,6 +11,7 @@ from infomap_ros.motion.drive_graph import HEADINGS, DriveGraph
 from infomap_ros.motion.drive_space import DriveSpace
 
 _ATTACH = 1  # cells around a place by which it joins the graph
+_SAME_PLACE = 1e-6  # [m and rad]
 _MOST_UNITS = 63  # of cost at which ways begin
 
 NodeArray = NDArray[np.int64]
@@ -30,8 +31,9 @@ class DriveReach:
         self, space: DriveSpace, start: FloatArray, asked: DriveReach | None = None
     ) -> None:
         self._space, self.start = space, start.copy()
-        shape = space.terrain.heights.shape
-        self._graph: DriveGraph = drive_graph.empty_graph(shape) if asked is None else asked._graph
+        self._graph: DriveGraph = (
+            drive_graph.empty_graph(space.easy) if asked is None else asked._graph
+        )
         nodes = self._joins(start, True)
         if not len(nodes) and not space.stands(start):
             nodes = self._escapes(start)
@@ -40,8 +42,12 @@ class DriveReach:
         config = space.config
         self.nodes_reached = drive_graph.flood(
             self._graph, nodes, costs, config.reverse, config.turn_cost / space.grid[2],
-            space.grid, *space.kernel_arguments,
+            space.grid, space.ground,
         )  # fmt: skip
+
+    def starts_at(self, start: FloatArray) -> bool:
+        """Whether this is what can be reached from there."""
+        return bool(np.abs(self.start - start).max() < _SAME_PLACE)
 
     def cells(self) -> NDArray[np.bool_]:
         """Cells that are reached in any heading, shape (nx, ny)."""

@@ -15,8 +15,10 @@ from ompl import util
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.drive_kernels import CLEAR, UNASKED, ask_drive, known_drive
+from infomap_ros.motion.quick_stance import Ground
 
 util.setLogLevel(util.LOG_ERROR)
+util.RNG.setSeed(1)  # of all planners of this process, so that runs repeat
 
 
 class DriveValidator(ob.MotionValidator):  # type: ignore[misc]
@@ -27,7 +29,7 @@ class DriveValidator(ob.MotionValidator):  # type: ignore[misc]
         lattice: of cells, as in `drive_kernels`.
         grid: corner and edge of its cells, shape (3,) [m, map].
         reverse: whether driving backwards is allowed.
-        kernel_arguments: terrain, vehicle and scratch for cells not asked yet.
+        ground: a `Ground`, for cells not asked yet.
     """
 
     def __init__(
@@ -36,11 +38,11 @@ class DriveValidator(ob.MotionValidator):  # type: ignore[misc]
         lattice: NDArray[np.uint8],
         grid: FloatArray,
         reverse: bool,
-        kernel_arguments: tuple[Any, ...],
+        ground: Ground,
     ) -> None:
         super().__init__(information)
         self._lattice, self._grid, self._reverse = lattice, grid, reverse
-        self._arguments = kernel_arguments
+        self._ground = ground
 
     def checkMotion(self, first: Any, last: Any) -> bool:
         """Whether the way from one state to another is good."""
@@ -48,7 +50,7 @@ class DriveValidator(ob.MotionValidator):  # type: ignore[misc]
         b = (last.getX(), last.getY(), last.getYaw())
         state = known_drive(self._lattice, self._grid, a, b, self._reverse)
         if state == UNASKED:
-            state = ask_drive(self._lattice, self._grid, a, b, self._reverse, *self._arguments)
+            state = ask_drive(self._lattice, self._grid, a, b, self._reverse, self._ground)
         return bool(state == CLEAR)
 
 
@@ -60,7 +62,7 @@ def sample_way(
     reverse: bool,
     reach: float,
     time_limit: float,
-    kernel_arguments: tuple[Any, ...],
+    ground: Ground,
 ) -> FloatArray | None:
     """Find some way with RRT-Connect (Kuffner and LaValle 2000).
 
@@ -74,7 +76,7 @@ def sample_way(
         reverse: whether driving backwards is allowed.
         reach: longest motion by which a tree grows [m].
         time_limit: [s].
-        kernel_arguments: terrain, vehicle and scratch for cells not asked yet.
+        ground: a `Ground`, for cells not asked yet.
 
     Returns:
         Places from the start to one of the goals, shape (K, 3), or None.
@@ -87,7 +89,7 @@ def sample_way(
     space.setBounds(bounds)
     information = ob.SpaceInformation(space)
     information.setStateValidityChecker(ob.AllValidStateValidityChecker(information))
-    validator = DriveValidator(information, lattice, grid, reverse, kernel_arguments)
+    validator = DriveValidator(information, lattice, grid, reverse, ground)
     information.setMotionValidator(validator)
     information.setup()
     problem = ob.ProblemDefinition(information)

@@ -20,15 +20,19 @@ def drive_cost(a: Any, b: Any, reverse: bool, turn_cost: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _is_clear(
-    a: Any, b: Any, lattice: Any, grid: Any, reverse: bool, terrain: Any, vehicle: Any, scratch: Any
+    a: Any,
+    b: Any,
+    lattice: Any,
+    grid: Any,
+    reverse: bool,
+    ground: Any,
 ) -> bool:
-    return ask_drive(lattice, grid, a, b, reverse, terrain, vehicle, scratch) == CLEAR
+    return ask_drive(lattice, grid, a, b, reverse, ground) == CLEAR
 
 
 @njit(cache=True, nogil=True)
 def best_subset(
-    places: Any, lattice: Any, grid: Any, reverse: bool, turn_cost: float, terrain: Any,
-    vehicle: Any, scratch: Any,
+    places: Any, lattice: Any, grid: Any, reverse: bool, turn_cost: float, ground: Any,
 ) -> Any:  # fmt: skip
     """The cheapest way from first to last place through some of them, in order.
 
@@ -41,9 +45,7 @@ def best_subset(
         grid: corner and edge of its cells.
         reverse: whether driving backwards is allowed.
         turn_cost: [m/rad].
-        terrain: a `TerrainArrays`.
-        vehicle: a `VehicleArrays`.
-        scratch: a `Scratch`.
+        ground: a `Ground`.
 
     Returns:
         Indices of the places kept, increasing.
@@ -57,7 +59,7 @@ def best_subset(
             if total >= cost[n] - 1e-9:
                 continue
             a, b, known = places[m], places[n], m == n - 1
-            if known or _is_clear(a, b, lattice, grid, reverse, terrain, vehicle, scratch):
+            if known or _is_clear(a, b, lattice, grid, reverse, ground):
                 cost[n], origin[n] = total, m
     kept = np.empty(count, np.int64)
     found, n = 0, count - 1
@@ -71,7 +73,11 @@ def best_subset(
 
 @njit(cache=True, nogil=True)
 def straighten_headings(
-    places: Any, lattice: Any, grid: Any, reverse: bool, terrain: Any, vehicle: Any, scratch: Any
+    places: Any,
+    lattice: Any,
+    grid: Any,
+    reverse: bool,
+    ground: Any,
 ) -> None:
     """Let the robot keep, at places on the way, the heading in which it arrives, where it may."""
     trial = np.empty(3)
@@ -81,8 +87,8 @@ def straighten_headings(
         if length == 0.0:
             continue
         trial[0], trial[1], trial[2] = b[0], b[1], a[2] + first
-        if _is_clear(a, trial, lattice, grid, reverse, terrain, vehicle, scratch) and _is_clear(
-            trial, c, lattice, grid, reverse, terrain, vehicle, scratch
+        if _is_clear(a, trial, lattice, grid, reverse, ground) and _is_clear(
+            trial, c, lattice, grid, reverse, ground
         ):
             places[n, 2] = trial[2]
 

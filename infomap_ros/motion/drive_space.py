@@ -10,7 +10,8 @@ from infomap_ros.mapping.terrain import Terrain
 from infomap_ros.motion import drive_kernels, drive_shortcut
 from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
 from infomap_ros.motion.drive_graph import HEADINGS
-from infomap_ros.motion.stance import STANDS
+from infomap_ros.motion.easy_ground import easy_cells
+from infomap_ros.motion.quick_stance import ground_of
 from infomap_ros.motion.vehicle import Vehicle, terrain_arrays
 
 _SHORTEN_PASSES = 2
@@ -29,22 +30,23 @@ class DriveSpace:
     def __init__(self, terrain: Terrain, vehicle: Vehicle, config: BasePlannerConfig) -> None:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
         self.grid = np.array([*terrain.origin, terrain.resolution])
-        self.lattice = drive_kernels.empty_lattice(terrain.heights.shape, config.headings)
-        scratch = drive_kernels.scratch_for(len(vehicle.arrays.centres))
-        self.kernel_arguments = (terrain_arrays(terrain), vehicle.arrays, scratch)
+        arrays = terrain_arrays(terrain, vehicle.config)
+        self.easy = easy_cells(arrays, vehicle.arrays)
+        self.lattice = drive_kernels.empty_lattice(self.easy, config.headings)
+        self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
 
     def stands(self, place: FloatArray) -> bool:
         """Whether the robot may stand at x, y, yaw."""
         return self.fault_on(place[None]) is None
 
-    def fault_on(self, places: FloatArray) -> tuple[int, FloatArray] | None:
-        """Outcome and place of the first stance on a way that is not good; None if all are."""
+    def fault_on(self, places: FloatArray) -> FloatArray | None:
+        """Place of the first stance on a way that is not good, shape (3,); None if all are."""
         fault = np.empty(3)
         spacing, angle = self.grid[2], 2.0 * np.pi / self.config.headings
-        outcome = drive_kernels.first_fault(
-            places, self.config.reverse, spacing, angle, *self.kernel_arguments, fault
+        good = drive_kernels.drives_well(
+            places, self.config.reverse, spacing, angle, self.ground, fault
         )
-        return None if outcome == STANDS else (int(outcome), fault)
+        return None if good else fault
 
     def trust(self, places: FloatArray) -> None:
         """Take the cells of places that are good themselves for good, whatever their middles."""
@@ -52,6 +54,14 @@ class DriveSpace:
             i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, x, y, yaw)
             if i >= 0:
                 self.lattice[i, j, k] = drive_kernels.CLEAR
+
+    def distrust(self, way: FloatArray) -> None:
+        """Take the cells of the first stance on a way that is not good for not good."""
+        fault = self.fault_on(way)
+        if fault is not None:
+            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, *fault)
+            if i >= 0:
+                self.lattice[i, j, k] = drive_kernels.BLOCKED
 
     def standable_goals(self, goals: FloatArray) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
         """Goals at which the robot may stand, NaN headings replaced by each heading that is good.
@@ -83,11 +93,9 @@ class DriveSpace:
         common = (self.lattice, self.grid, config.reverse)
         for _ in range(_SHORTEN_PASSES):
             way = drive_shortcut.points_along(way, config.reverse, _SHORTEN_SPACING, np.pi)
-            kept = drive_shortcut.best_subset(
-                way, *common, config.turn_cost, *self.kernel_arguments
-            )
+            kept = drive_shortcut.best_subset(way, *common, config.turn_cost, self.ground)
             way = np.ascontiguousarray(way[kept])
-            drive_shortcut.straighten_headings(way, *common, *self.kernel_arguments)
+            drive_shortcut.straighten_headings(way, *common, self.ground)
         return way
 
     def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_SETTLING_STEPS = 3
+_SETTLING_STEPS = 3  # the last with all points of the treads, those before with the lowest
 
 
 @njit(cache=True, nogil=True)
@@ -58,13 +58,13 @@ def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
     slope_x, slope_y, pose[2, 3] = 0.0, 0.0, 0.0
     tilt_to(pose, yaw, 0.0, 0.0)
     across = np.empty((wheels, 2))
-    for _ in range(_SETTLING_STEPS):
+    for step in range(_SETTLING_STEPS):
         r00, r01, r02, x = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
         r10, r11, r12, y = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
         r20, r21, r22, z = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
         for w in range(wheels):
             highest = -math.inf
-            for n in range(samples):
+            for n in range(samples if step == _SETTLING_STEPS - 1 else 1):
                 a, b, c = contacts[w, n, 0], contacts[w, n, 1], contacts[w, n, 2]
                 u = (x + r00 * a + r01 * b + r02 * c - x0) * inverse
                 v = (y + r10 * a + r11 * b + r12 * c - y0) * inverse

@@ -24,7 +24,11 @@ or body column that the outcome is about. NaN = not reached before the stance wa
 
 
 class TerrainArrays(NamedTuple):
-    """A `Terrain` as the kernels take it; grids float32, shape (nx, ny) [m, map]."""
+    """A `Terrain` as the kernels take it; grids float32, shape (nx, ny) [m, map].
+
+    Besides its own: `bottom`, the heights with inf where unknown; and `top`, below which a column
+    is free for this vehicle.
+    """
 
     heights: NDArray[np.float32]
     roughness: NDArray[np.float32]
@@ -32,6 +36,8 @@ class TerrainArrays(NamedTuple):
     floor: NDArray[np.float32]
     overhead: NDArray[np.float32]
     seen: NDArray[np.float32]
+    bottom: NDArray[np.float32]
+    top: NDArray[np.float32]
     x: float
     y: float
     resolution: float
@@ -47,6 +53,7 @@ class VehicleArrays(NamedTuple):
         needs_ground: columns between the wheels, shape (B,).
         support: corners of the support polygon, counter-clockwise from above, shape (E, 3).
         centre_of_mass: shape (3,).
+        reach: radius about the base that holds it all [m].
         limits: suspension travel [m], slope [rad], step [m], roughness [m], tip margin [rad], and
             whether unseen space is free (0 or 1), shape (6,).
     """
@@ -57,6 +64,7 @@ class VehicleArrays(NamedTuple):
     needs_ground: NDArray[np.bool_]
     support: FloatArray
     centre_of_mass: FloatArray
+    reach: float
     limits: FloatArray
 
 
@@ -92,6 +100,14 @@ def tip_margin(pose: Any, support: Any, centre_of_mass: Any) -> float:
 
 
 @njit(cache=True, nogil=True)
+def is_within(terrain: Any, x: float, y: float, reach: float) -> bool:
+    """Whether all within a distance of a place lies on the grid."""
+    nx, ny = terrain.heights.shape
+    u, v, cells = x - terrain.x, y - terrain.y, terrain.resolution
+    return reach <= u < nx * cells - reach and reach <= v < ny * cells - reach
+
+
+@njit(cache=True, nogil=True)
 def _under_wheels(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> None:
     """Largest step and roughness under the wheels."""
     inverse = 1.0 / terrain.resolution
@@ -113,48 +129,52 @@ def _under_wheels(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> None:
 @njit(cache=True, nogil=True)
 def _body_clear(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> int:
     """Compare the body's columns with the ground below and with what is above."""
-    heights, floor = terrain.heights, terrain.floor
-    overhead, seen = terrain.overhead, terrain.seen
-    columns, needs_ground = vehicle.columns, vehicle.needs_ground
-    inverse, x0, y0 = 1.0 / terrain.resolution, terrain.x, terrain.y
-    nx, ny = heights.shape
-    unseen_is_free = vehicle.limits[5] > 0.0
+    bottom, top, columns = terrain.bottom, terrain.top, vehicle.columns
+    inverse = 1.0 / terrain.resolution
+    r00, r01, r02 = pose[0, 0] * inverse, pose[0, 1] * inverse, pose[0, 2] * inverse
+    r10, r11, r12 = pose[1, 0] * inverse, pose[1, 1] * inverse, pose[1, 2] * inverse
+    r20, r21, r22, z = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
+    x, y = (pose[0, 3] - terrain.x) * inverse, (pose[1, 3] - terrain.y) * inverse
     clearance = math.inf
     for n in range(len(columns)):
         a, b, low, high = columns[n, 0], columns[n, 1], columns[n, 2], columns[n, 3]
-        measures[CULPRIT] = n
-        u = (pose[0, 3] + pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * low - x0) * inverse
-        v = (pose[1, 3] + pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * low - y0) * inverse
-        if not (0.0 <= u < nx and 0.0 <= v < ny):
-            return OUTSIDE
-        i, j = int(u), int(v)
-        ground = heights[i, j]
-        if math.isnan(ground):
-            ground = floor[i, j]
-            if ground == math.inf and overhead[i, j] < math.inf:
-                return TOUCHES_OBSTACLE
-            if needs_ground[n]:
-                return UNKNOWN_BODY
-            if ground == math.inf and unseen_is_free:
-                continue
-            if ground == math.inf:
-                return UNSEEN
-        level = pose[2, 3] + pose[2, 0] * a + pose[2, 1] * b
-        clearance = min(clearance, level + pose[2, 2] * low - ground)
-        if clearance <= 0.0:
-            measures[CLEARANCE] = clearance
-            return TOUCHES_GROUND
-        u += (pose[0, 2] * (high - low)) * inverse
-        v += (pose[1, 2] * (high - low)) * inverse
-        if not (0.0 <= u < nx and 0.0 <= v < ny):
-            return OUTSIDE
-        i, j, ceiling = int(u), int(v), level + pose[2, 2] * high
-        if ceiling > overhead[i, j]:
-            return TOUCHES_OBSTACLE
-        if ceiling > seen[i, j] and not unseen_is_free:
-            return UNSEEN
+        u, v, level = x + r00 * a + r01 * b, y + r10 * a + r11 * b, z + r20 * a + r21 * b
+        i, j = int(u + r02 * low), int(v + r12 * low)
+        k, m = int(u + r02 * high), int(v + r12 * high)
+        above = level + r22 * low - bottom[i, j]
+        below = top[k, m] - (level + r22 * high)
+        if above <= 0.0 or below < 0.0:
+            measures[CULPRIT], measures[CLEARANCE] = n, above
+            outcome = _column_outcome(terrain, vehicle, n, i, j, k, m, level, r22)
+            if outcome != STANDS:
+                return outcome
+        elif above < clearance:
+            clearance = above
     measures[CLEARANCE] = clearance
     return STANDS
+
+
+@njit(cache=True, nogil=True)
+def _column_outcome(
+    terrain: Any, vehicle: Any, n: int, i: int, j: int, k: int, m: int, level: float, r22: float
+) -> int:
+    """Outcome of one column of the body with its lower end over cell i, j, its upper over k, m."""
+    unseen_is_free = vehicle.limits[5] > 0.0
+    low, high = level + r22 * vehicle.columns[n, 2], level + r22 * vehicle.columns[n, 3]
+    ground = terrain.heights[i, j]
+    if math.isnan(ground):
+        ground = terrain.floor[i, j]
+        if ground == math.inf and terrain.overhead[i, j] < math.inf:
+            return TOUCHES_OBSTACLE
+        if vehicle.needs_ground[n]:
+            return UNKNOWN_BODY
+        if ground == math.inf:
+            return STANDS if unseen_is_free else UNSEEN
+    if low <= ground:
+        return TOUCHES_GROUND
+    if high > terrain.overhead[k, m]:
+        return TOUCHES_OBSTACLE
+    return UNSEEN if high > terrain.seen[k, m] and not unseen_is_free else STANDS
 
 
 @njit(cache=True, nogil=True)
@@ -175,10 +195,18 @@ def stand(
     """
     measures[:] = math.nan
     pose[0, 3], pose[1, 3] = x, y
+    if not is_within(terrain, x, y, vehicle.reach):
+        return OUTSIDE
     wheel = settle(terrain, vehicle, yaw, pose, gaps)
     if wheel >= 0:
         measures[CULPRIT] = wheel
         return UNKNOWN_WHEEL
+    return judge(terrain, vehicle, pose, gaps, measures)
+
+
+@njit(cache=True, nogil=True)
+def judge(terrain: Any, vehicle: Any, pose: Any, gaps: Any, measures: Any) -> int:
+    """Outcome of a stance that is settled and lies within the grid; see `stand`."""
     limits = vehicle.limits
     worst = 0
     for w in range(len(gaps)):

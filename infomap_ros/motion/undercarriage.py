@@ -120,4 +120,4 @@ def _tread(radius: float, half_width: float) -> FloatArray:
     across = np.linspace(-1.0, 1.0, max(1, int(np.ceil(2.0 * half_width / _SAMPLE_SPACING))) + 1)
     x, y = (grid.ravel() for grid in np.meshgrid(along * radius, across * half_width))
     points = np.column_stack([x, y, -np.sqrt(radius**2 - x**2)])
-    return points[np.argsort(points[:, 2], kind="stable")]
+    return points[np.lexsort((np.abs(y), points[:, 2]))]

@@ -128,6 +128,7 @@ class Vehicle:
             _inside_polygon(columns[:, :2], carriage.outline),
             carriage.support,
             centre,
+            _reach(columns, carriage),
             settings.limits,
         )
         return cls(robot, settings, joints, carriage, mass, arrays)
@@ -184,19 +185,25 @@ class Vehicle:
         poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
         outcomes = np.empty(len(rows), np.int64)
         measures = np.empty((len(rows), kernels.MEASURES))
-        kernels.stand_all(terrain_arrays(terrain), arrays, rows, poses, outcomes, measures)
+        kernels.stand_all(
+            terrain_arrays(terrain, self.config), arrays, rows, poses, outcomes, measures
+        )
         poses[outcomes == kernels.UNKNOWN_WHEEL, :3] = np.nan
         return StanceBatch(poses, outcomes, measures)
 
 
-def terrain_arrays(terrain: Terrain) -> TerrainArrays:
-    """A terrain as the kernels take it."""
+def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
+    """A terrain as the kernels take it, for a vehicle of this configuration."""
     heights, roughness, step, floor, overhead, seen = (
         np.ascontiguousarray(getattr(terrain, name), dtype=np.float32)
         for name in TerrainArrays._fields[:6]
     )
+    bottom = np.where(np.isnan(heights), np.float32(np.inf), heights)
+    top = overhead if config.unseen_is_free else np.minimum(overhead, seen)
     x, y = terrain.origin
-    return TerrainArrays(heights, roughness, step, floor, overhead, seen, x, y, terrain.resolution)
+    return TerrainArrays(
+        heights, roughness, step, floor, overhead, seen, bottom, top, x, y, terrain.resolution
+    )
 
 
 def _wheel_columns(
@@ -210,6 +217,14 @@ def _wheel_columns(
         part[:, 2] = np.maximum(part[:, 2], centre[2])
         columns.append(part[part[:, 3] > part[:, 2]])
     return np.concatenate([np.zeros((0, 4)), *columns])
+
+
+def _reach(columns: FloatArray, carriage: Undercarriage) -> float:
+    """Radius about the base that holds all columns and wheels."""
+    ends = np.concatenate(
+        [columns[:, [0, 1, 2]], columns[:, [0, 1, 3]], carriage.contacts.reshape(-1, 3)]
+    )
+    return float(np.linalg.norm(ends, axis=1).max())
 
 
 def _inside_polygon(points: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:

@@ -54,7 +54,7 @@ class VehicleConfig:
         False, "Whether space over known ground that was never seen may be entered."
     )
     column_spacing: float = parameter(
-        0.04, "Edge of the squares into which the body is divided.", unit="m", low=0.005, high=0.5
+        0.05, "Edge of the squares into which the body is divided.", unit="m", low=0.005, high=0.5
     )
 
     def __post_init__(self) -> None:

@@ -81,6 +81,17 @@ class InformationConfig:
         "are more likely occupied than not.",
     )
 
+    grey_levels: int = parameter(
+        32, "Levels of probability that eqs. (7) to (9) as printed tell apart.", low=2, high=1000
+    )
+    proximity: int = parameter(
+        10,
+        "Steps from a surface within which unknown voxels count for `proximity_count`.",
+        unit="voxels",
+        low=1,
+        high=1000,
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
 

@@ -69,3 +69,17 @@ def checked_reach(positions: FloatArray, max_range: float, voxel_size: float) ->
             "max_range", f"is {max_range} m, expected a positive range within the map's limits"
         )
     return float(max_range)
+
+
+def checked_region(region: ArrayLike | None) -> FloatArray:
+    """Corners (low, high) of a region, shape (2, 3) [m]; all of space without one.
+
+    Raises:
+        InvalidInputError: it is not a box (low, high), shape (2, 3).
+    """
+    if region is None:
+        return np.array([[-np.inf] * 3, [np.inf] * 3])
+    box = float_array(region, "region")
+    if box.shape != (2, 3) or np.isnan(box).any() or (box[1] < box[0]).any():
+        raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
+    return box

@@ -16,16 +16,11 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.expected_information import (
-    checked_region,
-    expected_information,
-    field_around,
-    gain_table,
-    workers_of,
-)
+from infomap_ros.views.entropy_reduction import expected_entropy_reduction
+from infomap_ros.views.gains import field_around, gain_table, workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import ray_bits, turned
-from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach
+from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach, checked_region
 from infomap_ros.views.sphere import cell_direction, cell_middles, cell_of, cells_per_edge
 
 
@@ -130,9 +125,7 @@ def _refine(
     best = np.argsort(-bits, axis=None, kind="stable")[:count]
     at, of = np.unravel_index(best, bits.shape)
     poses = _poses(places[at], rotations[at, of][:, None])[:, 0]
-    bits[at, of] = expected_information(
-        m, poses, camera, max_range, config=config, region=region, threads=threads
-    )
+    bits[at, of] = expected_entropy_reduction(m, poses, camera, max_range, config, region, threads)
 
 
 @njit(cache=True, nogil=True)

@@ -14,11 +14,11 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE, pack, table_slot
-from infomap_ros.views.expected_information import checked_region, field_around, gain_table
 from infomap_ros.views.field import EMPTY, code_at
+from infomap_ros.views.gains import field_around, gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import region_steps, turned
-from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach
+from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach, checked_region
 
 
 @dataclass(frozen=True, eq=False)

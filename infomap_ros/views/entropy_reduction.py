@@ -1,0 +1,56 @@
+"""The default metric: what a view is expected to take off the entropy of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.views.gains import field_around, gain_table, workers_of
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.ray_kernels import view_bits
+from infomap_ros.views.rays import camera_rays, checked_region
+
+
+def expected_entropy_reduction(
+    m: VoxelMap,
+    poses: FloatArray,
+    camera: PinholeCamera,
+    max_range: float,
+    config: InformationConfig,
+    region: ArrayLike | None = None,
+    threads: int = 1,
+) -> FloatArray:
+    """Bits that one scan from each pose is expected to take off the map's entropy, shape (M,).
+
+    The sum over the voxels in view of what one observation of each is expected to tell, see
+    `views.observation_value`, times the probability that known obstacles before it do not hide it.
+    An unknown voxel has 1 bit to lose, as `VoxelMap.entropy_bits` counts it. It is 0 if everything
+    in view is known and empty; falls when the view is occluded; grows with every unknown voxel in
+    view; and grows where known voxels are nearer to 0.5: the intent that Sujan and Dubowsky
+    (2005, doi:10.1177/0278364905051774) state for eqs. (7) to (9).
+
+    Bits depend on the voxel size, as entropy does; bits times the volume of a voxel is a volume of
+    unknown space that does not.
+    """
+    if len(poses) == 0:
+        return np.zeros(0)
+    field = field_around(m, poses[:, :3, 3], max_range, config)
+    table = gain_table(m, max_range, config)
+    rays, angles = camera_rays(camera, config.ray_spacing)
+    scaled = poses.copy()
+    scaled[:, :3, 3] = field.relative(poses[:, :3, 3])
+    box = field.relative(checked_region(region))
+    parts = np.zeros((threads, len(poses)))
+
+    def cast(part: int, first: int, last: int) -> None:
+        view_bits(
+            scaled, rays[first:last], angles[first:last], box, field.directory, field.codes,
+            table.gains, table.before, table.clear, table.step, config.least_visibility,
+            parts[part],
+        )  # fmt: skip
+
+    workers_of(threads).run(cast, len(rays))
+    return np.asarray(parts.sum(axis=0))

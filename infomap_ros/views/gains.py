@@ -1,0 +1,87 @@
+"""What the steps of a ray tell, prepared for a map and a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.workers import Workers
+from infomap_ros.views.field import (
+    EMPTY,
+    SOLID,
+    VisibleField,
+    code_probabilities,
+    is_known_code,
+    visible_field,
+)
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.observation_value import voxel_bits
+from infomap_ros.views.predicted_field import with_predictions
+
+_LEAST_STEPS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class GainTable:
+    """What the steps of a ray tell, by the code of the voxel in which they are.
+
+    Attributes:
+        gains: bits per steradian, shape (steps, codes), float32.
+        before: sum over the steps before, shape (steps + 1, codes), float32.
+        clear: probability that a step's way does not hide what is behind it, shape (codes,).
+        step: length of a step [voxels].
+    """
+
+    gains: NDArray[np.float32]
+    before: NDArray[np.float32]
+    clear: FloatArray
+    step: float
+
+
+def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> GainTable:
+    """Gains for a map's voxel size and evidence.
+
+    Args:
+        m: the map.
+        max_range: [m].
+        config: of the sensor.
+    """
+    reach = max_range / m.config.voxel_size
+    steps = max(math.ceil(reach), _LEAST_STEPS)
+    edges = np.linspace(0.0, reach, steps + 1)
+    middle = 0.5 * (edges[:-1] + edges[1:]) * m.config.voxel_size
+    p = code_probabilities(config.certain_probability)
+    bits = voxel_bits(p, middle[:, None], m.config, config)
+    bits[:, [EMPTY, SOLID]] = 0.0
+    bits[middle < config.min_range] = 0.0
+    gains = bits * np.diff(edges**3)[:, None] / 3.0
+    before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
+    step = reach / steps
+    clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
+    clear[~is_known_code(config.certain_probability)] *= (1.0 - config.unknown_occlusion) ** (
+        1.0 / steps
+    )
+    return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
+
+
+def field_around(
+    m: VoxelMap, positions: FloatArray, max_range: float, config: InformationConfig
+) -> VisibleField:
+    """The part of a map that can be seen from positions, shape (M, 3) [m], within `max_range`."""
+    low, high = positions.min(axis=0) - max_range, positions.max(axis=0) + max_range
+    field = visible_field(m, low, high, config.certain_probability)
+    return (
+        with_predictions(field, m, config.certain_probability) if config.predict_unknown else field
+    )
+
+
+@cache
+def workers_of(threads: int) -> Workers:
+    """Threads that share the rays; kept, because starting them costs more than many a view."""
+    return Workers(threads)

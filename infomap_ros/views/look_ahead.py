@@ -33,14 +33,14 @@ class LookAheadConfig:
         6, "So many of the best sequences of each length are continued.", low=1, high=1000
     )
     patience: float = parameter(
-        8.0,
+        10.0,
         "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
         "once.",
         low=0.01,
         high=1e6,
     )
     cost_of_view: float = parameter(
-        1.0, "A view costs as much as a way of this distance.", low=0.0, high=1e6
+        2.0, "A view costs as much as a way of this distance.", low=0.0, high=1e6
     )
     unlike_distance: float = parameter(
         0.7, "Views are alike that are nearer to each other than this, and", unit="m", low=0.0

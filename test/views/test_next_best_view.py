@@ -8,11 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.views import expected_information
 from infomap_ros.views.candidates import CandidateConfig
+from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.reach import Flight, FlyingCamera
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation
+from infomap_ros.views.survey import SurroundingsConfig
 
 from .rooms import CAMERA, facing, seen_room, turning
 
@@ -105,3 +110,163 @@ def test_nothing_is_chosen_in_a_known_room() -> None:
     decision = choose(Situation(voxel_map, CAMERA, 4.0, poses[0], region=region))
     assert decision.chosen is None
     assert "ruled out" in decision.reason
+
+
+def test_stages_are_timed(half_seen: Situation) -> None:
+    seconds = choose(half_seen).seconds
+    stages = ["surroundings", "candidates", "information", "rating", "may_reach"]
+    assert list(seconds) == [*stages, "refinement", "reach"]
+    assert all(spent >= 0.0 for spent in seconds.values())
+
+
+def test_reason_says_what_speaks_for_the_view(half_seen: Situation) -> None:
+    decision = choose(half_seen)
+    assert decision.chosen is not None
+    assert f"{decision.chosen.terms['information']:.0f} bits" in decision.reason
+    assert "full unknown view" in decision.reason and "largest_information" in decision.reason
+
+
+def test_robot_is_asked_in_batches_and_for_a_plan_only_once(half_seen: Situation) -> None:
+    robot = Robot()
+    decision = choose(half_seen, robot)
+    assert decision.chosen is not None and robot.planned == 1
+    assert 1 <= robot.asked <= 120
+
+
+def test_information_is_exact_for_the_views_that_decide(half_seen: Situation) -> None:
+    decision = choose(half_seen)
+    fine = [view for view in decision.candidates if view.fine]
+    assert len(fine) == FEW.selection.refined
+    poses = np.array([view.pose for view in fine])
+    region = np.stack([half_seen.region.low, half_seen.region.high])
+    exact = expected_information(half_seen.voxel_map, poses, CAMERA, 4.0, region=region)
+    given = [view.terms["information"] for view in fine]
+    np.testing.assert_allclose(given, exact)
+
+
+def test_goal_is_kept_until_clearly_beaten(half_seen: Situation) -> None:
+    best = choose(half_seen).chosen
+    assert best is not None
+    scores = {0.9: True, 0.5: False}  # share of the best score, and whether the goal is kept
+    for share, kept in scores.items():
+        ranked = [v for v in choose(half_seen).candidates if v.fine and not v.rejection]
+        goal = min(ranked, key=lambda view: abs(view.score - share * best.score)).pose
+        decision = choose(half_seen, previous_goal=goal)
+        assert decision.chosen is not None
+        assert np.array_equal(decision.chosen.pose, goal) == kept
+        assert ("goal so far is kept" in decision.reason) == kept
+
+
+def test_goal_that_has_become_impossible_is_given_up(half_seen: Situation) -> None:
+    inside_the_wall = facing(0.0, (6.05, 2.0, 1.2))
+    decision = choose(half_seen, previous_goal=inside_the_wall)
+    assert decision.chosen is not None
+    assert not np.array_equal(decision.chosen.pose, inside_the_wall)
+    given_up = [v for v in decision.candidates if np.array_equal(v.pose, inside_the_wall)]
+    assert len(given_up) == 1 and given_up[0].rejection
+
+
+def test_no_oscillation_between_equal_goals() -> None:
+    """Two like alcoves: whichever is chosen first stays the goal on the way there."""
+    poses = [facing(angle, (3.0, 2.0, 1.2)) for angle in (-1.6, 1.6)]
+    voxel_map = seen_room(poses, ROOM)
+    region, goal, choices = RegionOfTask((0, 0, 0), ROOM), None, []
+    for step in range(4):
+        pose = facing(1.6, (3.0, 2.0 + 0.1 * step, 1.2))
+        now = Situation(voxel_map, CAMERA, 4.0, pose, region=region)
+        decision = NextBestView(FEW).select(
+            now, FlyingCamera(pose), np.random.default_rng(step), previous_goal=goal
+        )
+        assert decision.chosen is not None
+        goal = decision.chosen.pose
+        choices.append(goal)
+    for choice in choices[1:]:
+        np.testing.assert_array_equal(choice, choices[0])
+
+
+def test_remembered_goals_are_not_tried_again(half_seen: Situation) -> None:
+    best = choose(half_seen).chosen
+    assert best is not None
+    memory = GoalMemory()
+    memory.remember(best.pose, "no path", half_seen.voxel_map)
+    decision = choose(
+        half_seen,
+        known_unreachable=lambda poses: memory.reasons_against(poses, half_seen.voxel_map),
+    )
+    assert decision.chosen is not None
+    assert not np.array_equal(decision.chosen.pose, best.pose)
+    assert any("no path" in view.rejection for view in decision.candidates)
+
+
+class LongWay(Robot):
+    """The way to one view is far longer than it looks."""
+
+    def __init__(self, pose: np.ndarray, travel: float) -> None:
+        super().__init__()
+        self.pose, self.travel = pose, travel
+
+    def reach(self, T_map_camera: np.ndarray) -> Flight:
+        self.planned += 1
+        return Flight(travel=self.travel if np.array_equal(T_map_camera, self.pose) else 0.0)
+
+
+def test_view_loses_when_its_way_turns_out_long(half_seen: Situation) -> None:
+    best = choose(half_seen).chosen
+    assert best is not None
+    robot = LongWay(best.pose, 200.0)
+    decision = choose(half_seen, robot)
+    assert decision.chosen is not None and robot.planned == 2
+    assert not np.array_equal(decision.chosen.pose, best.pose)
+    slightly = LongWay(best.pose, 0.1)
+    assert np.array_equal(choose(half_seen, slightly).chosen.pose, best.pose)
+
+
+def test_search_widens_where_nothing_near_is_worth_it() -> None:
+    poses = [*turning(START, 8), facing(0.0, (3.0, 2.0, 1.2)), *turning((8.0, 2.0, 1.2), 2)]
+    voxel_map = seen_room(poses, (16.0, 4.0, 2.5))
+    region = RegionOfTask((9.0, 0.0, 0.0), (16.0, 4.0, 2.5))
+    now = Situation(voxel_map, CAMERA, 4.0, facing(0.0, START), region=region)
+    near = dataclasses.replace(FEW, surroundings=SurroundingsConfig(horizon=2.0))
+    decision = choose(now, config=near)
+    assert decision.chosen is not None
+    assert decision.chosen.pose[0, 3] > START[0] + 2.0
+    short = SurroundingsConfig(horizon=2.0, largest_window=1000)
+    limited = choose(now, config=dataclasses.replace(FEW, surroundings=short))
+    assert limited.chosen is None and "farther away" in limited.reason
+
+
+def test_empty_map_gives_the_views_from_where_the_camera_is() -> None:
+    now = Situation(VoxelMap(), CAMERA, 4.0, facing(0.0, START))
+    decision = choose(now)
+    assert decision.chosen is not None
+    np.testing.assert_array_equal(decision.chosen.pose[:3, 3], START)
+
+
+@pytest.mark.parametrize(
+    "strategy", ["random", "raster", "largest_unknown", "smallest_known", "look_ahead"]
+)
+def test_every_strategy_goes_through_the_same_loop(half_seen: Situation, strategy: str) -> None:
+    decision = choose(half_seen, strategy=strategy)
+    assert decision.chosen is not None and decision.strategy == strategy
+    best = max(view.score for view in decision.candidates if view.fine and not view.rejection)
+    assert decision.chosen.score == best
+
+
+def test_sequence_that_is_planned_is_told(half_seen: Situation) -> None:
+    decision = choose(half_seen, strategy="look_ahead")
+    assert 1 <= len(decision.plan) <= 2
+    poses = [view.pose for view in decision.candidates if view.fine]
+    for pose in decision.plan:
+        assert any(np.array_equal(pose, other) for other in poses)
+
+
+class Forgetful(Robot):
+    """Answers less than it is asked."""
+
+    def may_reach(self, poses: np.ndarray) -> Sequence[str]:
+        return [""]
+
+
+def test_wrong_number_of_answers_is_an_error(half_seen: Situation) -> None:
+    with pytest.raises(InvalidInputError, match="reachability"):
+        choose(half_seen, Forgetful())

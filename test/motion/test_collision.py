@@ -17,7 +17,8 @@ from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
 from infomap_ros.motion.collision import CollisionBody, CollisionChecker, CollisionConfig
 from infomap_ros.motion.collision_kernels import is_free
 from infomap_ros.motion.robot_model import RobotModel
-from test.motion.bodies import CoalBody, distance, rover
+
+from .bodies import CoalBody, distance, rover
 
 SIZE = 0.05
 FIRST = np.array((-30, -30, -10))

@@ -1,0 +1,80 @@
+"""Timed ways keep their limits, by finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.motion.trajectory import TrajectoryConfig, time_path
+
+from .bodies import rover
+
+CHAIN = rover().arm
+
+
+def random_way(rng: np.random.Generator, corners: int) -> np.ndarray:
+    scale = 10.0 ** rng.uniform(-4, 0, (corners, 1))
+    return np.cumsum(scale * rng.uniform(-1, 1, (corners, len(CHAIN))), axis=0)
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05, 1.0])
+def test_velocity_and_acceleration_keep_their_limits(
+    rng: np.random.Generator, period: float
+) -> None:
+    config = TrajectoryConfig(velocity_share=0.7, acceleration=0.8, period=period)
+    limits = 0.7 * CHAIN.velocity
+    for corners in (2, 3, 10):
+        path = time_path(CHAIN, random_way(rng, corners), config)
+        steps = np.diff(path.times)
+        assert path.times[0] == 0.0 and (steps > 0.0).all()
+        velocities = np.diff(path.positions, axis=0) / steps[:, None]
+        assert (np.abs(velocities) <= limits * (1 + 1e-6)).all()
+        at_rest = np.zeros((1, len(CHAIN)))
+        changes = np.diff(np.concatenate([at_rest, velocities, at_rest]), axis=0)
+        gaps = 0.5 * (np.append(0.0, steps) + np.append(steps, 0.0))
+        assert (np.abs(changes) / gaps[:, None] <= 0.8 * (1 + 1e-6)).all()
+
+
+def test_long_piece_takes_the_time_of_the_slowest_joint() -> None:
+    """By hand: the trapezoid of v = 0.6, a = 1 over 3 rad takes 3 / 0.6 + 0.6 / 1 seconds."""
+    config = TrajectoryConfig(velocity_share=0.5, acceleration=1.0)
+    assert CHAIN.velocity[1] == 1.2
+    path = time_path(CHAIN, np.array([[0, 0, 0, 0], [0.3, -3.0, 1.0, 0]], float), config)
+    assert path.duration == pytest.approx(5.6)
+    middle = np.abs(path.times - 2.8).argmin()
+    np.testing.assert_allclose(path.positions[middle, 1], -1.5, atol=0.02)
+
+
+def test_short_piece_is_a_triangle() -> None:
+    config = TrajectoryConfig(velocity_share=1.0, acceleration=1.0)
+    path = time_path(CHAIN, np.array([[0, 0, 0, 0], [0.04, 0, 0, 0]], float), config)
+    assert path.duration == pytest.approx(2.0 * np.sqrt(0.04))
+
+
+def test_knots_lie_on_the_way_and_meet_its_corners(rng: np.random.Generator) -> None:
+    corners = random_way(rng, 6)
+    path = time_path(CHAIN, corners)
+    row = 0
+    for first, second in zip(corners, corners[1:], strict=False):  # noqa: RUF007
+        last = row + int(np.flatnonzero((path.positions[row:] == second).all(axis=1))[0])
+        piece, change = path.positions[row : last + 1] - first, second - first
+        shares = piece @ change / (change @ change)
+        np.testing.assert_allclose(piece, shares[:, None] * change, atol=1e-12)
+        assert (np.diff(shares) >= 0.0).all()
+        row = last
+    assert row == len(path.positions) - 1
+
+
+def test_arm_that_stays_has_one_knot() -> None:
+    path = time_path(CHAIN, np.ones((3, 4)))
+    assert path.positions.shape == (1, 4) and path.duration == 0.0 and not path.moves
+
+
+def test_malformed_input_is_named() -> None:
+    with pytest.raises(InvalidInputError, match="waypoints"):
+        time_path(CHAIN, np.zeros((2, 3)))
+    with pytest.raises(InvalidInputError, match="finite"):
+        time_path(CHAIN, np.full((2, 4), np.nan))
+    with pytest.raises(ConfigError, match="velocity_share"):
+        TrajectoryConfig(velocity_share=0.0)

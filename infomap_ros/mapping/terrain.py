@@ -170,11 +170,11 @@ def _box(
     first = np.floor((near - reach) / edge).astype(np.int64)
     reach[2] = config.above
     last = np.floor((near + reach) / edge).astype(np.int64)
+    here = np.floor(near / edge).astype(np.int64)
     bounds = voxel_map.bounds()
-    if bounds is not None:
-        here = np.floor(near / edge).astype(np.int64)
-        first = np.maximum(first, np.minimum(bounds[0] // ratio - 1, here))
-        last = np.minimum(last, np.maximum(bounds[1] // ratio + 1, here))
+    low, high = (here, here) if bounds is None else (bounds[0] // ratio - 1, bounds[1] // ratio + 1)
+    first = np.maximum(first, np.minimum(low, here))
+    last = np.minimum(last, np.maximum(high, here))
     nx, ny, nz = (int(n) for n in last - first + 1)
     return first, (nx, ny, nz)
 

@@ -129,7 +129,7 @@ def read_columns(
         seen: receives the upper end of what was seen without a gap, shape (nx, ny).
         pit: receives whether open space was seen well below the level of a column without ground.
     """
-    nx, ny = top.shape
+    nx, ny, nz = cubes.shape
     for i in range(nx):
         for j in range(ny):
             bottom = top[i, j] + 1
@@ -140,6 +140,8 @@ def read_columns(
                 pit[i, j] = deep >= 0 and cubes[i, j, deep] == OPEN
             floor[i, j] = bottom
             overhead[i, j], seen[i, j] = read_above(cubes, i, j, bottom, gap)
+            if bottom >= nz:
+                overhead[i, j], _ = read_above(cubes, i, j, max(level[i, j], 0), gap)
 
 
 @njit(cache=True, nogil=True)

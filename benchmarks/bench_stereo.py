@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
 import time
 from collections.abc import Callable
 
@@ -23,7 +21,7 @@ import cv2
 import numpy as np
 
 from infomap_ros.geometry import CameraCalibration
-from infomap_ros.nodes.environment import additions
+from infomap_ros.nodes.memory import keep_freed_memory
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 from infomap_ros.stereo.images import grey
 
@@ -108,8 +106,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=60)
     runs = parser.parse_args().runs
-    if missing := additions():  # read by the C library when a process starts
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **missing})
+    keep_freed_memory()  # as the nodes do
     results = {
         f"{name}_threads_{threads}": measure(threads, colour, runs)
         for name, colour in (("grey", False), ("rgb", True))

@@ -15,8 +15,6 @@ from pathlib import Path
 
 from infomap_ros.geometry.resources import find_share
 
-_LARGEST_HEAP_BLOCK = 32 * 1024**2  # [bytes], the most that glibc accepts
-_HEAP_KEPT = 256 * 1024**2  # [bytes]
 _SHARED_MEMORY = Path("/dev/shm")
 _WANTED_SHARED_MEMORY = 512 * 1024**2  # [bytes], for eight processes
 
@@ -28,8 +26,6 @@ def process_environment(base: Mapping[str, str] | None = None) -> dict[str, str]
 
     - ``FASTRTPS_DEFAULT_PROFILES_FILE``: shared memory in which images and clouds fit, as far as
       the machine has it.
-    - ``MALLOC_MMAP_THRESHOLD_``, ``MALLOC_TRIM_THRESHOLD_``: the C library keeps the memory of a
-      freed message for the next one instead of giving it back and clearing it anew.
     - ``RMW_IMPLEMENTATION``: the middleware that the profile is for.
 
     Args:
@@ -47,8 +43,6 @@ def additions(base: Mapping[str, str] | None = None) -> dict[str, str]:
     present = os.environ if base is None else base
     wanted = {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(find_share(f"config/{_profile()}.xml")),
-        "MALLOC_MMAP_THRESHOLD_": str(_LARGEST_HEAP_BLOCK),
-        "MALLOC_TRIM_THRESHOLD_": str(_HEAP_KEPT),
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     }
     return {name: value for name, value in wanted.items() if name not in present}

@@ -32,6 +32,7 @@ from infomap_ros.mapping.projection import ProjectionConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.map_outputs import MapOutputsConfig
+from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
@@ -83,6 +84,7 @@ class MapFusionNode(MonitoredNode):
         (RobotBodyConfig, ""),
         (BodyFilterConfig, "body."),
         (JointBufferConfig, "joints."),
+        (MemoryConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -90,6 +92,7 @@ class MapFusionNode(MonitoredNode):
         self._config = self.config(MapFusionConfig)
         keeper = self._keeper = MapKeeper(self)
         keeper.prepare()
+        reserve_heap(self.config(MemoryConfig))
         self._worker = self.start_worker(self._config.queue_size)
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):

@@ -16,6 +16,7 @@ from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
+from infomap_ros.mapping.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.map_outputs import MapOutputs
@@ -171,10 +172,14 @@ def warm_up(threads: int) -> None:
     )
     cloud = decode_point_cloud(message)
     without_body(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], BodyFilterConfig())
-    trial = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=2.0, threads=threads))
+    # Voxels so small that all tables grow.
+    trial = VoxelMap(VoxelMapConfig(voxel_size=0.01, max_range=2.0, threads=threads))
     trial.track_changes(True)
     camera = fit_pinhole_camera(cloud.points)
     trial.integrate(cloud.points, np.eye(4), cloud.covariances, 1e-6 * np.eye(6), camera)
     trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
     trial.take_changes()
+    trial.mark_changed(0, 1)
+    trial.is_known(trial.gaussians()[1])
     voxel_map_rows(trial)
+    project_map(trial, ProjectionConfig())

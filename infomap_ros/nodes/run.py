@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -12,6 +13,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from infomap_ros.errors import InfomapError
+from infomap_ros.nodes.memory import keep_freed_memory
 
 NodeType = TypeVar("NodeType", bound=Node)
 
@@ -31,10 +33,12 @@ def run_node(
     Returns:
         Exit status: 0, 2 when the node could not start, or the result of the future.
     """
+    keep_freed_memory()
     rclpy.init(args=None if arguments is None else list(arguments))
     node = None
     try:
         node = factory()
+        gc.freeze()  # what lives to the end need not be looked through again and again
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         if until is None:

@@ -22,6 +22,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.clock_jumps import JumpingPairs
+from infomap_ros.nodes.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.range_outputs import RangeOutputs
 from infomap_ros.nodes.range_sources import (
     DepthSource,
@@ -76,6 +77,7 @@ class StereoRangeNode(MonitoredNode):
         (StereoRangeNodeConfig, ""),
         (StereoConfig, ""),
         (DepthCameraConfig, "depth_camera."),
+        (MemoryConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -89,6 +91,8 @@ class StereoRangeNode(MonitoredNode):
         self._infos: dict[str, CameraInfoRecord] = {}
         self._uncalibrated: deque[Images] = deque(maxlen=config.queue_size)
         self._outputs = RangeOutputs(self)
+        reserve_heap(self.config(MemoryConfig))
+        use_shared_memory()
         self._worker = self.start_worker(config.queue_size)
         self._listen()
 

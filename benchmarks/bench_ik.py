@@ -43,7 +43,7 @@ Solver = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 def installed(package: str, ending: str) -> Path:
     """A file of an installed distribution."""
     files = importlib.metadata.files(package) or []
-    return next(Path(str(file.locate())) for file in files if str(file).endswith(ending))
+    return next(Path(str(file.locate())).resolve() for file in files if str(file).endswith(ending))
 
 
 def robots() -> dict[str, tuple[Path, str, str]]:
@@ -57,9 +57,9 @@ def robots() -> dict[str, tuple[Path, str, str]]:
     }
 
 
-def without_meshes(urdf: Path, base: str, camera: str) -> RobotModel:
-    model = pinocchio.buildModelFromXML(urdf.read_text(encoding="utf-8"), True)
-    return RobotModel(model, (), base, camera)
+def load(urdf: Path, base: str, camera: str) -> RobotModel:
+    """A robot whose meshes lie beside its URDF or in share/ of its wheel."""
+    return RobotModel.from_urdf(urdf, camera, base, package_folders=[urdf.parents[4]])
 
 
 class Truth:
@@ -169,7 +169,7 @@ def pinocchio_dls(robot: RobotModel, restarts: int = 10, iterations: int = 100) 
 
 def compare(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
     urdf, base, camera = robots()[name]
-    robot = without_meshes(urdf, base, camera)
+    robot = load(urdf, base, camera)
     chain, truth = robot.arm, Truth(robot)
     rng = np.random.default_rng(arguments.seed)
     answers, starts = rng.uniform(chain.lower, chain.upper, (2, arguments.poses, len(chain)))

@@ -28,6 +28,11 @@ class JointLimits:
     velocity: float
     is_continuous: bool = False
 
+    @property
+    def rest(self) -> float:
+        """Zero, or the limit nearest to it [rad or m]."""
+        return min(max(0.0, self.lower), self.upper)
+
 
 def joint_limits(model: pinocchio.Model, index: int) -> JointLimits:
     """Limits of one joint of a model, of one degree of freedom.

@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.chain_builder import (
-    held_configuration,
-    homogeneous,
-    joint_step,
-    owner_of,
-    scaling_of,
-)
+from infomap_ros.motion.chain_builder import homogeneous, joint_step
 from infomap_ros.motion.robot_model import RobotModel
 
 
@@ -79,11 +73,11 @@ class LinkTree:
             RobotModelError: the robot has no camera frame, the arm moves its own base frame, or a
                 position is not finite.
         """
-        model, arm = robot.model, robot.arm
+        model, mechanism, arm = robot.model, robot.mechanism, robot.arm
         names = {joint.name for joint in robot.joints}
         held = {k: float(v) for k, v in (joint_positions or {}).items() if k in names}
         data = model.createData()
-        pinocchio.forwardKinematics(model, data, held_configuration(model, held))
+        pinocchio.forwardKinematics(model, data, mechanism.resting(held))
         moving = [int(model.getJointId(name)) for name in arm.joint_names]
         bodies = np.zeros(model.njoints, dtype=np.int64)
         poses = np.tile(np.eye(4), (model.njoints, 1, 1))
@@ -91,11 +85,11 @@ class LinkTree:
         rows = []
         for index in range(1, model.njoints):
             parent = int(model.parents[index])
-            if owner_of(model, index) not in moving or scaling_of(model, index)[0] == 0.0:
+            if mechanism.owner_of(index) not in moving or mechanism.scaling_of(index)[0] == 0.0:
                 bodies[index] = bodies[parent]
                 poses[index] = poses[parent] @ homogeneous(data.liMi[index])
                 continue
-            (owner, scale, offset, slides), turn = joint_step(model, data, index, 1)
+            (owner, scale, offset, slides), turn = joint_step(mechanism, data, index, 1)
             place = poses[parent] @ homogeneous(model.jointPlacements[index]) @ turn
             rows.append((bodies[parent], moving.index(owner), scale, offset, slides, place[:3]))
             bodies[index], poses[index] = len(rows), turn.T
@@ -105,8 +99,8 @@ class LinkTree:
 def _root_in_base(robot: RobotModel, data: pinocchio.Data, moving: list[int]) -> FloatArray:
     model = robot.model
     frame = model.frames[model.getFrameId(robot.base_frame, pinocchio.FrameType.BODY)]
-    above = {owner_of(model, int(index)) for index in model.supports[frame.parentJoint] if index}
-    if above & set(moving):
+    above = robot.mechanism.above([frame.parentJoint])
+    if {robot.mechanism.owner_of(index) for index in above} & set(moving):
         raise RobotModelError(f"the arm's joints move its own base frame '{robot.base_frame}'")
     return invert_transform(homogeneous(data.oMi[frame.parentJoint] * frame.placement))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.body_shapes import BodyShape, body_shapes
 from infomap_ros.motion.chain import KinematicChain
 from infomap_ros.motion.chain_builder import chain_between
-from infomap_ros.motion.joint_limits import JointLimits, joint_limits
+from infomap_ros.motion.joint_limits import JointLimits
+from infomap_ros.motion.mechanism import Mechanism
 from infomap_ros.motion.urdf import read_urdf
 
 
@@ -26,7 +26,7 @@ class RobotModel:
     Joint positions come as a mapping from joint name to [rad or m], as in
     ``sensor_msgs/JointState``. Names that the robot does not have are ignored, as a robot's joint
     states often hold more than its URDF; a joint that the answer depends on must be there. Joints
-    that mimic another follow it and need no position.
+    that mimic another follow it and need no position, nor do joints without a range.
 
     Attributes:
         name: of the robot.
@@ -34,18 +34,20 @@ class RobotModel:
         camera_frame: optical frame of the camera, empty if none was given.
         joints: the joints that have a position, in the model's order.
         arm_joints: joints that `arm` moves, empty for all between base and camera.
+        mechanism: the joints, with those that mimic.
         model: the Pinocchio model, not to be written to.
     """
 
     def __init__(
         self,
-        model: pinocchio.Model,
+        mechanism: Mechanism,
         shapes: Sequence[BodyShape] = (),
         base_frame: str = "",
         camera_frame: str = "",
         arm_joints: Sequence[str] = (),
     ) -> None:
-        self.model = model
+        self.mechanism = mechanism
+        self.model = model = mechanism.model
         self.name = str(model.name)
         self._shapes = tuple(shapes)
         self._frame_ids = {
@@ -57,13 +59,9 @@ class RobotModel:
         self.camera_frame = camera_frame
         for frame in filter(None, (self.base_frame, camera_frame)):
             self._frame_id(frame)
-        self._joint_ids = {
-            str(name): index for index, name in enumerate(model.names) if model.joints[index].nq > 0
-        }
-        self._joint_ids.pop("universe", None)
-        self.joints = tuple(joint_limits(model, index) for index in self._joint_ids.values())
-        body = {self._base_joint} | {shape.joint for shape in self._shapes}
-        self._needed_by_body = self._joints_above(body)
+        self.joints = mechanism.joints
+        body = {self._parent_joint(self.base_frame), *(shape.joint for shape in self._shapes)}
+        self._needed_by_body = mechanism.owners(mechanism.above(body))
         self.arm_joints = tuple(arm_joints)
         if self.arm_joints:
             self.chain(self.arm_joints)
@@ -76,6 +74,8 @@ class RobotModel:
         base_frame: str = "",
         package_folders: Sequence[str | Path] = (),
         arm_joints: Sequence[str] = (),
+        mimics: Mapping[str, str] | None = None,
+        assumed_joints: Sequence[str] = (),
     ) -> RobotModel:
         """Read a robot from its URDF.
 
@@ -86,19 +86,24 @@ class RobotModel:
             package_folders: where ``package://name/...`` and relative mesh files are looked for,
                 besides the URDF's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
             arm_joints: joints that `arm` moves; all between base and camera where empty.
+            mimics: joints that follow another although the URDF does not say so, name -> leader,
+                as the segments of a telescope that one motor drives.
+            assumed_joints: joints whose position nobody reports, as often of wheels; where it is
+                missing they stand at zero or at their limit nearest to it.
 
         Raises:
             RobotModelError: the URDF is missing or malformed, holds a joint or collision shape of
-                an unknown type, a mesh is not found, a frame is unknown, or a joint of the arm does
-                not move the camera; names the culprit.
+                an unknown type, a mesh is not found, a frame or joint is unknown, or a joint of the
+                arm does not move the camera; names the culprit.
         """
-        description = read_urdf(path_or_xml)
+        description = read_urdf(path_or_xml, mimics)
         try:
-            model = pinocchio.buildModelFromXML(description.xml, True)
+            model = pinocchio.buildModelFromXML(description.xml)
         except (ValueError, RuntimeError) as error:
             raise RobotModelError(f"malformed URDF: {error}") from error
         shapes = body_shapes(model, description, package_folders)
-        return cls(model, shapes, base_frame, camera_frame, arm_joints)
+        mechanism = Mechanism(model, description.followers, assumed_joints)
+        return cls(mechanism, shapes, base_frame, camera_frame, arm_joints)
 
     @cached_property
     def arm(self) -> KinematicChain:
@@ -126,7 +131,7 @@ class RobotModel:
         if not self.camera_frame:
             raise RobotModelError(f"robot '{self.name}' was given no camera frame")
         ends = self._frame_id(self.base_frame), self._frame_id(self.camera_frame)
-        return chain_between(self.model, *ends, joints, held)
+        return chain_between(self.mechanism, *ends, joints, held)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -154,7 +159,7 @@ class RobotModel:
                 return joint
         raise RobotModelError(
             f"robot '{self.name}' has no joint '{name}'; it has "
-            + (", ".join(self._joint_ids) or "none")
+            + (", ".join(self.mechanism.indices) or "none")
         )
 
     def configuration(
@@ -171,10 +176,11 @@ class RobotModel:
             RobotModelError: a joint is missing or its position is not finite, or a frame is
                 unknown; names it.
         """
+        mechanism = self.mechanism
         if frames is None:
-            return self._configuration(joint_positions, self._joint_ids)
-        joints = {self._parent_joint(self._frame_id(frame)) for frame in frames}
-        return self._configuration(joint_positions, self._joints_above(joints))
+            return mechanism.configuration(joint_positions, mechanism.indices)
+        joints = mechanism.above(self._parent_joint(frame) for frame in frames)
+        return mechanism.configuration(joint_positions, mechanism.owners(joints))
 
     def forward_kinematics(self, joint_positions: Mapping[str, float], frame: str) -> FloatArray:
         """Place of a frame: ``T_base_frame``, shape (4, 4).
@@ -187,8 +193,10 @@ class RobotModel:
         Raises:
             RobotModelError: the frame is unknown, or a joint is missing or not finite.
         """
-        q = self.configuration(joint_positions, (self.base_frame, frame))
-        data = self._placed(q)
+        mechanism = self.mechanism
+        ends = (mechanism.above([self._parent_joint(f)]) for f in (self.base_frame, frame))
+        between = mechanism.owners(next(ends) ^ next(ends))
+        data = self._placed(mechanism.configuration(joint_positions, between))
         return invert_transform(self._root_frame(data, self.base_frame)) @ self._root_frame(
             data, frame
         )
@@ -206,9 +214,10 @@ class RobotModel:
         Raises:
             RobotModelError: the frame is unknown, or a joint is missing or not finite.
         """
-        frame_joint = self._parent_joint(self._frame_id(frame))
-        needed = self._needed_by_body | self._joints_above({frame_joint})
-        data = self._placed(self._configuration(joint_positions, needed))
+        mechanism = self.mechanism
+        needed = mechanism.owners(mechanism.above([self._parent_joint(frame)]))
+        q = mechanism.configuration(joint_positions, self._needed_by_body | needed)
+        data = self._placed(q)
         T_frame_root = invert_transform(self._root_frame(data, frame))
         T_frame_joint = [T_frame_root @ pose.homogeneous for pose in data.oMi]
         return [
@@ -216,44 +225,14 @@ class RobotModel:
             for shape in self._shapes
         ]
 
-    @property
-    def _base_joint(self) -> int:
-        return self._parent_joint(self._frame_id(self.base_frame))
-
     def _frame_id(self, frame: str) -> int:
         try:
             return self._frame_ids[frame]
         except KeyError:
             raise RobotModelError(f"robot '{self.name}' has no frame '{frame}'") from None
 
-    def _parent_joint(self, frame_id: int) -> int:
-        return int(self.model.frames[frame_id].parentJoint)
-
-    def _joints_above(self, joints: Iterable[int]) -> frozenset[str]:
-        """Names of the joints with a position of their own that move any of these joints."""
-        model = self.model
-        above = {int(index) for joint in joints for index in model.supports[joint]}
-        leaders = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
-        above |= {int(leaders[index]) for index in above if index in leaders}
-        return frozenset(name for name, index in self._joint_ids.items() if index in above)
-
-    def _configuration(
-        self, joint_positions: Mapping[str, float], needed: Iterable[str]
-    ) -> FloatArray:
-        missing = [name for name in needed if name not in joint_positions]
-        if missing:
-            raise RobotModelError(f"no position of joint {', '.join(map(repr, sorted(missing)))}")
-        q = np.asarray(pinocchio.neutral(self.model))
-        for name in needed:
-            position = float(joint_positions[name])
-            if not math.isfinite(position):
-                raise RobotModelError(f"position of joint '{name}' is {position}")
-            joint = self.model.joints[self._joint_ids[name]]
-            if joint.nq == 2:
-                q[joint.idx_q : joint.idx_q + 2] = math.cos(position), math.sin(position)
-            else:
-                q[joint.idx_q] = position
-        return q
+    def _parent_joint(self, frame: str) -> int:
+        return int(self.model.frames[self._frame_id(frame)].parentJoint)
 
     def _placed(self, q: FloatArray) -> pinocchio.Data:
         """Kinematics at `q` in data of this call alone, so that threads do not meet."""

@@ -8,11 +8,13 @@ is checked here first.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 from infomap_ros.errors import RobotModelError
+from infomap_ros.motion.mimicry import Follower, read_followers
 
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
@@ -26,25 +28,28 @@ class RobotDescription:
         xml: its text.
         folder: where the file lies, or None if it came as text.
         collision_shapes: number of ``<collision>`` elements.
+        followers: joints that mimic another, by name.
     """
 
     xml: str
     folder: Path | None
     collision_shapes: int
+    followers: Mapping[str, Follower]
 
 
-def read_urdf(path_or_xml: str | Path) -> RobotDescription:
+def read_urdf(path_or_xml: str | Path, mimics: Mapping[str, str] | None = None) -> RobotDescription:
     """Read a URDF from a file, or take it as text, and check its structure.
 
     Args:
         path_or_xml: a path, or the XML itself (a string that starts with ``<``).
+        mimics: joints that follow another without the URDF's saying so, name -> leader.
 
     Raises:
-        RobotModelError: no such file, no XML, no tree of links, or a joint or collision shape of
-            an unknown type; names the culprit.
+        RobotModelError: no such file, no XML, no tree of links, a joint or collision shape of an
+            unknown type, or joints that cannot follow each other; names the culprit.
     """
     if isinstance(path_or_xml, str) and path_or_xml.lstrip().startswith("<"):
-        return RobotDescription(path_or_xml, None, _check(path_or_xml))
+        return _checked(path_or_xml, None, mimics)
     path = Path(path_or_xml)
     try:
         xml = path.read_text(encoding="utf-8")
@@ -52,10 +57,10 @@ def read_urdf(path_or_xml: str | Path) -> RobotDescription:
         raise RobotModelError(f"robot description {path}: {error.strerror}") from error
     except ValueError as error:
         raise RobotModelError(f"robot description {path} is not UTF-8 text") from error
-    return RobotDescription(xml, path.resolve().parent, _check(xml))
+    return _checked(xml, path.resolve().parent, mimics)
 
 
-def _check(xml: str) -> int:
+def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) -> RobotDescription:
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
@@ -64,7 +69,8 @@ def _check(xml: str) -> int:
         raise RobotModelError(f"malformed URDF: the root element is <{root.tag}>, not <robot>")
     links = _unique_names(root, "link")
     _check_joints(root, links)
-    return sum(_check_collision(link) for link in root.findall("link"))
+    shapes = sum(_check_collision(link) for link in root.findall("link"))
+    return RobotDescription(xml, folder, shapes, read_followers(root, mimics))
 
 
 def _unique_names(root: ElementTree.Element, tag: str) -> list[str]:

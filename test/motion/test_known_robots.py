@@ -13,7 +13,7 @@ from infomap_ros.motion import RobotModel, solve_ik_batch
 from infomap_ros.motion.urdf import read_urdf
 
 from .arms import random_positions
-from .known_robots import KNOWN_ROBOTS, installed
+from .known_robots import KNOWN_ROBOTS, TIAGO_ARM, installed, stretch, tiago
 
 
 @cache
@@ -98,3 +98,48 @@ def description_of(name: str) -> tuple[str, list[str]]:
         return read_urdf(path).xml, [str(path.parent)]
     path = installed("example-robot-data", endings[name])
     return read_urdf(path).xml, [str(path.parents[4])]
+
+
+TELESCOPE = {f"joint_arm_l{number}": "joint_arm_l3" for number in range(3)}
+
+
+def test_the_telescope_of_stretch_is_one_joint(rng):
+    """One motor drives its four segments; then five joints reach position and direction."""
+    robot = stretch(mimics=TELESCOPE)
+    names = [
+        f"joint_{part}" for part in ("lift", "arm_l3", "wrist_yaw", "wrist_pitch", "wrist_roll")
+    ]
+    assert robot.arm.joint_names == tuple(names)
+    answers, starts = (random_positions(robot.arm, rng, 100) for _ in range(2))
+    free = robot_of("stretch")
+    for q in answers[:5]:
+        segments = dict.fromkeys(["joint_arm_l3", *TELESCOPE], q[1])
+        pose = free.forward_kinematics(robot.arm.by_name(q) | segments, free.camera_frame)
+        np.testing.assert_allclose(robot.arm.camera_pose(q), pose, atol=1e-12)
+    targets = robot.arm.camera_pose(answers)
+    batch = solve_ik_batch(robot, targets, q_start=starts, direction_only=True)
+    assert batch.converged.mean() >= 0.995
+    cameras = robot.arm.camera_pose(batch.q[batch.converged])
+    np.testing.assert_allclose(cameras[:, :3, 3], targets[batch.converged, :3, 3], atol=1e-4)
+    np.testing.assert_allclose(cameras[:, :3, 2], targets[batch.converged, :3, 2], atol=1e-3)
+
+
+def test_the_body_of_stretch_needs_no_wheels():
+    """Its driver reports neither the wheels nor, in a URDF without range, the fingers."""
+    robot = stretch(assumed_joints=["joint_left_wheel", "joint_right_wheel"])
+    positions = resting(robot)
+    for name in ("left_wheel", "right_wheel", "gripper_finger_left", "gripper_finger_right"):
+        del positions[f"joint_{name}"]
+    solids = robot.solids_in(robot.camera_frame, positions)
+    assert {solid.name for solid in solids} == set(robot.links_with_solids)
+    assert all(np.isfinite(solid.transform).all() for solid in solids)
+
+
+def test_the_lift_of_tiago_can_be_left_out(rng):
+    robot = tiago(arm_joints=TIAGO_ARM)
+    assert robot.arm.joint_names == TIAGO_ARM
+    raised = robot.chain(TIAGO_ARM, held={"torso_lift_joint": 0.3})
+    q = random_positions(raised, rng, 1)[0]
+    np.testing.assert_allclose(
+        raised.camera_pose(q)[:3, 3] - robot.arm.camera_pose(q)[:3, 3], [0.0, 0.0, 0.3], atol=1e-12
+    )

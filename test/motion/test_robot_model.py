@@ -51,6 +51,8 @@ ARM = """
 </robot>
 """
 
+SPHERE = '<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.1"/></geometry></collision>'
+
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
 
@@ -296,3 +298,49 @@ def test_rover_camera_stands_where_the_printed_lengths_put_it():
     np.testing.assert_allclose(baseline[:3], [0.1016, 0, 0], atol=1e-6)
     T_base_wrist = rover.forward_kinematics(upright, "arm_wrist")
     assert T_base_wrist[2, 3] == pytest.approx(0.11 + 0.1382 + 0.3442 + 0.2286)
+
+
+def test_joints_that_carry_both_frames_may_be_missing():
+    """Between the upper arm and the camera only the slide moves."""
+    robot = RobotModel.from_urdf(ARM, base_frame="upper")
+    pose = robot.forward_kinematics({"slide": 0.2}, "camera")
+    np.testing.assert_allclose(pose, make_transform(np.eye(3), [0.7, 0.0, 0.1]), atol=1e-12)
+    with pytest.raises(RobotModelError, match="no position of joint 'slide'"):
+        robot.forward_kinematics({"turn": 0.2}, "camera")
+
+
+def test_a_joint_that_nobody_reports_can_be_assumed():
+    xml = ARM.replace('<link name="wheel"/>', f'<link name="wheel">{SPHERE}</link>')
+    positions = {"turn": 0.3, "slide": 0.1}
+    with pytest.raises(RobotModelError, match="no position of joint 'roll'"):
+        RobotModel.from_urdf(xml).solids_in("camera", positions)
+    robot = RobotModel.from_urdf(xml, assumed_joints=["roll"])
+    assumed, told, at_zero = (
+        {solid.name: solid.transform for solid in robot.solids_in("camera", positions | more)}
+        for more in ({}, {"roll": 1.0}, {"roll": 0.0})
+    )
+    np.testing.assert_equal(assumed, at_zero)
+    assert not np.allclose(assumed["wheel"], told["wheel"])
+
+
+def test_an_assumed_joint_stands_at_its_limit_nearest_to_zero():
+    xml = ARM.replace('lower="0" upper="0.3"', 'lower="0.2" upper="0.3"')
+    robot = RobotModel.from_urdf(xml, "camera", assumed_joints=["slide"])
+    np.testing.assert_array_equal(
+        robot.forward_kinematics({"turn": 0.0}, "camera"),
+        robot.forward_kinematics({"turn": 0.0, "slide": 0.2}, "camera"),
+    )
+
+
+def test_a_joint_without_a_range_needs_no_position():
+    xml = ARM.replace('lower="-1" upper="2"', 'lower="0.5" upper="0.5"')
+    robot = RobotModel.from_urdf(xml, "camera")
+    np.testing.assert_array_equal(
+        robot.forward_kinematics({"slide": 0.1}, "camera"),
+        robot.forward_kinematics({"slide": 0.1, "turn": 0.5}, "camera"),
+    )
+
+
+def test_an_unknown_joint_cannot_be_assumed():
+    with pytest.raises(RobotModelError, match="no joint 'wheel' whose position can be assumed"):
+        RobotModel.from_urdf(ARM, assumed_joints=["wheel"])

@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from infomap_ros.geometry import PlacedSolid, points_inside
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import FREE, OccupancyThresholds, VoxelWindow
+from infomap_ros.mapping import FREE, UNKNOWN, OccupancyThresholds, VoxelWindow
 from infomap_ros.views import space_kernels
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.surroundings import (
@@ -87,7 +87,8 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     occupied = max(0.5, 2.0 * settings.free_probability)
     states = window.states(OccupancyThresholds(settings.free_probability, occupied))
     camera = window.positions_of(situation.position[None])[0]
-    _clear_body(window, states, camera, situation.free_body)
+    _clear_body(window, states, situation.free_body)
+    _clear_camera(states, camera, settings.camera_radius / size + 1.0)
     first = np.maximum(window.positions_of(inner[:1])[0], 0)
     last = np.minimum(window.positions_of(inner[1:])[0], np.array(states.shape) - 1)
     free = _padded_free(states, first, last, reach)
@@ -168,9 +169,9 @@ def _common(box: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _clear_body(
-    window: VoxelWindow, states: NDArray[np.uint8], camera: IntArray, body: Sequence[PlacedSolid]
+    window: VoxelWindow, states: NDArray[np.uint8], body: Sequence[PlacedSolid]
 ) -> None:
-    """Set the voxels of the robot's own body, and the camera's own, to free."""
+    """Set the voxels of the robot's own body to free."""
     for placed in body:
         radius = placed.solid.bounding_radius + window.voxel_size
         corners = placed.transform[:3, 3] + np.array([[-radius], [radius]])
@@ -182,6 +183,14 @@ def _clear_body(
         flat = places.reshape(-1, 3)
         inside = points_inside(window.centres_of(flat), [placed], 0.5 * window.voxel_size)
         states[tuple(flat[inside].T)] = FREE
+
+
+def _clear_camera(states: NDArray[np.uint8], camera: IntArray, radius: float) -> None:
+    """Set what is unknown around the camera to free: it is there, and sees nothing so near."""
+    low = np.maximum(camera - int(radius), 0)
+    part = states[tuple(map(slice, low, camera + int(radius) + 1))]
+    offsets = np.stack(np.indices(part.shape), axis=-1) + low - camera
+    part[(part == UNKNOWN) & ((offsets**2).sum(axis=-1) <= radius * radius)] = FREE
     states[tuple(camera)] = FREE
 
 

@@ -6,6 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.log_records import Message
 from infomap_ros.exploration.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.report_page import sections, tables
@@ -128,7 +129,10 @@ def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
 
 
 def _above(voxel_map: VoxelMap) -> MapImage | None:
-    return map_from_above(voxel_map) if voxel_map.surface_voxels else None
+    try:
+        return map_from_above(voxel_map)
+    except InvalidInputError:  # no surface yet
+        return None
 
 
 def _opened(voxel_map: VoxelMap | str | Path) -> VoxelMap:

@@ -19,7 +19,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from .browser import MISSING, NO_WEBGL, SOFTWARE_WEBGL, Browser, find_browser
 from .made_up_run import entries, made_up_map, write_log
 
-SIZE = (1300, 900)
+SIZE = (1000, 640)
 ACCENT = (178, 114, 0)  # of the light theme, BGR
 
 
@@ -57,9 +57,13 @@ def stage(browser: Browser) -> tuple[float, float, float, float]:
 
 
 def picture(browser: Browser, name: str = "scene") -> np.ndarray:
-    """What a canvas shows, shape (H, W, 4), BGRA."""
-    browser.frame()
-    data = browser.evaluate(f"document.getElementById('{name}').toDataURL()")
+    """What a canvas shows when all is drawn, shape (H, W, 4), BGRA."""
+    browser.wait("document.getElementById('scene').dataset.drawn === 'whole'")
+    return decoded(browser.evaluate(f"document.getElementById('{name}').toDataURL()"))
+
+
+def decoded(data: str) -> np.ndarray:
+    """Pixels of a data address, shape (H, W, 4), BGRA."""
     code = np.frombuffer(base64.b64decode(data.split(",")[1]), np.uint8)
     image = cv2.imdecode(code, cv2.IMREAD_UNCHANGED)
     assert image is not None
@@ -204,6 +208,17 @@ def test_the_dark_theme_is_dark(page: Browser) -> None:
     click(page, "#theme")
     assert light.min() > 200
     assert dark.max() < 60
+
+
+def test_paper_gets_the_map_on_a_light_ground(page: Browser) -> None:
+    click(page, "#theme")
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    data = page.evaluate("document.getElementById('labels').toDataURL()")
+    printed = decoded(data)
+    assert len(np.unique(printed[..., :3].reshape(-1, 3), axis=0)) > 200
+    assert printed[0, 0, :3].min() > 200
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert picture(page)[0, 0, :3].max() < 60
 
 
 def test_a_pointer_on_a_chart_tells_the_value(page: Browser) -> None:

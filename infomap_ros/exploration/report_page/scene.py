@@ -64,6 +64,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
         "bounds": _bounds(centres, surface.size, 0.1),
         "focus": _bounds(centres, surface.size, 2.0),
         "cut": cut,
+        "heights": _heights(centres, cut),
         "sigma": {"scale": SIGMA_RANGE, "shown": _sigma_limits(surface)},
         "logOdds": LOG_ODDS_RANGE,
         "least": surface.least_evidence / 255.0,
@@ -180,6 +181,15 @@ def _bounds(centres: FloatArray, size: float, outside: float = 0.0) -> list[list
         return [[-1.0] * 3, [1.0] * 3]
     low, high = np.percentile(centres, [outside, 100.0 - outside], axis=0)
     return [[round(float(x), 4) for x in corner] for corner in (low - size / 2, high + size / 2)]
+
+
+def _heights(centres: FloatArray, cut: float | None) -> list[float]:
+    """Range of heights below the cut that the colours span [m]."""
+    shown = centres[:, 2] if cut is None else centres[centres[:, 2] <= cut, 2]
+    if not len(shown):
+        return [0.0, 1.0]
+    low, high = np.percentile(shown, [1.0, 99.0])
+    return [float(low), max(float(high), float(low) + 1e-3)]
 
 
 def _sigma_limits(surface: DrawnSurface) -> list[float]:

@@ -87,10 +87,16 @@ def coded(values: FloatArray, low: float, high: float) -> NDArray[np.uint8]:
 
 def _merge(cells: NDArray[np.int64], values: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """Mean of the values of equal cells."""
-    unique, owners = np.unique(cells, axis=0, return_inverse=True)
-    sums = np.zeros((len(unique), values.shape[1]))
-    np.add.at(sums, owners.reshape(-1), values)
-    return unique, sums / np.bincount(owners.reshape(-1))[:, None]
+    low = cells.min(axis=0)
+    _, first, owners = np.unique(_keys(cells - low), return_index=True, return_inverse=True)
+    counts = np.bincount(owners)
+    means = [np.bincount(owners, column) / counts for column in values.T]
+    return cells[first], np.column_stack(means)
+
+
+def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each place, places from 0 to 2^21 - 1 along each axis."""
+    return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
 
 
 def _nothing() -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 // Three things that WebGL 2 draws, all as instances: voxels, thick line segments, round marks.
 const VOXEL_SHADER = `#version 300 es
 in vec3 corner; in vec3 cell; in vec3 normal; in vec2 value;
-uniform mat4 matrix; uniform vec3 eye, first; uniform float size, cut, least;
+uniform mat4 matrix; uniform vec3 eye, first; uniform float size, grown, cut, least;
 uniform int mode; uniform vec2 range; uniform sampler2D colours;
 out vec3 colour; out vec3 local;
 void main() {
@@ -9,7 +9,7 @@ void main() {
   if (centre.z > cut || value.y < least) { gl_Position = vec4(0.0, 0.0, 2.0, 1.0); return; }
   vec3 side = mix(vec3(-1.0), vec3(1.0), greaterThanEqual(eye, centre)); // the three faces that are seen
   local = corner;
-  gl_Position = matrix * vec4(centre + 0.5 * size * corner * side, 1.0);
+  gl_Position = matrix * vec4(centre + 0.5 * grown * corner * side, 1.0);
   float shown = mode == 0 ? centre.z : mode == 1 ? value.x : value.y;
   float share = clamp((shown - range.x) / (range.y - range.x), 0.0, 1.0);
   vec3 view = normalize(eye - centre), n = normalize(normal + 1e-4);
@@ -72,6 +72,18 @@ void main() {
 const CUBE_CORNERS = [1, 1, 1, 1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, -1, -1, 1, 1, -1, -1, 1];
 const CUBE_TRIANGLES = [0, 1, 2, 0, 2, 3, 0, 3, 4, 0, 4, 5, 0, 5, 6, 0, 6, 1];
 
+// The numbers below n in an order that is the same each time, any part of it spread evenly.
+function shuffled(n) {
+  const order = Uint32Array.from({ length: n }, (_, i) => i);
+  let state = 12345;
+  for (let i = n - 1; i > 0; i--) {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    const j = Math.floor((state / 2 ** 32) * (i + 1));
+    [order[i], order[j]] = [order[j], order[i]];
+  }
+  return order;
+}
+
 class Program {
   constructor(gl, vertex, fragment) {
     this.gl = gl;
@@ -133,13 +145,20 @@ class Painter {
     this.textures = {};
     for (const name of Object.values(manifest.colourMaps)) this.textures[name] = this.texture(arrays[`map_${name}`]);
     this.count = arrays.cells.length / 3;
-    const values = new Uint8Array(2 * this.count);
-    arrays.sigmas.forEach((v, i) => { values[2 * i] = v; });
-    arrays.evidence.forEach((v, i) => { values[2 * i + 1] = v; });
+    const order = shuffled(this.count);
+    const values = new Uint8Array(2 * this.count), cells = new Uint16Array(3 * this.count), normals = new Int8Array(3 * this.count);
+    order.forEach((from, to) => {
+      values[2 * to] = arrays.sigmas[from];
+      values[2 * to + 1] = arrays.evidence[from];
+      for (let k = 0; k < 3; k++) {
+        cells[3 * to + k] = arrays.cells[3 * from + k];
+        normals[3 * to + k] = arrays.normals[3 * from + k];
+      }
+    });
     this.surface = this.voxels.arrays({
       corner: [new Float32Array(CUBE_CORNERS), 3, gl.FLOAT, false, false],
-      cell: [arrays.cells, 3, gl.UNSIGNED_SHORT, false, true],
-      normal: [arrays.normals, 3, gl.BYTE, true, true],
+      cell: [cells, 3, gl.UNSIGNED_SHORT, false, true],
+      normal: [normals, 3, gl.BYTE, true, true],
       value: [values, 2, gl.UNSIGNED_BYTE, true, true],
     }, CUBE_TRIANGLES);
   }
@@ -179,12 +198,25 @@ class Painter {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
-  drawSurface(values, colours) {
+  // Calls back when what was asked for has been drawn.
+  whenDone(callback) {
+    const { gl } = this, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const look = () => {
+      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return setTimeout(look, 4);
+      gl.deleteSync(fence);
+      callback();
+    };
+    setTimeout(look, 0);
+  }
+
+  // A share of the voxels, drawn larger to close the gaps, is enough while the map turns.
+  drawSurface(values, colours, share) {
     const { gl } = this;
-    this.voxels.use({ ...values, colours: 0 });
+    this.voxels.use({ ...values, colours: 0, grown: values.size / Math.sqrt(share) });
     gl.bindTexture(gl.TEXTURE_2D, this.textures[colours]);
     gl.bindVertexArray(this.surface);
-    gl.drawElementsInstanced(gl.TRIANGLES, CUBE_TRIANGLES.length, gl.UNSIGNED_BYTE, 0, this.count);
+    gl.drawElementsInstanced(gl.TRIANGLES, CUBE_TRIANGLES.length, gl.UNSIGNED_BYTE, 0, Math.ceil(share * this.count));
   }
 
   // Twice: faint where the map hides it, then what is in sight.

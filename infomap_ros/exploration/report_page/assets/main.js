@@ -56,11 +56,12 @@ function connectTheme() {
   window.addEventListener("beforeprint", () => {
     theme = root.dataset.theme;
     root.dataset.theme = "light";
-    if (viewer) { viewer.recolour(); viewer.draw(); }
+    if (viewer) viewer.freeze();
   });
   window.addEventListener("afterprint", () => {
     if (theme) root.dataset.theme = theme;
     else delete root.dataset.theme;
+    if (viewer) { viewer.frozen = false; viewer.resize(); }
     show();
   });
   show();

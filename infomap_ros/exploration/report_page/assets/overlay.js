@@ -1,8 +1,9 @@
 // Text over the 3-D view: numbers of views, axes with units; and the legend.
-function paintLabels(canvas, viewer) {
+function paintLabels(canvas, viewer, background) {
   const ratio = viewer.ratio, context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, canvas.width, canvas.height);
+  if (background) context.drawImage(background, 0, 0, canvas.width / ratio, canvas.height / ratio);
   context.font = '11px system-ui, "Noto Sans", "DejaVu Sans", sans-serif';
   context.textBaseline = "middle";
   if (viewer.shown.axes) paintAxes(context, viewer);

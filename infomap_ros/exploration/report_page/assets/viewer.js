@@ -11,8 +11,9 @@ class Viewer {
     this.candidates = [];
     this.cut = manifest.cut === null ? Infinity : manifest.cut;
     this.least = manifest.least;
-    this.frames = 0;
-    this.orbit = new Orbit(manifest.bounds, () => this.redraw());
+    this.share = 1; // of the voxels that is drawn while the map turns, as fast as this machine draws
+    this.moving = this.busy = this.wanted = false;
+    this.orbit = new Orbit(manifest.bounds, () => this.turned());
     this.size = Math.max(0.12, Math.min(0.6, 0.05 * this.orbit.radius));
     this.recolour();
     this.resize();
@@ -49,13 +50,22 @@ class Viewer {
   }
 
   range(mode) {
-    if (mode === "height") return [manifest.focus[0][2], Math.min(manifest.focus[1][2], this.cut)];
+    if (mode === "height") return this.cut < Infinity ? manifest.heights : [0, 1].map((i) => manifest.focus[i][2]);
     if (mode === "probability") return [0, 1];
     const [a, b] = manifest.sigma.scale.map(Math.log);
     return manifest.sigma.shown.map((v) => (Math.log(v) - a) / (b - a));
   }
 
+  // For paper, which shows no WebGL: the picture as part of the canvas with the labels.
+  freeze() {
+    this.frozen = true;
+    this.recolour();
+    this.draw();
+    paintLabels(this.labels, this, this.scene);
+  }
+
   resize() {
+    if (this.frozen || matchMedia("print").matches) return; // paper gets the picture as it is
     const { clientWidth, clientHeight } = this.scene;
     this.ratio = Math.min(window.devicePixelRatio || 1, 2);
     for (const canvas of [this.scene, this.labels]) {
@@ -67,13 +77,39 @@ class Viewer {
     this.redraw();
   }
 
-  redraw() {
-    if (this.asked) return;
-    this.asked = true;
-    requestAnimationFrame(() => { this.asked = false; this.draw(); });
+  turned() {
+    this.moving = true;
+    this.redraw();
   }
 
-  draw() {
+  // One frame after the other: the next one begins when the last one is done.
+  redraw() {
+    this.wanted = true;
+    this.scene.dataset.drawn = "part";
+    if (this.busy) return;
+    this.busy = true;
+    requestAnimationFrame(() => {
+      this.wanted = false;
+      const share = this.moving ? this.share : 1, started = performance.now();
+      this.draw(share);
+      this.painter.whenDone(() => this.done(share, performance.now() - started));
+    });
+  }
+
+  // Draw fewer voxels in the next frame when this one took long, more when it was quick; all of
+  // them when the map has come to rest.
+  done(share, taken) {
+    this.busy = false;
+    this.share = Math.max(0.01, Math.min(1, share * Math.max(0.02, Math.min(1.5, 35 / taken))));
+    if (this.moving) {
+      clearTimeout(this.rest);
+      this.rest = setTimeout(() => { this.moving = false; this.redraw(); }, 200);
+    }
+    if (this.wanted) this.redraw();
+    else if (!this.moving) this.scene.dataset.drawn = "whole";
+  }
+
+  draw(share = 1) {
     const { painter, orbit, scene, shown, groups } = this;
     orbit.update(orbit.width, orbit.height);
     painter.begin([...toRgb(this.colours.stage), 1], scene.width, scene.height);
@@ -81,7 +117,7 @@ class Viewer {
     const mode = ["height", "sigma", "probability"].indexOf(this.mode);
     if (shown.surface) {
       const placed = { first: manifest.first, size: manifest.voxel, cut: Math.min(this.cut, 1e9), least: this.least - 0.002 };
-      painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colourMaps[this.mode]);
+      painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colourMaps[this.mode], share);
     }
     const values = { matrix, screen: [scene.width, scene.height], ratio: this.ratio };
     if (shown.axes) painter.drawGroup(groups.axes, values, 0);
@@ -92,7 +128,6 @@ class Viewer {
       painter.drawGroup(groups.candidates, values, 0.3);
     }
     paintLabels(this.labels, this);
-    this.frames += 1;
   }
 
   // The view or candidate at a place on the screen, or null.

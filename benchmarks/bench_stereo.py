@@ -20,8 +20,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+import infomap_ros.nodes  # noqa: F401  sets how memory is used, as for the nodes
 from infomap_ros.geometry import CameraCalibration
-from infomap_ros.nodes.memory import keep_freed_memory
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 from infomap_ros.stereo.images import grey
 
@@ -106,7 +106,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=60)
     runs = parser.parse_args().runs
-    keep_freed_memory()  # as the nodes do
     results = {
         f"{name}_threads_{threads}": measure(threads, colour, runs)
         for name, colour in (("grey", False), ("rgb", True))

@@ -52,7 +52,7 @@ def keep_freed_memory() -> bool:
     """Let all threads take memory from one heap, which keeps up to 1 GB of what they free.
 
     By default the C library has a heap per thread and gives large blocks back at once. To be
-    called before other threads start.
+    called before other threads start; importing `infomap_ros.nodes` does so.
 
     Returns:
         Whether the C library can do so (glibc can).

@@ -13,7 +13,6 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from infomap_ros.errors import InfomapError
-from infomap_ros.nodes.memory import keep_freed_memory
 
 NodeType = TypeVar("NodeType", bound=Node)
 
@@ -33,7 +32,6 @@ def run_node(
     Returns:
         Exit status: 0, 2 when the node could not start, or the result of the future.
     """
-    keep_freed_memory()
     rclpy.init(args=None if arguments is None else list(arguments))
     node = None
     try:

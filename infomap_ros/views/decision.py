@@ -95,8 +95,8 @@ def why_this(chosen: RatedView, full_view: float, kept: bool, views: list[RatedV
     ]
     if kept:
         parts.append("the goal so far is kept, as no other is clearly better")
-    wishes = [name for name in ("interest", "teammates") if abs(terms.get(name, 0.0)) >= 0.5]
-    parts += [f"{name} {terms[name]:+.0f} bits" for name in wishes]
+    changes = {name: terms.get(name, 0.0) for name in ("interest", "teammates", "repetition")}
+    parts += [f"{name} {bits:+.0f} bits" for name, bits in changes.items() if abs(bits) >= 0.5]
     better = [view for view in views if view.rejection and view.score > chosen.score]
     text = "; ".join(parts)
     return f"{text}. {_count_reasons(better, 'ranked higher but ruled out')}".rstrip()

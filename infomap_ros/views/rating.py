@@ -18,6 +18,7 @@ from infomap_ros.views.terms import (
     InterestTerm,
     LocalisationErrorTerm,
     RatingTerm,
+    Repetition,
     Risk,
     TeammatesTerm,
 )
@@ -36,7 +37,7 @@ class RatingConfig:
     """
 
     information_weight: float = parameter(
-        1.0, "w_NI of eq. (11), also for what interests add and teammates take.", low=0.0, high=1e6
+        1.0, "w_NI of eq. (11), also for what interests add and others take.", low=0.0, high=1e6
     )
     distance_weight: float = parameter(
         0.005,
@@ -64,6 +65,19 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
+    repetition: float = parameter(
+        0.5,
+        "Share of the information that is no longer believed for each view taken before from the "
+        "same pose: what it has not told then, it will not tell now.",
+        low=0.0,
+        high=1.0,
+    )
+    repetition_distance: float = parameter(
+        0.4, "Distance over which that falls off.", unit="m", low=0.001, high=100.0
+    )
+    repetition_angle: float = parameter(
+        0.3, "Turn over which that falls off.", unit="rad", low=0.001, high=10.0
+    )
     teammate_sigma: float = parameter(
         0.5,
         "Width of the Gaussian by which the risk falls off around a teammate.",
@@ -86,7 +100,8 @@ class Ratings:
     Attributes:
         terms: value of each term by name, in its own unit, shape (M,) each.
         ratings: RF of eq. (11), shape (M,) [full views].
-        shares: what counts of the information, by interests and teammates, shape (M,) [full views].
+        shares: what counts of the information, by interests, teammates and repetition, shape (M,)
+            [full views].
         config: the weights.
     """
 
@@ -122,10 +137,14 @@ class Rating:
         self.config = config or RatingConfig()
         weight = self.config.information_weight
         distance = Distance(self.config.position_weights, self.config.rotation_weights)
+        repetition = Repetition(
+            self.config.repetition, self.config.repetition_distance, self.config.repetition_angle
+        )
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
+            (repetition, weight),
             (distance, -self.config.distance_weight),
             (LocalisationErrorTerm(localisation_error), -self.config.localisation_weight),
             *more_terms,
@@ -141,6 +160,6 @@ class Rating:
             total += weight * values[term.name] / unit
         risk = self._risk(options)
         values[self._risk.name] = risk
-        counted = sum(values[name] for name in ("information", "interest", "teammates"))
+        counted = sum(values[term.name] for term, _ in self._terms[:4])
         shares = np.asarray(counted / options.full_view)
         return Ratings(values, total - risk * np.abs(total), shares, self.config)

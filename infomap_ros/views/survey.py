@@ -189,7 +189,7 @@ def _clear_camera(states: NDArray[np.uint8], camera: IntArray, radius: float) ->
     """Set what is unknown around the camera to free: it is there, and sees nothing so near."""
     low = np.maximum(camera - int(radius), 0)
     part = states[tuple(map(slice, low, camera + int(radius) + 1))]
-    offsets = np.stack(np.indices(part.shape), axis=-1) + low - camera
+    offsets = np.moveaxis(np.indices(part.shape), 0, -1) + low - camera
     part[(part == UNKNOWN) & ((offsets**2).sum(axis=-1) <= radius * radius)] = FREE
     states[tuple(camera)] = FREE
 

@@ -72,6 +72,32 @@ class TeammatesTerm:
         return np.asarray(options.information * glances.wanted * (glances.left - 1.0))
 
 
+class Repetition:
+    """What is no longer believed of the information, because a view like this was taken before.
+
+    A view takes out of the map's unknown space what it sees. Where much is still expected of the
+    same view, the sensor measures nothing there (sky, mirrors, walls without texture), and would
+    not the next time. Each past view takes a share of the information that falls off like a
+    Gaussian with its distance in position and rotation.
+    """
+
+    name, unit = "repetition", "bits"
+
+    def __init__(self, share: float, distance: float, angle: float) -> None:
+        """Share that a past view from the same pose takes, and widths [m] and [rad]."""
+        self._share, self._distance, self._angle = share, distance, angle
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Lost information of each view, shape (M,), at most 0."""
+        past, believed = options.situation.past_views, np.ones(len(options))
+        for pose in past:
+            gaps = np.linalg.norm(options.positions - pose[:3, 3], axis=1) / self._distance
+            traces = np.einsum("mij,ij->m", options.poses[:, :3, :3], pose[:3, :3])
+            angles = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)) / self._angle
+            believed *= 1.0 - self._share * np.exp(-0.5 * (gaps**2 + angles**2))
+        return np.asarray(options.information * (believed - 1.0))
+
+
 class Distance:
     """d of eq. (10): weighted distance over the degrees of freedom of the camera.
 

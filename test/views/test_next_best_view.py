@@ -73,7 +73,8 @@ def test_same_seed_same_choice(half_seen: Situation) -> None:
 
 def test_every_candidate_has_terms_or_a_reason(half_seen: Situation) -> None:
     decision = choose(half_seen)
-    names = {"information", "interest", "teammates", "distance", "localisation_error", "risk"}
+    gains = {"information", "interest", "teammates", "repetition"}
+    names = gains | {"distance", "localisation_error", "risk"}
     for view in decision.candidates:
         assert set(view.terms) == names or view.rejection
     assert any(view is decision.chosen for view in decision.candidates)
@@ -239,7 +240,7 @@ def test_empty_map_gives_the_views_from_where_the_camera_is() -> None:
     now = Situation(VoxelMap(), CAMERA, 4.0, facing(0.0, START))
     decision = choose(now)
     assert decision.chosen is not None
-    np.testing.assert_array_equal(decision.chosen.pose[:3, 3], START)
+    np.testing.assert_allclose(decision.chosen.pose[:3, 3], START, atol=0.25)
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,17 @@ def test_what_a_teammate_is_about_to_see_counts_less(situation: Situation) -> No
     assert terms.shares[0] == pytest.approx((50.0 + loss[0]) / 100.0)
 
 
+def test_view_that_has_told_nothing_is_believed_less(situation: Situation) -> None:
+    same, beside = facing(0.0, (2.5, 2.0, 1.2)), facing(0.3, (2.5, 2.0, 1.2))
+    other = facing(np.pi, (2.5, 2.0, 1.2))
+    past = with_fields(situation, past_views=np.stack([same, same]))
+    rated = Rating().rate(options_of(past, [same, beside, other], [50.0] * 3))
+    left = 1.0 + rated.terms["repetition"] / 50.0
+    share = np.exp(-0.5)
+    np.testing.assert_allclose(left, [0.25, (1.0 - 0.5 * share) ** 2, 1.0], atol=1e-6)
+    np.testing.assert_allclose(rated.shares, 0.5 * left)
+
+
 def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:
     class Sun:
         name, unit = "sun", "rad"
@@ -168,19 +179,19 @@ def narrow(focal_length: float) -> PinholeCamera:
 
 @pytest.fixture(scope="module")
 def rated_by_scale() -> dict[tuple[float, float], np.ndarray]:
-    """Ratings of the same 300 views of one scene, by voxel size and focal length."""
+    """Ratings of the same 150 views of one scene, by voxel size and focal length."""
     block = ((3.0, 1.0, 0.0, 3.6, 1.8, 1.4),)
     seen = [facing(angle, START) for angle in (-0.5, 0.0, 0.5)]
     ratings, poses = {}, None
     for voxel_size in (0.1, 0.05):
         voxel_map = seen_room(seen, ROOM, block, voxel_size)
-        for focal_length in (35.0, 50.0, 70.0):
+        for focal_length in (35.0, 50.0, 70.0) if voxel_size > 0.07 else (35.0, 50.0):
             region = RegionOfTask((0, 0, 0), ROOM)
             now = Situation(voxel_map, narrow(focal_length), 4.0, seen[1], region=region)
             around, source = survey(now), ExpectedInformation()
             if poses is None:
                 rng = np.random.default_rng(0)
-                poses = find_candidates(now, around, rng, CandidateConfig(candidates=300)).poses
+                poses = find_candidates(now, around, rng, CandidateConfig(candidates=150)).poses
             bits, full = source.exact(now, poses), source.full_view(now)
             options = Options(now, around, poses, bits, full, source, np.random.default_rng(0))
             ratings[voxel_size, focal_length] = Rating().rate(options).ratings
@@ -191,11 +202,13 @@ def rated_by_scale() -> dict[tuple[float, float], np.ndarray]:
 def test_choice_does_not_depend_on_resolution_or_field_of_view(
     rated_by_scale: dict[tuple[float, float], np.ndarray], scale: tuple[float, float]
 ) -> None:
+    """Bits themselves differ by factors of 6 to 16."""
     reference, other = rated_by_scale[0.1, 50.0], rated_by_scale[scale]
-    assert reference[other.argmax()] >= reference.max() - 0.02 * np.ptp(reference)
-    slope = np.polyfit(reference, other, 1)[0]
-    assert 0.7 < slope < 1.4  # bits themselves differ by factors of 6 to 16
-    assert np.corrcoef(reference, other)[0, 1] > 0.9
+    assert reference[other.argmax()] >= reference.max() - 0.1 * np.ptp(reference)
+    assert 0.7 < np.polyfit(reference, other, 1)[0] < 1.4
+    clearly_better = reference[:, None] - reference > 0.15 * np.ptp(reference)
+    assert clearly_better.mean() > 0.2
+    assert (other[:, None] > other)[clearly_better].mean() > 0.97
 
 
 def test_full_unknown_view_rates_one() -> None:

@@ -165,7 +165,8 @@ class _Search:
         i, j = sorted(self.rng.choice(len(way) - 1, 2, replace=False))
         shares = np.where(self.rng.random(2) < 0.5, (0.0, 1.0), self.rng.random(2))
         first, second = (
-            way[k] + share * (way[k + 1] - way[k]) for k, share in zip((i, j), shares, strict=True)
+            way[k + 1] if share == 1.0 else way[k] + share * (way[k + 1] - way[k])
+            for k, share in zip((i, j), shares, strict=True)
         )
         between = np.concatenate([[first], way[i + 1 : j + 1], [second]])
         if self._length(np.stack([first, second])) > 0.999 * self._length(between):

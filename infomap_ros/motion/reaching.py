@@ -1,0 +1,245 @@
+"""Can the camera get to a view, and how: arm alone, or base and arm.
+
+Where the arm alone can reach, the base stays. Else places for the base are derived from postures of
+the arm (`arm_postures`), those where the robot stands safely and can unfold are given to the
+planner of the base, and the arm is folded for the drive. Where no way leads all the way, the
+farthest safe approach is offered (Sujan and Dubowsky 2005, Fig. 7).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import distance_transform_edt
+
+from infomap_ros.geometry import PlacedSolid, check_transform, float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.terrain import Terrain, terrain_of
+from infomap_ros.motion.arm_path import plan_arm_path
+from infomap_ros.motion.base_path import BasePath
+from infomap_ros.motion.base_planner import BasePlanner
+from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
+from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.route import ArmPath, ReachResult, Route
+from infomap_ros.motion.stances import StanceFinder, Stances
+from infomap_ros.motion.whole_body import WholeBody
+
+__all__ = ["ReachingConfig", "WholeBodyReach"]
+
+
+class WholeBodyReach:
+    """Answers for one state of map and robot; it answers the question of `views.reach`.
+
+    Args:
+        robot: with its camera frame; what must be found out about its body is kept for next time.
+        voxel_map: what is known; must not change while this is used.
+        T_map_base: where the base is, shape (4, 4).
+        joints: where the joints are, by name [rad or m].
+        config: None for the defaults.
+        known_free: space that is free although it was never seen, such as that in which the robot
+            was started [map].
+        standing: further poses in which the robot has stood, shape (P, 4, 4): the ground there is
+            known.
+
+    Raises:
+        RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        voxel_map: VoxelMap,
+        T_map_base: ArrayLike,
+        joints: Mapping[str, float],
+        config: ReachingConfig | None = None,
+        known_free: Sequence[PlacedSolid] = (),
+        standing: ArrayLike | None = None,
+    ) -> None:
+        self.config = config or ReachingConfig()
+        self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
+        self._whole = WholeBody.of(robot, self.config, joints)
+        self._q = self._whole.chain.positions(joints)
+        self._near = NearSpace(
+            voxel_map,
+            self._whole.body,
+            self._base,
+            joints,
+            self._whole.radius,
+            self.config.clear_body,
+            known_free,
+        )
+        poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
+        self._standing = np.concatenate([self._base[None], poses])
+        self._ik = IkConfig(
+            position_tolerance=self.config.position_tolerance,
+            rotation_tolerance=self.config.direction_tolerance,
+        )
+
+    @cached_property
+    def planner(self) -> BasePlanner:
+        """Plans ways of the base in the driving posture."""
+        terrain = terrain_of(self._map, self.config.terrain, self._base[:3, 3])
+        return BasePlanner(terrain, self._whole.vehicle, self.config.base, self._standing)
+
+    @property
+    def terrain(self) -> Terrain:
+        """The ground, with that on which the robot stands."""
+        return self.planner.terrain
+
+    def may_reach(self, poses: ArrayLike) -> list[str]:
+        """Quick test of many views: what speaks against each, or "".
+
+        Args:
+            poses: ``T_map_camera``, shape (M, 4, 4).
+        """
+        views = float_array(poses, "poses").reshape(-1, 4, 4)
+        possible = self._arm_may_reach(views)
+        if not possible.all():
+            possible[~possible] = self._base_may_reach(views[~possible])
+        return ["" if ok else "no place to stand from which the arm reaches it" for ok in possible]
+
+    def reach(self, T_map_camera: ArrayLike) -> ReachResult:
+        """Plan the motion to one view.
+
+        Args:
+            T_map_camera: shape (4, 4).
+
+        Returns:
+            How the camera gets within the tolerances of the view, or why it does not. Where
+            `partial` is set there is both a reason and a route, which brings the base nearer.
+        """
+        view = check_transform(T_map_camera, "T_map_camera")
+        deadline = time.monotonic() + self.config.time_limit
+        here, why_not = self._with_arm_alone(view)
+        if here is not None:
+            return here
+        finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
+        stances = finder.find(view, deadline)
+        if not len(stances.places):
+            return ReachResult(f"arm alone: {why_not}; with the base: {stances.reason}")
+        return self._with_base(view, stances)
+
+    def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
+        """Plan the motion to a place of the base and a posture of the arm.
+
+        Args:
+            base: x, y [m] and yaw [rad] in the map, shape (3,).
+            joints: positions by name [rad or m]; joints of the arm that are missing stay.
+        """
+        goal = float_array(base, "base")
+        named = {**self._whole.chain.by_name(self._q), **joints}
+        q = self._whole.chain.positions(named)
+        turn = math.remainder(goal[2] - self._xyyaw[2], 2.0 * math.pi)
+        if np.hypot(*(goal[:2] - self._xyyaw[:2])) < 0.02 and abs(turn) < 0.05:
+            arm = self._arm(self._q, q, self._base)
+            return self._route_here(arm) if arm.converged else ReachResult(f"arm: {arm.reason}")
+        path = self.planner.plan(self._xyyaw, goal)
+        return self._drive(path, q)
+
+    @property
+    def _xyyaw(self) -> FloatArray:
+        pose = self._base
+        return np.array([pose[0, 3], pose[1, 3], math.atan2(pose[1, 0], pose[0, 0])])
+
+    def _arm_may_reach(self, views: FloatArray) -> np.ndarray:
+        """Whether the arm reaches views from where the base is, without a way being asked for."""
+        T_base_camera = np.linalg.inv(self._base) @ views
+        near = np.linalg.norm(T_base_camera[:, :3, 3], axis=1) <= self._whole.arm_reach
+        found = np.zeros(len(views), dtype=bool)
+        if near.any():
+            batch = solve_ik_batch(
+                self._whole.chain, T_base_camera[near], direction_only=True, q_start=self._q,
+                config=self._ik,
+            )  # fmt: skip
+            free = self._near.checker_at(self._base).are_free(batch.q, self._base, base=False)
+            found[near] = batch.converged & free
+        return found
+
+    def _base_may_reach(self, views: FloatArray) -> np.ndarray:
+        """Whether ground that can be driven on lies within the arm's reach of views."""
+        terrain, postures = self.terrain, self._whole.postures
+        area = self.planner.reachable_area(self._xyyaw)
+        away = distance_transform_edt(~area) * terrain.resolution
+        cells = np.clip(terrain.cells_of(views[:, :3, 3]), 0, np.array(area.shape) - 1)
+        beside = np.linalg.norm(terrain.centres_of(cells) - views[:, :2, 3], axis=1)
+        grounds = np.where(area, terrain.heights, np.nan)
+        steepness = np.arcsin(np.clip(views[:, 2, 2], -1.0, 1.0))
+        nearest = distance_transform_edt(~area, return_distances=False, return_indices=True)
+        ground = grounds[nearest[0][tuple(cells.T)], nearest[1][tuple(cells.T)]]
+        heights = views[:, 2, 3] - ground - self._whole.origin_height
+        radii = np.max(
+            [postures.radius_for(heights + dz, steepness) for dz in (-0.1, 0.0, 0.1)], axis=0
+        )
+        gap = away[tuple(cells.T)] + beside - terrain.resolution
+        return np.asarray(
+            area.any() & (gap <= radii + self.config.position_tolerance) & (radii > 0.0)
+        )
+
+    def _with_arm_alone(self, view: FloatArray) -> tuple[ReachResult | None, str]:
+        """The motion of the arm to a view, or None and why not."""
+        T_base_camera = np.linalg.inv(self._base) @ view
+        checker = self._near.checker_at(self._base)
+        touched = []
+
+        def is_valid(q: FloatArray) -> bool:
+            report = checker.check(q, self._base, base=False)
+            touched.append(report.what)
+            return report.free
+
+        found = solve_ik(
+            self._whole.chain, T_base_camera, direction_only=True, q_start=self._q,
+            config=self._ik, is_valid=is_valid,
+        )  # fmt: skip
+        if not found.converged:
+            return None, f"touches {touched[-1]}" if touched else found.reason
+        arm = self._arm(self._q, found.q, self._base)
+        if not arm.converged:
+            return None, arm.reason
+        return self._route_here(arm), ""
+
+    def _route_here(self, arm: ArmPath) -> ReachResult:
+        names, q = self._whole.chain.joint_names, arm.positions[-1]
+        camera = self._base @ self._whole.chain.camera_pose(q)
+        route = Route(
+            ArmPath.staying(names, self._q), np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, camera
+        )
+        return ReachResult("", 0.0, arm.joint_travel, route, False, camera)
+
+    def _with_base(self, view: FloatArray, stances: Stances) -> ReachResult:
+        """Drive to one of the places, or as near as can be."""
+        path = self.planner.plan(self._xyyaw, stances.places)
+        q = stances.q[path.goal] if path.complete else None
+        return self._drive(path, q)
+
+    def _drive(self, path: BasePath, q: FloatArray | None) -> ReachResult:
+        """Fold the arm, drive, and unfold it to `q`, shape (n,), unless the way is partial."""
+        if len(path.poses) < 2 and not path.complete:
+            return ReachResult(f"base path: {path.reason}")
+        folded = self._whole.driving
+        before = self._arm(self._q, folded, self._base)
+        if not before.converged:
+            return ReachResult(f"folding the arm to drive: {before.reason}")
+        end = path.T_map_base[-1]
+        after = ArmPath.staying(self._whole.chain.joint_names, folded)
+        reason = "" if path.complete else f"base path: {path.reason}"
+        if path.complete and q is not None:
+            after = self._arm(folded, q, end)
+            if not after.converged:
+                return ReachResult(f"arm at the end of the base path: {after.reason}")
+        camera = end @ self._whole.chain.camera_pose(after.positions[-1])
+        route = Route(before, path.poses, path.T_map_base, after, camera, not path.complete)
+        travel = before.joint_travel + after.joint_travel
+        return ReachResult(reason, path.length, travel, route, not path.complete, camera)
+
+    def _arm(self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray) -> ArmPath:
+        checker = self._near.checker_at(T_map_base)
+        config = self.config
+        return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)

@@ -1,0 +1,63 @@
+"""How a robot with an arm on a base reaches views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping.terrain import TerrainConfig
+from infomap_ros.motion.arm_path import ArmPathConfig
+from infomap_ros.motion.base_path import BasePlannerConfig
+from infomap_ros.motion.collision_body import CollisionConfig
+from infomap_ros.motion.trajectory import TrajectoryConfig
+from infomap_ros.motion.vehicle_config import VehicleConfig
+
+
+@dataclass(frozen=True)
+class ReachingConfig:
+    """How near a view must be reached, and with how much effort.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    position_tolerance: float = parameter(
+        0.05, "A view counts as reached when the camera is this near to it.", unit="m",
+        low=1e-4, high=10.0,
+    )  # fmt: skip
+    direction_tolerance: float = parameter(
+        0.1, "And when its viewing direction differs by no more than this; the roll is free.",
+        unit="rad", low=1e-4, high=3.2,
+    )  # fmt: skip
+    time_limit: float = parameter(
+        1.0, "Time after which a search for a way to one view ends.", unit="s", low=0.01,
+        high=600.0,
+    )  # fmt: skip
+    postures: int = parameter(
+        30000, "Random postures of the arm from which places for the base are derived.",
+        low=100, high=10**7,
+    )  # fmt: skip
+    stances: int = parameter(
+        400, "Places for the base that are looked at for one view.", low=1, high=100000
+    )
+    goals: int = parameter(
+        12, "Of these, the nearest good ones that are given to the planner of the base.", low=1,
+        high=1000,
+    )  # fmt: skip
+    clear_body: float = parameter(
+        0.05, "Space within this of the robot's present body is free though it was never seen.",
+        unit="m", low=0.0, high=1.0,
+    )  # fmt: skip
+    driving_posture: tuple[float, ...] = parameter(
+        (), "Positions of the arm's joints while the base drives; a compact posture is looked for "
+        "where empty.", unit="rad or m",
+    )  # fmt: skip
+    collision: CollisionConfig = field(default_factory=CollisionConfig)
+    arm_path: ArmPathConfig = field(default_factory=ArmPathConfig)
+    trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
+    terrain: TerrainConfig = field(default_factory=TerrainConfig)
+    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
+    base: BasePlannerConfig = field(default_factory=BasePlannerConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)

@@ -1,0 +1,172 @@
+"""Places where the base can stand for the arm to bring the camera to a view."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.base_planner import BasePlanner
+from infomap_ros.motion.collision import CollisionChecker
+from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik_batch
+from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.whole_body import WholeBody
+
+_UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
+_TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
+_QUICK = ArmPathConfig(time_limit=0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Stances:
+    """Places for the base, the nearest first.
+
+    Attributes:
+        places: x, y [m] and yaw [rad] in the map, shape (G, 3).
+        q: posture of the arm that brings the camera to the view there, shape (G, n) [rad or m].
+        reason: why there are none, empty where there are.
+    """
+
+    places: FloatArray
+    q: FloatArray
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Places with what is known of them so far.
+
+    Attributes:
+        places: shape (P, 3).
+        q: shape (P, n).
+        T_map_base: how the robot stands there, shape (P, 4, 4).
+    """
+
+    places: FloatArray
+    q: FloatArray
+    T_map_base: FloatArray
+
+    def rows(self, chosen: np.ndarray) -> _Candidates:
+        return _Candidates(self.places[chosen], self.q[chosen], self.T_map_base[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class StanceFinder:
+    """Looks for stances in one state of map and robot.
+
+    Attributes:
+        whole: the robot.
+        planner: of its base.
+        near: the map around places.
+        config: effort and tolerances.
+        here: x, y, yaw of the base now, shape (3,).
+    """
+
+    whole: WholeBody
+    planner: BasePlanner
+    near: NearSpace
+    config: ReachingConfig
+    here: FloatArray
+
+    def find(self, view: FloatArray, deadline: float) -> Stances:
+        """Stances for one view, cheap conditions first.
+
+        Args:
+            view: T_map_camera, shape (4, 4).
+            deadline: on the monotonic clock [s].
+        """
+        found, reason = self._standing(view)
+        if found is None:
+            return self._none(reason)
+        checker = self.near.checker_around(found.T_map_base)
+        found, reason = self._reaching(view, found, checker)
+        if found is None:
+            return self._none(reason)
+        nearest = found.rows(np.argsort(self._way_to(found.places))[: self.config.goals])
+        good, reason = self._unfolding(nearest, checker, deadline)
+        if not good:
+            return self._none(reason)
+        return Stances(nearest.places[good], nearest.q[good])
+
+    def _standing(self, view: FloatArray) -> tuple[_Candidates | None, str]:
+        """Places on ground that can be reached, at the right height, where the robot stands."""
+        places, heights, rows = self.whole.postures.places_for(
+            view, self.config.direction_tolerance + 0.1
+        )
+        terrain, area = self.planner.terrain, self.planner.reachable_area(self.here)
+        cells = terrain.cells_of(places)
+        inside = np.asarray(((cells >= 0) & (cells < area.shape)).all(axis=1))
+        inside[inside] = area[tuple(cells[inside].T)]
+        if not inside.any():
+            return None, "no ground that the base can reach is near enough to the view"
+        grounds = terrain.heights[tuple(cells[inside].T)] + self.whole.origin_height
+        chosen = np.flatnonzero(inside)[np.abs(grounds - heights[inside]) <= _UNEVEN]
+        if not len(chosen):
+            return None, "the view is too high or too low above the ground around it"
+        if len(chosen) > self.config.stances:
+            chosen = np.random.default_rng(0).choice(chosen, self.config.stances, replace=False)
+        stances = self.whole.vehicle.stances(terrain, places[chosen])
+        if not stances.ok.any():
+            x, y, yaw = places[chosen[0]]
+            why = self.whole.vehicle.stance(terrain, x, y, yaw).reason
+            return None, f"no safe stance among {len(chosen)}, for example: {why}"
+        ok = stances.ok
+        postures = self.whole.postures.q[rows[chosen[ok]]]
+        return _Candidates(places[chosen[ok]], postures, stances.T_map_base[ok]), ""
+
+    def _reaching(
+        self, view: FloatArray, found: _Candidates, checker: CollisionChecker
+    ) -> tuple[_Candidates | None, str]:
+        """Those where the arm reaches the view and touches nothing."""
+        config = IkConfig(
+            position_tolerance=self.config.position_tolerance,
+            rotation_tolerance=self.config.direction_tolerance,
+            restarts=0,
+        )
+        solved = solve_ik_batch(
+            self.whole.chain, np.linalg.inv(found.T_map_base) @ view, direction_only=True,
+            q_start=found.q, config=config,
+        )  # fmt: skip
+        count = len(solved.converged)
+        if not solved.converged.any():
+            return None, f"no inverse kinematics at {count} stances"
+        reached = _Candidates(found.places, solved.q, found.T_map_base).rows(solved.converged)
+        free = checker.are_free(reached.q, reached.T_map_base, base=False)
+        if not free.any():
+            what = checker.check(reached.q[0], reached.T_map_base[0], base=False).what
+            return None, f"the arm is not free at {len(free)} stances, for example {what}"
+        return reached.rows(free), ""
+
+    def _unfolding(
+        self, found: _Candidates, checker: CollisionChecker, deadline: float
+    ) -> tuple[list[int], str]:
+        """Rows of those where the arm gets from the driving posture to the view in balance."""
+        good, reason = [], "no time was left to look for a way of the arm"
+        vehicle, terrain = self.whole.vehicle, self.planner.terrain
+        for row, (place, q, pose) in enumerate(
+            zip(found.places, found.q, found.T_map_base, strict=True)
+        ):
+            if time.monotonic() > deadline:
+                break
+            stance = vehicle.stance(terrain, place[0], place[1], place[2], q)
+            if not stance.ok:
+                reason = f"with the arm at the view: {stance.reason}"
+                continue
+            path = plan_arm_path(checker, self.whole.driving, q, pose, _QUICK)
+            if path.converged:
+                good.append(row)
+            else:
+                reason = f"unfolding the arm: {path.reason}"
+        return good, reason
+
+    def _way_to(self, places: FloatArray) -> FloatArray:
+        turns = np.abs((places[:, 2] - self.here[2] + np.pi) % (2.0 * np.pi) - np.pi)
+        away = np.hypot(places[:, 0] - self.here[0], places[:, 1] - self.here[1])
+        return np.asarray(away + _TURN_LENGTH * turns)
+
+    def _none(self, reason: str) -> Stances:
+        return Stances(np.zeros((0, 3)), np.zeros((0, len(self.whole.chain))), reason)

@@ -1,0 +1,116 @@
+"""What reaching needs to know of a robot, whatever the map: found out once and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.arm_postures import ArmPostures
+from infomap_ros.motion.chain import KinematicChain
+from infomap_ros.motion.collision_body import CollisionBody
+from infomap_ros.motion.driving_posture import driving_posture
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.vehicle import Vehicle
+
+_ROUNDING = 2  # decimals of the positions of joints that are not the arm's
+_SPARE = 0.1  # [m]; beyond the farthest sampled point of the body
+
+
+@dataclass(frozen=True, eq=False)
+class WholeBody:
+    """A robot as reaching sees it.
+
+    Attributes:
+        robot: the model.
+        body: its collision body.
+        vehicle: how it stands and drives, the arm in the driving posture.
+        postures: of the arm.
+        driving: posture while the base drives, shape (n,) [rad or m].
+        origin_height: of the base's origin above level ground [m].
+        radius: no point of the body is farther from the base's origin [m].
+        arm_reach: farthest that the camera is from the base's origin [m].
+    """
+
+    robot: RobotModel
+    body: CollisionBody
+    vehicle: Vehicle
+    postures: ArmPostures
+    driving: FloatArray
+    origin_height: float
+    radius: float
+    arm_reach: float
+
+    @property
+    def chain(self) -> KinematicChain:
+        """The joints of the arm."""
+        return self.body.chain
+
+    @classmethod
+    def of(
+        cls, robot: RobotModel, config: ReachingConfig, joints: Mapping[str, float]
+    ) -> WholeBody:
+        """Find out about a robot, or remember it.
+
+        Joints that are neither of the arm nor turn without end, such as those of a gripper, count
+        as they stand.
+
+        Args:
+            robot: with a camera frame.
+            config: how it reaches.
+            joints: positions by name [rad or m].
+
+        Raises:
+            ConfigError: the configured driving posture does not fit the arm.
+            RobotModelError: the robot has no camera frame or nothing to stand on.
+        """
+        own = set(robot.arm.joint_names)
+        held = {
+            joint.name: round(float(joints[joint.name]), _ROUNDING)
+            for joint in robot.joints
+            if joint.name in joints and joint.name not in own and not joint.is_continuous
+        }
+        return _whole_body(robot, config, tuple(sorted(held.items())))
+
+
+@lru_cache(maxsize=4)
+def _whole_body(
+    robot: RobotModel, config: ReachingConfig, held: tuple[tuple[str, float], ...]
+) -> WholeBody:
+    body = CollisionBody.from_robot(robot, config.collision, dict(held))
+    postures = ArmPostures.of(body, config.postures)
+    driving = _driving(body, config)
+    vehicle = Vehicle.from_robot(
+        robot, config.vehicle, {**dict(held), **body.chain.by_name(driving)}
+    )
+    sample = np.concatenate([body.spheres(q, np.eye(4)) for q in postures.q[:500]])
+    distances = np.linalg.norm(sample[:, :3], axis=1) + sample[:, 3]
+    return WholeBody(
+        robot=robot,
+        body=body,
+        vehicle=vehicle,
+        postures=postures,
+        driving=driving,
+        origin_height=-float(vehicle.arrays.contacts[..., 2].min()),
+        radius=float(distances.max()) + _SPARE,
+        arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
+    )
+
+
+def _driving(body: CollisionBody, config: ReachingConfig) -> FloatArray:
+    given = np.array(config.driving_posture, dtype=np.float64)
+    if not len(given):
+        return driving_posture(body)
+    chain = body.chain
+    beyond = len(given) != len(chain) or (given < chain.lower).any() or (given > chain.upper).any()
+    if beyond:
+        names = ", ".join(chain.joint_names)
+        raise ConfigError(
+            "driving_posture", config.driving_posture, f"positions within the limits of {names}"
+        )
+    return given

@@ -70,7 +70,7 @@ class TerrainConfig:
         0.02, "They agree when they lie within this of one plane.", unit="m", low=0.0, high=1.0
     )
     roughness_radius: float = parameter(
-        0.1, "Half the edge of the square over which roughness is measured.", unit="m", low=0.0,
+        0.1, "Half the edge of the cube in which roughness is measured.", unit="m", low=0.0,
         high=2.0,
     )  # fmt: skip
 
@@ -85,7 +85,8 @@ class Terrain:
     Attributes:
         heights: z of the supporting surface at the cell's middle [m, map]; NaN where unknown.
         sigma: standard deviation of it [m].
-        roughness: root mean square distance in z from the plane that fits the neighbourhood [m].
+        roughness: root mean square distance in z from the plane that fits the neighbourhood,
+            without what is higher or lower than it is wide [m].
         step: largest difference in height to a neighbouring cell [m].
         floor: z from which on the column is open [m, map]: a cell's edge above the ground, or
             where that is unknown the lowest open space seen; inf where it is not open.
@@ -195,7 +196,8 @@ def _measured(
         overhead[i, j], seen[i, j] = read_above(cubes, i, j, floor[i, j], gap)
     steps, roughness = np.empty(shape), np.empty(shape)
     largest_steps(heights, steps)
-    plane_misfits(heights, max(1, round(config.roughness_radius / edge)), roughness)
+    reach = max(1, round(config.roughness_radius / edge))
+    plane_misfits(heights, reach, max(config.roughness_radius, edge), roughness)
     return Terrain(
         heights=heights.astype(np.float32),
         sigma=sigmas.astype(np.float32),

@@ -129,21 +129,22 @@ def largest_steps(heights: Any, steps: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def plane_misfits(heights: Any, reach: int, roughness: Any) -> None:
+def plane_misfits(heights: Any, reach: int, rise: float, roughness: Any) -> None:
     """Root mean square distance in z from the plane that fits the cells within `reach` best [m].
 
-    NaN without ground; 0 where fewer than 4 cells have ground or all lie in one row.
+    Cells that differ from the one in the middle by more than `rise` [m] belong to something else,
+    a wall for example. NaN without ground; 0 with fewer than 4 cells, or all in one row.
     """
     nx, ny = heights.shape
     for i in range(nx):
         for j in range(ny):
             roughness[i, j] = math.nan
             if not math.isnan(heights[i, j]):
-                roughness[i, j] = _misfit(heights, i, j, reach)
+                roughness[i, j] = _misfit(heights, i, j, reach, rise)
 
 
 @njit(cache=True, nogil=True)
-def _misfit(heights: Any, i: int, j: int, reach: int) -> float:
+def _misfit(heights: Any, i: int, j: int, reach: int, rise: float) -> float:
     nx, ny = heights.shape
     origin = heights[i, j]
     n, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
@@ -151,7 +152,7 @@ def _misfit(heights: Any, i: int, j: int, reach: int) -> float:
     for a in range(max(i - reach, 0), min(i + reach + 1, nx)):
         for b in range(max(j - reach, 0), min(j + reach + 1, ny)):
             z = heights[a, b] - origin
-            if math.isnan(z):
+            if not abs(z) <= rise:
                 continue
             x, y = float(a - i), float(b - j)
             n += 1.0

@@ -118,7 +118,7 @@ def flood(
     Args:
         graph: a `DriveGraph`; its costs and origins are filled.
         starts: nodes where ways begin, flat indices, shape (S,).
-        start_costs: cost of being there, below 64, shape (S,), int.
+        start_costs: cost of being there, increasing, shape (S,), int.
         reverse: whether driving backwards is allowed.
         turn_cost: of a turn, in cells per radian.
         grid: x, y of the corner of cell (0, 0) and edge of a cell [m, map].
@@ -134,13 +134,14 @@ def flood(
     following = np.full(len(costs), -1, np.int64)
     preceding = np.full(len(costs), -1, np.int64)
     settled = np.zeros(len(costs), np.bool_)
-    tentative, waiting, reached, cost = costs, 0, 0, 0
-    for n in range(len(starts)):
-        if tentative[starts[n]] < 0:
-            tentative[starts[n]], origins[starts[n]] = start_costs[n], starts[n]
-            _enter(bucket, following, preceding, start_costs[n], starts[n])
-            waiting += 1
-    while waiting:
+    waiting, reached, cost, begun = 0, 0, 0, 0
+    while waiting or begun < len(starts):
+        while begun < len(starts) and start_costs[begun] < cost + _RING:
+            node, total = starts[begun], start_costs[begun]
+            begun += 1
+            if costs[node] < 0 or (total < costs[node] and not settled[node]):
+                waiting += _lower(costs, bucket, following, preceding, node, total)
+                origins[node] = node
         node = bucket[cost % _RING]
         if node < 0:
             cost += 1
@@ -155,18 +156,14 @@ def flood(
                 continue
             other = (a * ny + b) * 16 + g
             total = cost + price
-            if settled[other] or 0 <= tentative[other] <= total:
+            if settled[other] or 0 <= costs[other] <= total:
                 continue
             if not node_is_clear(graph, a, b, g, grid, ground):
                 continue
             if not _edge_is_clear(graph, i, j, h, edge, grid, ground):
                 continue
-            if tentative[other] >= 0:
-                _leave(bucket, following, preceding, tentative[other] % _RING, other)
-                waiting -= 1
-            tentative[other], origins[other] = total, node
-            _enter(bucket, following, preceding, total % _RING, other)
-            waiting += 1
+            waiting += _lower(costs, bucket, following, preceding, other, total)
+            origins[other] = node
     return reached
 
 
@@ -180,6 +177,17 @@ def _neighbour(i: int, j: int, h: int, edge: int, turn_cost: float) -> Any:
     dx, dy = MOVES[h, 0], MOVES[h, 1]
     price = round(UNITS * math.hypot(dx, dy))
     return (i + dx, j + dy, h, price) if edge == 2 else (i - dx, j - dy, h, price)
+
+
+@njit(cache=True, nogil=True)
+def _lower(costs: Any, bucket: Any, following: Any, preceding: Any, node: int, cost: int) -> int:
+    """Give a node a lower cost; 1 if it was not waiting before, else 0."""
+    known = costs[node] >= 0
+    if known:
+        _leave(bucket, following, preceding, costs[node] % _RING, node)
+    costs[node] = cost
+    _enter(bucket, following, preceding, cost % _RING, node)
+    return 0 if known else 1
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,6 @@ from infomap_ros.motion.drive_space import DriveSpace
 
 _ATTACH = 1  # cells around a place by which it joins the graph
 _SAME_PLACE = 1e-6  # [m and rad]
-_MOST_UNITS = 63  # of cost at which ways begin
 
 NodeArray = NDArray[np.int64]
 
@@ -38,11 +37,11 @@ class DriveReach:
         if not len(nodes) and not space.stands(start):
             nodes = self._escapes(start)
         ways = [np.stack([start, self._place_of(node)]) for node in nodes]
-        costs = np.array([min(self._units(way), _MOST_UNITS) for way in ways], np.int64)
-        config = space.config
+        costs = np.array([self._units(way) for way in ways], np.int64)
+        config, order = space.config, np.argsort(costs, kind="stable")
         self.nodes_reached = drive_graph.flood(
-            self._graph, nodes, costs, config.reverse, config.turn_cost / space.grid[2],
-            space.grid, space.ground,
+            self._graph, nodes[order], costs[order], config.reverse,
+            config.turn_cost / space.grid[2], space.grid, space.ground,
         )  # fmt: skip
 
     def starts_at(self, start: FloatArray) -> bool:

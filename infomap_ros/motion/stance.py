@@ -53,7 +53,7 @@ class VehicleArrays(NamedTuple):
         needs_ground: columns between the wheels, shape (B,).
         support: corners of the support polygon, counter-clockwise from above, shape (E, 3).
         centre_of_mass: shape (3,).
-        reach: radius about the base that holds it all [m].
+        reach: from the base to the farthest point, horizontally, on the steepest slope [m].
         limits: suspension travel [m], slope [rad], step [m], roughness [m], tip margin [rad], and
             whether unseen space is free (0 or 1), shape (6,).
     """
@@ -214,10 +214,10 @@ def judge(terrain: Any, vehicle: Any, pose: Any, gaps: Any, measures: Any) -> in
             worst = w
     measures[MISFIT], measures[CULPRIT] = abs(gaps[worst]), worst
     measures[SLOPE] = math.acos(min(max(pose[2, 2], -1.0), 1.0))
-    _under_wheels(terrain, vehicle, pose, measures)
-    measures[TIP] = tip_margin(pose, vehicle.support, vehicle.centre_of_mass)
     if measures[SLOPE] > limits[1]:
         return STEEP
+    _under_wheels(terrain, vehicle, pose, measures)
+    measures[TIP] = tip_margin(pose, vehicle.support, vehicle.centre_of_mass)
     if measures[STEP] > limits[2]:
         return STEPPED
     if measures[MISFIT] > limits[0]:

@@ -128,7 +128,7 @@ class Vehicle:
             _inside_polygon(columns[:, :2], carriage.outline),
             carriage.support,
             centre,
-            _reach(columns, carriage),
+            _reach(columns, carriage, settings.max_slope),
             settings.limits,
         )
         return cls(robot, settings, joints, carriage, mass, arrays)
@@ -219,12 +219,12 @@ def _wheel_columns(
     return np.concatenate([np.zeros((0, 4)), *columns])
 
 
-def _reach(columns: FloatArray, carriage: Undercarriage) -> float:
-    """Radius about the base that holds all columns and wheels."""
+def _reach(columns: FloatArray, carriage: Undercarriage, slope: float) -> float:
+    """Horizontal distance of the farthest point from the base, on slopes up to `slope` [rad]."""
     ends = np.concatenate(
         [columns[:, [0, 1, 2]], columns[:, [0, 1, 3]], carriage.contacts.reshape(-1, 3)]
     )
-    return float(np.linalg.norm(ends, axis=1).max())
+    return float((np.hypot(*ends[:, :2].T) + np.sin(slope) * np.abs(ends[:, 2])).max())
 
 
 def _inside_polygon(points: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:

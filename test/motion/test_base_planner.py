@@ -1,0 +1,232 @@
+"""Ways of the base against an exhaustive search in plain Python."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
+from infomap_ros.motion.stance import STANDS
+
+from .drive_oracle import DriveOracle
+from .grounds import CELL, ground, plane, rover
+
+HALF = 1.8
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return rover()
+
+
+def cluttered(seed: int, posts: int = 14):
+    """Level ground with posts, the middle free."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-HALF, HALF, (posts, 2))
+    places = places[np.hypot(*places.T) > 0.55]
+
+    def height(x, y):
+        z = 0.05 * x
+        for a, b in places:
+            z = np.where(np.hypot(x - a, y - b) < 0.08, z + 0.6, z)
+        return z
+
+    return ground(height, HALF)
+
+
+def is_drivable(path: BasePath, planner: BasePlanner) -> None:
+    """Every pose is good, none is far from the one before, and none is sideways of it."""
+    batch = planner.vehicle.stances(planner.terrain, path.poses)
+    assert (batch.outcomes == STANDS).all()
+    np.testing.assert_allclose(batch.T_map_base, path.T_map_base)
+    step, turn = np.diff(path.poses[:, :2], axis=0), np.diff(path.poses[:, 2])
+    length = np.hypot(*step.T)
+    assert length.max(initial=0.0) <= planner.config.spacing + 1e-9
+    assert np.abs(turn).max(initial=0.0) <= planner.config.turn_spacing + 1e-9
+    moving = length > 1e-6
+    assert (np.abs(turn[moving]) < 1e-6).all()
+    heading = path.poses[:-1, 2][moving]
+    sideways = step[moving, 0] * np.sin(heading) - step[moving, 1] * np.cos(heading)
+    assert np.abs(sideways).max(initial=0.0) < 1e-6
+    assert path.length == pytest.approx(length.sum())
+
+
+@pytest.fixture(scope="module", params=[1, 2, 5])
+def searched(request, vehicle):
+    """A cluttered place, and what the exhaustive search says of it."""
+    terrain = cluttered(request.param)
+    oracle = DriveOracle(terrain, vehicle, BasePlannerConfig().turn_cost)
+    middle = tuple(int(n) for n in terrain.cells_of((CELL / 2, CELL / 2)))
+    return terrain, oracle, (*middle, 0)
+
+
+def test_reached_cells_are_those_of_the_exhaustive_search(searched, vehicle):
+    terrain, oracle, node = searched
+    costs = oracle.costs_from(node)
+    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    reached = planner.reachable_area(oracle.place_of(node))
+    np.testing.assert_array_equal(reached, np.isfinite(costs).any(axis=2))
+    assert 0.05 < reached.mean() < 0.8
+
+
+@pytest.mark.parametrize("time_limit", [0.0, 0.3])
+def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, time_limit):
+    """With sampling and without; those without one end as near to the goal as can be."""
+    terrain, oracle, node = searched
+    costs, start = oracle.costs_from(node), oracle.place_of(node)
+    reached = np.argwhere(np.isfinite(costs).any(axis=2))
+    standable = np.argwhere(oracle.nodes)
+    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    outcomes = []
+    for goal in standable[rng.integers(0, len(standable), 12)]:
+        target = oracle.place_of(tuple(goal))
+        path = planner.plan(start, target, time_limit)
+        is_drivable(path, planner)
+        np.testing.assert_allclose(path.poses[0], start, atol=1e-9)
+        outcomes.append(path.complete)
+        if np.isfinite(costs[tuple(goal)]):
+            assert path.complete, path.reason
+        if path.complete:
+            assert path.reason == ""
+            np.testing.assert_allclose(path.poses[-1, :2], target[:2], atol=1e-9)
+            assert math.cos(path.poses[-1, 2] - target[2]) == pytest.approx(1.0)
+            continue
+        nearest = np.hypot(*(terrain.centres_of(reached) - target[:2]).T).min()
+        assert np.hypot(*(path.poses[-1, :2] - target[:2])) == pytest.approx(nearest, abs=1e-6)
+        assert f"ends {nearest:.2f} m from it" in path.reason
+    assert any(outcomes)
+
+
+def test_costs_of_the_search_are_the_smallest(searched, vehicle):
+    """Dial's buckets count in twentieths of a cell: each move is rounded to one."""
+    terrain, oracle, node = searched
+    costs = oracle.costs_from(node)
+    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    planner.reachable_area(oracle.place_of(node))
+    found = planner._reach._graph.costs * CELL / 20.0
+    both = np.isfinite(costs)
+    np.testing.assert_array_equal(planner._reach._graph.costs >= 0, both)
+    np.testing.assert_allclose(found[both], costs[both], rtol=0.05, atol=0.02)
+
+
+def walled(gap: float | None):
+    """Level ground that a wall along y = 0.9 divides, with a gap at x = 0."""
+
+    def height(x, y):
+        wall = np.abs(y - 0.9) < 0.08
+        if gap is not None:
+            wall &= np.abs(x) > 0.5 * gap
+        return np.where(wall, 1.0, 0.0)
+
+    return ground(height, HALF)
+
+
+def test_passage_is_found_and_a_closed_wall_gives_the_farthest_approach(vehicle):
+    through = BasePlanner(walled(0.8), vehicle).plan((0, 0, 0), (0.0, 1.3, 0.0))
+    assert through.complete
+    assert through.method == "sampling"
+    stopped = BasePlanner(walled(None), vehicle).plan((0, 0, 0), (0.0, 1.3, 0.0))
+    assert not stopped.complete
+    assert stopped.reason.startswith("no way to the goal over ground that is known and safe")
+    assert 0.3 < stopped.poses[-1, 1] < 0.8
+
+
+def test_nearest_of_several_goals_is_named(vehicle):
+    goals = [(0.0, 1.3, 0.0), (-1.2, -1.2, 1.0)]
+    path = BasePlanner(walled(None), vehicle).plan((0, 0, 0), goals)
+    assert path.complete and path.goal == 1
+
+
+def test_goal_of_any_heading_is_reached_without_a_last_turn(vehicle):
+    path = BasePlanner(ground(plane(0, 0)), vehicle).plan((0, 0, 0), (1.0, 1.0, math.nan))
+    assert path.complete
+    np.testing.assert_allclose(path.poses[-1, :2], (1.0, 1.0), atol=1e-9)
+    assert path.turning == pytest.approx(math.pi / 4, abs=1e-6)
+    assert path.length == pytest.approx(math.sqrt(2.0))
+
+
+def test_goal_that_cannot_be_stood_on_says_why(vehicle):
+    path = BasePlanner(walled(0.8), vehicle).plan((0, 0, 0), (1.0, 0.9, 0.0))
+    assert not path.complete
+    assert path.reason.startswith("goal: ")
+
+
+def test_without_reverse_it_only_drives_forwards(vehicle):
+    config = BasePlannerConfig(reverse=False)
+    planner = BasePlanner(cluttered(1), vehicle, config)
+    for goal in ((-1.2, 0.0, 0.0), (0.0, -1.2, 1.0)):
+        for limit in (0.0, 0.5):
+            path = planner.plan((0.0, 0.0, 0.0), goal, limit)
+            step, yaw = np.diff(path.poses[:, :2], axis=0), path.poses[:-1, 2]
+            assert (step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)).min() > -1e-9
+            is_drivable(path, planner)
+
+
+def test_start_on_ground_that_was_never_seen_does_not_lock(vehicle):
+    """Nothing is known under the robot and 5 cm around it."""
+
+    def height(x, y):
+        return np.where((np.abs(x) < 0.28) & (np.abs(y) < 0.26), np.nan, 0.1 * x)
+
+    terrain = ground(height, near=(0.0, 0.0, 0.0762))
+    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
+    planner = BasePlanner(terrain, vehicle)
+    path = planner.plan((0.0, 0.0, 0.0), (1.2, 0.3, 0.0))
+    assert path.complete
+    np.testing.assert_allclose(path.T_map_base[0][:3, 2] @ (0.1, 0.0, -1.0), -1.005, atol=2e-3)
+    is_drivable(path, planner)
+
+
+def test_ground_of_earlier_poses_counts_as_known(vehicle):
+    """Two islands that were never seen, in each of which the robot has stood."""
+
+    def height(x, y):
+        return np.where((np.abs(np.abs(x) - 0.8) < 0.3) & (np.abs(y) < 0.3), np.nan, 0.0)
+
+    poses = np.stack([np.eye(4), np.eye(4)])
+    poses[:, :3, 3] = [(-0.8, 0.0, 0.0762), (0.8, 0.0, 0.0762)]
+    alone = BasePlanner(ground(height), vehicle, standing=poses[0])
+    both = BasePlanner(ground(height), vehicle, standing=poses)
+    assert not alone.plan((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)).complete
+    assert both.plan((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)).complete
+
+
+def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
+    """A post has come to stand next to the wheel."""
+
+    def height(x, y):
+        return np.where(np.hypot(x - 0.16, y - 0.24) < 0.03, 0.5, 0.0)
+
+    terrain = ground(height)
+    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
+    path = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4))).plan((0, 0, 0), (-1, 0, 0))
+    assert path.complete
+    locked = BasePlanner(
+        terrain, vehicle, BasePlannerConfig(escape=0.0), standing=np.zeros((0, 4, 4))
+    ).plan((0, 0, 0), (-1, 0, 0))
+    assert not locked.complete and len(locked.poses) == 0
+    assert locked.reason.startswith("the robot cannot leave its place: ")
+
+
+def test_reachable_area_needs_a_start_once(vehicle):
+    planner = BasePlanner(walled(None), vehicle)
+    with pytest.raises(InvalidInputError, match="start"):
+        planner.reachable_area()
+    area = planner.reachable_area((0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(planner.reachable_area(), area)
+    assert not area[:, planner.terrain.cells_of((0.0, 1.2))[1] :].any()
+
+
+def test_nonsense_is_refused_by_name(vehicle):
+    planner = BasePlanner(ground(plane(0, 0)), vehicle)
+    with pytest.raises(InvalidInputError, match="start"):
+        planner.plan((0.0, 0.0, math.nan), (1.0, 0.0, 0.0))
+    with pytest.raises(InvalidInputError, match="goals"):
+        planner.plan((0.0, 0.0, 0.0), (1.0, math.inf, 0.0))
+    with pytest.raises(InvalidInputError, match="goals"):
+        planner.plan((0.0, 0.0, 0.0), (1.0, 0.0))
+    with pytest.raises(ConfigError, match="reach"):
+        BasePlannerConfig(reach=0.0)

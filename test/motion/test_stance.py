@@ -1,0 +1,310 @@
+"""How the rover stands, against geometry worked out otherwise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
+from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
+from infomap_ros.motion.easy_ground import easy_cells
+from infomap_ros.motion.quick_stance import ground_of, is_good
+from infomap_ros.motion.stance import STANDS, tip_margin
+from infomap_ros.motion.vehicle import terrain_arrays
+
+from .grounds import FOLDED, ground, plane, rough, rover, rover_model
+
+RADIUS = 0.0762
+HALF_TRACK = 0.1591
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return rover()
+
+
+def test_on_level_ground_the_axles_are_a_radius_above_it(vehicle):
+    stance = vehicle.stance(ground(plane(0.0, 0.0, 0.3)), 0.4, -0.2, 1.0)
+    assert stance.ok and stance.reason == ""
+    np.testing.assert_allclose(stance.T_map_base[:3, 3], (0.4, -0.2, 0.3 + RADIUS), atol=1e-6)
+    turn = Rotation.from_euler("z", 1.0).as_matrix()
+    np.testing.assert_allclose(stance.T_map_base[:3, :3], turn, atol=1e-6)
+
+
+def test_on_a_slope_it_stands_parallel_to_it_with_its_heading(vehicle, rng):
+    for slope_x, slope_y, yaw in rng.uniform((-0.25, -0.25, -3), (0.25, 0.25, 3), (20, 3)):
+        stance = vehicle.stance(ground(plane(slope_x, slope_y)), 0.1, 0.2, yaw)
+        pose, normal = stance.T_map_base, np.array([-slope_x, -slope_y, 1.0])
+        normal /= np.linalg.norm(normal)
+        np.testing.assert_allclose(pose[:3, 2], normal, atol=1e-5)
+        assert math.atan2(pose[1, 0], pose[0, 0]) == pytest.approx(yaw, abs=1e-9)
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
+        assert stance.slope == pytest.approx(np.arccos(normal[2]), abs=1e-5)
+        # The treads are sampled: the wheel's distance to the plane is met within 1 mm.
+        gap = pose[:3, 3] @ normal - RADIUS
+        assert -1e-3 < gap < 1e-3
+
+
+def test_wheels_settle_as_equal_springs(vehicle, rng):
+    """The plane of the wheels is the least-squares one of the heights at which they touch."""
+    terrain = ground(rough(rng, 0.05))
+    for x, y, yaw in rng.uniform((-1, -1, -3), (1, 1, 3), (10, 3)):
+        pose = vehicle.stance(terrain, x, y, yaw).T_map_base
+
+        def gaps(tilt, pose=pose, yaw=yaw, terrain=terrain):
+            height, pitch, roll = tilt
+            turn = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
+            points = vehicle.arrays.contacts @ turn.T + (pose[0, 3], pose[1, 3], height)
+            return (interpolated(terrain, points[..., :2]) - points[..., 2]).max(axis=1)
+
+        _, pitch, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")
+        start = np.array([pose[2, 3], pitch, roll])
+        best = least_squares(gaps, start).x
+        assert np.linalg.norm(gaps(start)) < np.linalg.norm(gaps(best)) + 0.003
+        assert np.abs(start - best).max() < 0.02
+
+
+def interpolated(terrain, points):
+    """Bilinear height between the cells' middles."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    axes = [
+        terrain.origin[k] + (np.arange(terrain.heights.shape[k]) + 0.5) * terrain.resolution
+        for k in range(2)
+    ]
+    return RegularGridInterpolator(axes, terrain.heights.astype(float))(points)
+
+
+def pose_on(slope_x: float, slope_y: float, yaw: float) -> np.ndarray:
+    return rover().stance(ground(plane(slope_x, slope_y)), 0.0, 0.0, yaw).T_map_base
+
+
+def test_tip_margin_of_a_symmetric_body_is_that_of_the_closed_form():
+    """Sideways on a slope of angle a: atan(half track / height) less or plus a, the smaller."""
+    side, height = HALF_TRACK, 0.25
+    support = np.array([[side, side, 0], [-side, side, 0], [-side, -side, 0], [side, -side, 0]])
+    for slope in (0.0, 0.2, -0.3):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("x", slope).as_matrix()
+        expected = math.atan2(side, height) - abs(slope)
+        margin = tip_margin(pose, support, np.array([0.0, 0.0, height]))
+        assert margin == pytest.approx(expected, abs=1e-9)
+
+
+def test_tip_margin_is_the_turn_after_which_the_mass_is_above_an_edge(vehicle, rng):
+    """Turned by the margin about the edge that gives way, the centre of mass is at its highest."""
+    support, centre = vehicle.arrays.support, vehicle.arrays.centre_of_mass
+    for angles in rng.uniform(-0.4, 0.4, (20, 2)):
+        turn = Rotation.from_euler("xy", angles).as_matrix()
+        pose = np.eye(4)
+        pose[:3, :3] = turn
+        corners, mass = support @ turn.T, turn @ centre
+        turns = []
+        for here, following in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            axis = (following - here) / np.linalg.norm(following - here)
+            tilts = np.linspace(-1.5, 1.5, 60001)
+            arm = mass - here
+            arm -= axis * (axis @ arm)
+            lifted = np.cos(tilts) * arm[2] + np.sin(tilts) * np.cross(axis, arm)[2]
+            turns.append(abs(tilts[lifted.argmax()]))
+        assert tip_margin(pose, support, centre) == pytest.approx(min(turns), abs=1e-4)
+
+
+def test_centre_of_mass_moves_with_the_arm(vehicle):
+    """Sum over the links of the URDF, each at its own place."""
+    import xml.etree.ElementTree as ElementTree
+
+    from .grounds import ROVER
+
+    model = rover_model()
+    joints = {**vehicle.joint_positions, "arm_pan_joint": 0.7, "arm_shoulder_joint": 1.1}
+    total, moment = 0.0, np.zeros(3)
+    for link in ElementTree.parse(ROVER).getroot().findall("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            mass = float(inertial.find("mass").get("value"))
+            centre = np.array([float(v) for v in inertial.find("origin").get("xyz").split()])
+            pose = model.forward_kinematics(joints, link.get("name"))
+            total, moment = total + mass, moment + mass * (pose[:3, :3] @ centre + pose[:3, 3])
+    moved = vehicle.with_joints(joints)
+    assert moved.mass == pytest.approx(total)
+    np.testing.assert_allclose(moved.arrays.centre_of_mass, moment / total, atol=1e-9)
+
+
+def test_stretching_the_arm_lowers_the_tip_margin(vehicle):
+    terrain = ground(plane(0.0, 0.0))
+    folded = vehicle.stance(terrain, 0.0, 0.0, 0.0)
+    stretched = vehicle.stance(terrain, 0.0, 0.0, 0.0, q=(math.pi / 2, math.pi / 2, 0.0, 0.0))
+    same = vehicle.with_joints(
+        {"arm_pan_joint": math.pi / 2, "arm_shoulder_joint": math.pi / 2, "arm_elbow_joint": 0.0}
+    )
+    assert stretched.tip_margin < folded.tip_margin - 0.03
+    assert stretched.tip_margin == pytest.approx(
+        same.stance(terrain, 0.0, 0.0, 0.0).tip_margin, abs=1e-9
+    )
+
+
+def bump(x0, y0, size, height):
+    return lambda x, y: np.where(np.hypot(x - x0, y - y0) < size, height, 0.0)
+
+
+def test_stone_between_the_wheels_is_straddled_up_to_the_clearance(vehicle):
+    """The deck's underside is 8.6 cm above ground, the margin 2 cm, the columns' grid 1 cm."""
+    for height, good in ((0.05, True), (0.08, False), (0.3, False)):
+        stance = vehicle.stance(ground(bump(0.0, 0.0, 0.06, height)), 0.0, 0.0, 0.0)
+        assert stance.ok is good, stance.reason
+    assert "body touches the ground" in stance.reason
+    assert stance.clearance < 0.0
+
+
+@pytest.mark.parametrize(
+    ("height", "options", "yaw", "reason"),
+    [
+        (plane(0.6, 0.0), {}, 0.3, "slope of 31 deg, limit 25 deg"),
+        (bump(0.16, 0.16, 0.06, 0.09), {}, 0.0, "step of 0.090 m under a wheel"),
+        (lambda x, y: 0.04 * np.sign(np.sin(50 * x) * np.sin(50 * y)), {"max_step": 1.0}, 0.0,
+         "roughness"),
+        (bump(0.16, 0.16, 0.2, 0.15), {"max_step": 1.0, "max_roughness": 1.0}, 0.0,
+         "off the plane"),
+        (plane(0.3, 0.0), {"min_tip_margin": 0.7}, 0.0, "tip-over margin"),
+        (lambda x, y: np.where(np.hypot(x - 0.16, y - 0.16) < 0.04, np.nan, 0.0), {}, 0.0,
+         "unknown ground under front_left_wheel"),
+        (lambda x, y: np.where(np.hypot(x, y) < 0.06, np.nan, 0.0), {}, 0.0,
+         "unknown ground under the body"),
+    ],
+)  # fmt: skip
+def test_each_refusal_says_why(height, options, yaw, reason):
+    stance = rover(**options).stance(ground(height), 0.0, 0.0, yaw)
+    assert not stance.ok
+    assert reason in stance.reason
+
+
+def test_outside_is_refused(vehicle):
+    assert "outside" in vehicle.stance(ground(plane(0, 0)), 5.0, 0.0, 0.0).reason
+
+
+def test_it_drives_under_what_is_higher_than_it_is(vehicle):
+    top = vehicle.arrays.columns[:, 3].max() + RADIUS
+    for height, good in ((top + 0.01, True), (top - 0.01, False), (0.2, False)):
+        terrain = ground(plane(0, 0), overhead=lambda x, y, height=height: height + 0.0 * x)
+        stance = vehicle.stance(terrain, 0.0, 0.0, 0.5)
+        assert stance.ok is good
+    assert stance.reason == "the body touches an obstacle"
+
+
+def test_unseen_space_is_entered_only_if_allowed():
+    terrain = ground(plane(0, 0), seen=lambda x, y: 0.2 + 0.0 * x)
+    assert rover().stance(terrain, 0, 0, 0).reason == "the body enters space that was never seen"
+    assert rover(unseen_is_free=True).stance(terrain, 0, 0, 0).ok
+
+
+def test_what_stands_beside_a_wheel_is_touched(vehicle):
+    """A post of 0.3 m just outside the front left wheel; its tread touches no step."""
+    lateral = HALF_TRACK + 0.032
+    for away, good in ((0.02, False), (0.12, True)):
+        post = bump(HALF_TRACK, lateral + away, 0.03, 0.3)
+        config = {"max_step": 1.0, "max_roughness": 1.0}
+        terrain = ground(post, cell=0.01)
+        assert rover(**config).stance(terrain, 0.0, 0.0, 0.0).ok is good
+
+
+def test_batch_and_single_stances_agree(vehicle, rng):
+    terrain = ground(rough(rng, 0.08))
+    places = rng.uniform((-2, -2, -4), (2, 2, 4), (60, 3))
+    batch = vehicle.stances(terrain, places)
+    assert 0.1 < batch.ok.mean() < 0.9
+    for place, pose, good in zip(places, batch.T_map_base, batch.ok, strict=True):
+        stance = vehicle.stance(terrain, *place)
+        assert stance.ok == good == (stance.reason == "")
+        np.testing.assert_array_equal(stance.T_map_base, pose)
+
+
+def uneven(rng: np.random.Generator, size: float):
+    """Rough ground with stones, unknown patches, and things hanging above it."""
+    waves = rough(rng, size)
+    stones = rng.uniform((-2, -2, 0.03, 0.03), (2, 2, 0.15, 0.3), (12, 4))
+    holes = rng.uniform((-2, -2, 0.05), (2, 2, 0.2), (4, 3))
+    hung = rng.uniform((-2, -2, 0.1, 0.3), (2, 2, 0.6, 1.0), (4, 4))
+
+    def height(x, y):
+        z = waves(x, y)
+        for a, b, radius, tall in stones:
+            z = np.where(np.hypot(x - a, y - b) < radius, z + tall, z)
+        for a, b, radius in holes:
+            z = np.where(np.hypot(x - a, y - b) < radius, np.nan, z)
+        return z
+
+    def overhead(x, y):
+        z = np.full(x.shape, np.inf)
+        for a, b, radius, level in hung:
+            z = np.where(np.hypot(x - a, y - b) < radius, level, z)
+        return z
+
+    return ground(height, overhead=overhead)
+
+
+@pytest.mark.parametrize("size", [0.01, 0.05, 0.1])
+def test_quick_judgement_is_that_of_the_full_one(vehicle, rng, size):
+    terrain = uneven(rng, size)
+    arrays = terrain_arrays(terrain, vehicle.config)
+    judged = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
+    places = rng.uniform((-2, -2, -4), (2, 2, 4), (3000, 3))
+    outcomes = vehicle.stances(terrain, places).outcomes
+    quick = np.array([is_good(judged, *place) for place in places])
+    np.testing.assert_array_equal(quick, outcomes == STANDS)
+    assert 50 < quick.sum() < 2950
+
+
+@pytest.mark.parametrize("size", [0.0, 0.002, 0.005])
+def test_easy_cells_are_good_in_every_heading(vehicle, rng, size):
+    terrain = uneven(rng, size)
+    easy = np.argwhere(easy_cells(terrain_arrays(terrain, vehicle.config), vehicle.arrays))
+    assert len(easy) > 20
+    chosen = easy[rng.integers(0, len(easy), 4000)]
+    corners = np.array(terrain.origin) + chosen * terrain.resolution
+    xy = corners + rng.uniform(0.0, terrain.resolution, chosen.shape)
+    places = np.column_stack([xy, rng.uniform(-4, 4, len(xy))])
+    assert vehicle.stances(terrain, places).ok.all()
+
+
+def test_robot_on_a_footprint_rests_on_its_corners():
+    config = VehicleConfig(
+        footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), ground_height=-0.05
+    )
+    robot = Vehicle.from_robot(rover_model(), config, FOLDED)
+    pose = robot.stance(ground(plane(0.1, 0.0)), 0.0, 0.0, 0.0).T_map_base
+    np.testing.assert_allclose(pose[:3, 2], np.array([-0.1, 0, 1]) / np.hypot(0.1, 1), atol=1e-6)
+    below = pose[:3, :3] @ (0.0, 0.0, -0.05) + pose[:3, 3]
+    assert below[2] == pytest.approx(0.1 * below[0], abs=1e-6)
+
+
+LINK = '<robot name="r"><link name="base">{}</link></robot>'
+BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+
+
+@pytest.mark.parametrize(
+    ("config", "xml", "match"),
+    [
+        ({}, LINK.format(BOX), "0 links that match"),
+        ({"footprint": (0.0, 0.0, 1.0, 1.0)}, LINK.format(BOX), "3 or more"),
+        ({"footprint": (0.0, 0.0, 1.0, 1.0, 2.0, 2.0)}, LINK.format(BOX), "one line"),
+        ({"footprint": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)}, LINK.format(BOX), "no inertials"),
+    ],
+)
+def test_robot_that_cannot_stand_is_refused(config, xml, match):
+    with pytest.raises(RobotModelError, match=match):
+        Vehicle.from_robot(RobotModel.from_urdf(xml), VehicleConfig(**config))
+
+
+def test_nonsense_is_refused_by_name(vehicle):
+    with pytest.raises(InvalidInputError, match="places"):
+        vehicle.stances(ground(plane(0, 0)), [[0.0, 0.0]])
+    with pytest.raises(InvalidInputError, match="places"):
+        vehicle.stance(ground(plane(0, 0)), math.nan, 0.0, 0.0)
+    with pytest.raises(ConfigError, match="max_slope"):
+        VehicleConfig(max_slope=-1.0)

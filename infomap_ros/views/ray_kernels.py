@@ -25,15 +25,36 @@ from numba import njit
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE
 from infomap_ros.views.field import EMPTY, UNKNOWN
 
+_FRACTION = 32
+_BLOCK_SHIFT = _FRACTION + BLOCK_BITS
+_DOUBT = 1e-5
 _LEAST_DIRECTION = 1e-12
 
 
 @njit(cache=True, nogil=True)
-def inverse_of(direction: float) -> float:
-    """``1 / direction``, huge where the direction is 0."""
-    if abs(direction) < _LEAST_DIRECTION:
-        return 1.0 / _LEAST_DIRECTION
-    return 1.0 / direction
+def axis_steps(
+    origin: float, direction: float, step: float, start: int
+) -> tuple[Any, Any, int, float, float]:
+    """One axis of a ray in fixed-point numbers.
+
+    Args:
+        origin: coordinate of the ray's origin [voxels].
+        direction: component of its unit direction.
+        step: length of a step [voxels].
+        start: first step.
+
+    Returns:
+        Coordinate of the middle of the first step and its change by step, in units of
+        ``2^-_FRACTION`` voxels; 1 if the ray leaves a block on its far side, else 0; and slope and
+        shift by which the number of that side tells the step at which the ray leaves. A step that
+        rounding could put on either side is not counted to the block.
+    """
+    unit = float(1 << _FRACTION)
+    first = np.int64(math.floor((origin + direction * (start + 0.5) * step) * unit))
+    away = max(abs(direction), _LEAST_DIRECTION) * step
+    slope = (1.0 if direction > 0.0 else -1.0) / away
+    change = np.int64(math.floor(direction * step * unit + 0.5))
+    return first, change, int(direction > 0.0), BLOCK_SIDE * slope, 0.5 - _DOUBT - origin * slope
 
 
 @njit(cache=True, nogil=True)
@@ -70,33 +91,30 @@ def march(
     Returns:
         Bits per steradian, and probability that what follows is seen.
     """
-    (ox, oy, oz), (dx, dy, dz) = origin, direction
-    qx, qy, qz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
-    side_x, side_y, side_z = (1 if qx > 0.0 else 0), (1 if qy > 0.0 else 0), 1 if qz > 0.0 else 0
+    x, step_x, side_x, slope_x, shift_x = axis_steps(origin[0], direction[0], step, start)
+    y, step_y, side_y, slope_y, shift_y = axis_steps(origin[1], direction[1], step, start)
+    z, step_z, side_z, slope_z, shift_z = axis_steps(origin[2], direction[2], step, start)
     nx, ny, nz = directory.shape
-    per_step, total, n = 1.0 / step, 0.0, start
+    total, n = 0.0, start
     while n < end:
-        r = (n + 0.5) * step
-        i = math.floor(ox + dx * r) >> BLOCK_BITS
-        j = math.floor(oy + dy * r) >> BLOCK_BITS
-        k = math.floor(oz + dz * r) >> BLOCK_BITS
-        leave = ((i + side_x) * BLOCK_SIDE - ox) * qx
-        leave = min(leave, ((j + side_y) * BLOCK_SIDE - oy) * qy)
-        leave = min(leave, ((k + side_z) * BLOCK_SIDE - oz) * qz)
-        stop = min(max(int(min(leave * per_step, 1e9) + 0.5), n + 1), end)
+        i, j, k = x >> _BLOCK_SHIFT, y >> _BLOCK_SHIFT, z >> _BLOCK_SHIFT
+        leave = min((i + side_x) * slope_x + shift_x, (j + side_y) * slope_y + shift_y)
+        leave = min(leave, (k + side_z) * slope_z + shift_z)
+        stop = min(max(int(min(leave, 1e9)), n + 1), end)
         entry = np.int64(-1 - UNKNOWN)
         if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
             entry = np.int64(directory[i, j, k])
-        if entry < 0 and clear[-1 - entry] == 1.0:
-            total += visible * (before[stop, -1 - entry] - before[n, -1 - entry])
+        code = -1 - entry
+        if entry < 0 and clear[code] == 1.0:
+            total += visible * (before[stop, code] - before[n, code])
+            x, y, z = x + (stop - n) * step_x, y + (stop - n) * step_y, z + (stop - n) * step_z
             n = stop
             continue
-        code = -1 - entry
         while n < stop:
             if entry >= 0:
-                r = (n + 0.5) * step
-                a, b, c = int(ox + dx * r) & 7, int(oy + dy * r) & 7, int(oz + dz * r) & 7
-                code = np.int64(codes[entry, a | (b << 3) | (c << 6)])
+                a, b, c = x >> _FRACTION & 7, y >> _FRACTION - 3 & 56, z >> _FRACTION - 6 & 448
+                code = np.int64(codes[entry, a | b | c])
+            x, y, z = x + step_x, y + step_y, z + step_z
             if code != EMPTY:
                 total += visible * gains[n, code]
                 visible *= clear[code]

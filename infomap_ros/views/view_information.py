@@ -11,7 +11,7 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.views.expected_information import METRICS, expected_information
-from infomap_ros.views.gains import workers_of
+from infomap_ros.views.gains import field_around, workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.shared_rays import information_of_views
 from infomap_ros.views.situation import Situation
@@ -98,6 +98,11 @@ class ExpectedInformation:
     def gains(self, situation: Situation, poses: FloatArray) -> list[VoxelGains]:
         """Voxels that each view, (M, 4, 4), informs, by the expected reduction of entropy."""
         found: dict[int, VoxelGains] = {}
+        if len(poses) == 0:
+            return []
+        field = field_around(
+            situation.voxel_map, poses[:, :3, 3], situation.max_range, self._config
+        )
 
         def gather(_: int, first: int, last: int) -> None:
             for index in range(first, last):
@@ -108,6 +113,7 @@ class ExpectedInformation:
                     situation.max_range,
                     self._config,
                     _region(situation),
+                    field,
                 )
 
         workers_of(self._threads).run(gather, len(poses))

@@ -14,7 +14,7 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE, pack, table_slot
-from infomap_ros.views.field import EMPTY, code_at
+from infomap_ros.views.field import EMPTY, VisibleField, code_at
 from infomap_ros.views.gains import field_around, gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import region_steps, turned
@@ -60,6 +60,7 @@ def view_gains(
     max_range: float,
     config: InformationConfig | None = None,
     region: ArrayLike | None = None,
+    field: VisibleField | None = None,
 ) -> VoxelGains:
     """Voxels that one view is expected to inform; their sum is the view's information.
 
@@ -73,6 +74,8 @@ def view_gains(
         max_range: nothing farther is measured [m].
         config: rays and sensor.
         region: box (low, high), shape (2, 3), map frame [m]: only voxels in it count.
+        field: of the map, as `gains.field_around` prepares it for all views that are asked for;
+            without it, it is prepared for this view.
 
     Raises:
         InvalidInputError: an argument has a wrong shape or impossible content.
@@ -80,7 +83,7 @@ def view_gains(
     settings, size = config or InformationConfig(), m.config.voxel_size
     transform = checked_poses(pose)[0]
     reach = checked_reach(transform[:3, 3], max_range, size)
-    field = field_around(m, transform[None, :3, 3], reach, settings)
+    field = field or field_around(m, transform[None, :3, 3], reach, settings)
     table = gain_table(m, reach, settings)
     rays, angles = camera_rays(camera, min(settings.ray_spacing, size / reach))
     placed = transform.copy()

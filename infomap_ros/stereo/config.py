@@ -103,6 +103,21 @@ class StereoConfig:
         low=0.0,
         high=100.0,
     )
+    min_contrast: float = parameter(
+        0.35,
+        "Pixels whose mean squared horizontal gradient is less than this many times the "
+        "photometric variance that the match leaves unexplained are dropped: images of nothing "
+        "but sensor noise, as of the sky, have 0.2.",
+        low=0.0,
+        high=100.0,
+    )
+    min_support: float = parameter(
+        0.25,
+        "Pixels that stand alone are dropped: so large a share of the 9 x 9 pixels about each must "
+        "be kept by all other checks.",
+        low=0.0,
+        high=1.0,
+    )
     refinement_window: int = parameter(
         7,
         "Side of the window of the photometric sub-pixel step and of the matching quality, odd.",
@@ -124,17 +139,17 @@ class StereoConfig:
         choices=("disparity", "printed"),
     )
     sigma_scale: float = parameter(
-        0.132,
+        0.131,
         "Disparity model: matching sigma at a residual of 1 grey level and texture 1 px wide.",
         unit="px",
         low=0.001,
         high=100.0,
     )
     sigma_residual_power: float = parameter(
-        0.447, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
+        0.462, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
     )
     sigma_texture_power: float = parameter(
-        0.855, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
+        0.88, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
     sigma_floor: float = parameter(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
@@ -148,7 +163,7 @@ class StereoConfig:
         high=10.0,
     )
     printed_s: float = parameter(
-        0.235,
+        0.224,
         "Printed model: intrinsic constant as a disparity error; S of eq. (1) is this over focal "
         "length [px] times baseline [m].",
         unit="px",
@@ -156,10 +171,10 @@ class StereoConfig:
         high=100.0,
     )
     printed_t: tuple[float, ...] = parameter(
-        (0.129, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
+        (0.13, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
     )
     printed_n: float = parameter(
-        2.1, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
+        2.13, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
     )
     printed_rho: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
@@ -176,7 +191,7 @@ class StereoConfig:
     )
     threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
     error_correlation: float = parameter(
-        0.36,
+        0.38,
         "Mean correlation of the disparity errors of two pixels of one surface patch.",
         low=0.0,
         high=1.0,

@@ -13,6 +13,8 @@ from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.matching import SUBPIXELS
 
+_SUPPORT = (9, 9)  # [px]
+
 
 def drop_inconsistent(
     disparity: NDArray[np.int16], invalid: int, tolerance: int, bands: RowBands
@@ -105,3 +107,10 @@ def _smooth_places(low, high, invalid, limit, rim, keep):  # type: ignore[no-unt
         for u in range(rim, width - rim):
             jump = np.int32(high[v, u]) - np.int32(low[v, u])
             keep[v, u] = (low[v, u] > invalid) & (jump < limit)
+
+
+def has_support(keep: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Pixels about which at least a `share` of the 9 x 9 pixels is kept, shape (H, W)."""
+    mask = keep.view(np.uint8)
+    kept = cv2.boxFilter(mask, cv2.CV_8U, _SUPPORT, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(kept >= share * _SUPPORT[0] * _SUPPORT[1])

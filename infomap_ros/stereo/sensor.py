@@ -9,7 +9,12 @@ from infomap_ros.geometry import StereoRig
 from infomap_ros.stereo.assembly import assemble, assemble_printed
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
-from infomap_ros.stereo.filters import drop_inconsistent, drop_speckles, edge_free
+from infomap_ros.stereo.filters import (
+    drop_inconsistent,
+    drop_speckles,
+    edge_free,
+    has_support,
+)
 from infomap_ros.stereo.images import check_image, grey
 from infomap_ros.stereo.matching import DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
@@ -132,6 +137,8 @@ class StereoRangeSensor:
         )
         keep = edge_free(checked, invalid, config)
         keep &= quality.gradient >= config.min_texture**2
+        keep &= quality.gradient >= config.min_contrast * quality.residual
+        keep &= has_support(keep, config.min_support)
         return keep, quality
 
     def _assemble(self, ranges: StereoRange, image: NDArray[np.uint8]) -> NDArray[np.float32]:

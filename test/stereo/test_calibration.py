@@ -36,7 +36,7 @@ def test_shares_within_predicted_sigma_are_a_gaussians_within_5_points(real_erro
 def test_bad_pixels_are_at_most_half_of_the_plain_matchers(real_errors, index):
     errors = real_errors[index]
     assert errors.bad <= 0.5 * errors.plain_bad
-    assert errors.density > 0.7
+    assert errors.density > 0.65
 
 
 def test_errors_of_neighbours_are_correlated_as_the_default_says(real_errors):

@@ -10,10 +10,12 @@ then shrunk to what it must hold.
 
 from __future__ import annotations
 
+import math
 from itertools import product
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PlacedSolid, Solid, Sphere
@@ -44,19 +46,22 @@ def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
         raise InvalidInputError("tolerance", f"is {tolerance}, expected more than 0 m")
     if isinstance(solid, Sphere):
         return np.array([[0.0, 0.0, 0.0, solid.radius]])
+    extent = solid_extent(PlacedSolid(solid, np.eye(4)))
     while True:
-        cut = _cut(solid, tolerance)
+        cut = _cut(solid, extent, tolerance)
         if cut is not None:
             return _chosen(*cut)
         tolerance *= _GROWTH
 
 
-def _cut(solid: Solid, tolerance: float) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _cut(
+    solid: Solid, extent: tuple[FloatArray, FloatArray], tolerance: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Cells (centre and half diagonal, shape (N, 4)), and centres (M, 3) and radii (M,) of spheres.
 
     None where there are too many cells.
     """
-    low, high = solid_extent(PlacedSolid(solid, np.eye(4)))
+    low, high = extent
     size = np.maximum(high - low, 1e-3 * tolerance) + _SLACK
     counts = np.maximum(np.round(size / max(size.min(), tolerance)), 1).astype(int)
     axes = [a + w * (np.arange(n) + 0.5) / n for a, w, n in zip(low, size, counts, strict=True)]
@@ -90,21 +95,35 @@ def _halved(centres: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatAr
 
 def _chosen(cells: FloatArray, centres: FloatArray, radii: FloatArray) -> FloatArray:
     """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,)."""
-    held = np.stack(
-        [np.linalg.norm(centres - cell[:3], axis=1) + cell[3] <= radii + _SLACK for cell in cells]
-    )
-    gains, left, spheres = held.sum(axis=0), np.ones(len(cells), dtype=bool), []
+    small_first = np.argsort(radii, kind="stable")
+    spheres = np.empty((len(cells), 4))
+    count = _choose(cells, centres[small_first], radii[small_first], spheres)
+    return spheres[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _choose(cells: Any, centres: Any, radii: Any, spheres: Any) -> int:
+    """Write the chosen spheres, shape (K, 4), largest gain first; of equal ones the first."""
+    n, m = len(cells), len(centres)
+    held, gains, left = np.zeros((n, m), np.bool_), np.zeros(m, np.int64), np.ones(n, np.bool_)
+    for i in range(n):
+        for j in range(m):
+            held[i, j] = _distance(cells[i], centres[j]) + cells[i, 3] <= radii[j] + _SLACK
+            gains[j] += held[i, j]
+    count = 0
     while left.any():
-        best = _best(gains, radii)
-        new = left & held[:, best]
-        distances = np.linalg.norm(cells[new, :3] - centres[best], axis=1) + cells[new, 3]
-        spheres.append([*centres[best], float(distances.max())])
-        left &= ~new
-        gains = gains - held[new].sum(axis=0)
-    return np.array(spheres)
+        best, radius = np.argmax(gains), 0.0
+        for i in range(n):
+            if left[i] and held[i, best]:
+                left[i] = False
+                radius = max(radius, _distance(cells[i], centres[best]) + cells[i, 3])
+                for j in range(m):
+                    gains[j] -= held[i, j]
+        spheres[count, :3], spheres[count, 3] = centres[best], radius
+        count += 1
+    return count
 
 
-def _best(gains: NDArray[np.int64], radii: FloatArray) -> int:
-    """The sphere that holds most; of equal ones the smallest."""
-    most = np.flatnonzero(gains == gains.max())
-    return int(most[np.argmin(radii[most])])
+@njit(cache=True, nogil=True, inline="always")
+def _distance(a: Any, b: Any) -> float:
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -104,6 +104,9 @@ def write_map_report(
 
 
 def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
+    end = run.end
+    said = () if end is None else (end.reason, end.detail)
+    figures = {name: value for name, value in figures.items() if value not in said}
     sides = [
         ("Task", tables.parameters_table(run.start.task, TaskConfig)),
         ("Computing time of the decisions", tables.stages_table(run)),

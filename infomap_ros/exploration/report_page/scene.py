@@ -20,14 +20,7 @@ from infomap_ros.exploration.report_page.surface import (
     DrawnSurface,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.terms import (
-    Distance,
-    Information,
-    InterestTerm,
-    LocalisationErrorTerm,
-    Risk,
-    TeammatesTerm,
-)
+from infomap_ros.views import terms
 
 COLOUR_MAPS = {
     "height": "viridis",
@@ -40,8 +33,11 @@ COLOUR_MAPS = {
 BASE_ACTIONS = ("drive", "home")
 """Motions whose path is the base's; that of others is the camera's."""
 
-_TERMS = (Information, InterestTerm, TeammatesTerm, Distance, LocalisationErrorTerm, Risk)
-_UNITS = {term.name: term.unit for term in _TERMS}
+_UNITS = {
+    term.name: term.unit
+    for term in vars(terms).values()
+    if isinstance(getattr(term, "name", None), str) and hasattr(term, "unit")
+}
 _LEAST_STEP = 0.01  # of a path: points closer than this are left out [m]
 
 
@@ -124,7 +120,7 @@ def _add_candidates(
     names = term_names([*every, *(step.decision for step in run.steps)])
     reasons = list(dict.fromkeys(candidate.rejection for candidate in every))
     numbers = {reason: number for number, reason in enumerate(reasons)}
-    terms = [[candidate.terms.get(name, math.nan) for name in names] for candidate in every]
+    values = [[candidate.terms.get(name, math.nan) for name in names] for candidate in every]
     manifest |= {
         "terms": names,
         "rejections": reasons,
@@ -136,7 +132,7 @@ def _add_candidates(
     arrays["candidate_directions"] = np.rint(directions * 127.0).astype(np.int8)
     arrays["candidate_ratings"] = np.array([c.rating for c in every], np.float32)
     arrays["candidate_rejections"] = np.array([numbers[c.rejection] for c in every], np.uint16)
-    arrays["candidate_terms"] = np.array(terms, np.float32).reshape(len(every), len(names))
+    arrays["candidate_terms"] = np.array(values, np.float32).reshape(len(every), len(names))
 
 
 def term_names(rated: Sequence[Candidate | Any]) -> list[str]:

@@ -111,8 +111,12 @@ def curves(run: RecordedRun) -> str:
     task = run.start.task
     by_view = list({record.views: record for record in progress}.values())
     charts = _curves(by_view, [r.views for r in by_view], "views", task)
-    charts += _curves(progress, [r.distance for r in progress], "distance driven [m]", task)
-    return f'<div class="charts">{"".join(charts)}</div>'
+    note = ""
+    if any(record.distance > 0.0 for record in progress):
+        charts += _curves(progress, [r.distance for r in progress], "distance driven [m]", task)
+    else:
+        note = "<p>The base did not drive, so there are no curves over distance.</p>"
+    return f'<div class="charts">{"".join(charts)}</div>{note}'
 
 
 def _curves(

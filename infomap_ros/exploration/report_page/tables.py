@@ -26,7 +26,7 @@ def table(
 
     Args:
         heads: of the columns; one that begins with ``#`` stands over numbers.
-        rows: cells.
+        rows: cells; a row of one cell spans the table.
         kind: class of the table.
         attributes: of each row's element; none where empty.
     """
@@ -38,7 +38,10 @@ def table(
     )
     body = []
     for place, row in enumerate(rows):
-        cells = "".join(f"<td{c}>{cell}</td>" for c, cell in zip(classes, row, strict=True))
+        if len(row) == 1:
+            cells = f'<td class="whole" colspan="{len(heads)}">{row[0]}</td>'
+        else:
+            cells = "".join(f"<td{c}>{cell}</td>" for c, cell in zip(classes, row, strict=True))
         body.append(f"<tr{attributes[place] if attributes else ''}>{cells}</tr>")
     return (
         f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead>'
@@ -50,18 +53,17 @@ def views_table(run: RecordedRun) -> str:
     """Chosen views with their terms and the reason; a click shows one in the 3-D view."""
     if not run.steps:
         return "<p>No view was chosen.</p>"
-    names = term_names([step.decision for step in run.steps])
-    heads = [
-        "#view",
-        "#time",
-        "position [m]",
-        "#rating",
-        *(f"#{words(n)} {unit_of(n)}".rstrip() for n in names),
-    ]
-    heads += ["#candidates", "why", "outcome"]
-    rows = [_view_row(step, names) for step in run.steps]
-    marks = [f' data-step="{place}" tabindex="0"' for place in range(len(rows))]
-    return table(heads, rows, "views", marks)
+    every = term_names([step.decision for step in run.steps])
+    names = [name for name in every if any(step.decision.terms.get(name) for step in run.steps)]
+    heads = ["#view", "#time", "position [m]", "#rating"]
+    heads += [*(f"#{words(n)} {unit_of(n)}".rstrip() for n in names), "#candidates", "outcome"]
+    rows, marks = [], []
+    for place, step in enumerate(run.steps):
+        rows += [_view_row(step, names), [html.escape(step.decision.reason)]]
+        marks += [f' class="step" data-step="{place}" tabindex="0"', f' data-step="{place}"']
+    idle = [words(name) for name in every if name not in names]
+    note = f"<p>Zero throughout: {html.escape(', '.join(idle))}.</p>" if idle else ""
+    return table(heads, rows, "views", marks) + note
 
 
 def _view_row(step: Step, names: Sequence[str]) -> list[str]:
@@ -79,7 +81,6 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
         number(decision.rating),
         *(number(decision.terms.get(name, math.nan)) for name in names),
         f"{possible} of {decision.considered}",
-        html.escape(decision.reason),
         f'<span class="{kind}">{html.escape(step.outcome)}</span>',
     ]
 
@@ -99,14 +100,16 @@ def rejections_table(run: RecordedRun) -> str:
             html.escape(kind),
             f'<span class="bar" style="width:{8.0 * count / largest:.2f}em"></span>{count:,}',
             f"{100.0 * count / considered:.1f} %",
-            html.escape(examples[kind]),
+            html.escape(examples[kind].removeprefix(kind).removeprefix(":").strip()),
         ]
         for kind, count in counts.most_common()
     ]
     possible = considered - counts.total()
     text = f"<p>Of {considered:,} candidates in {len(run.steps)} decisions {possible:,} "
     text += "were possible.</p>"
-    return text + table(["reason", "#rejected", "#share of all", "for example"], rows, "rejections")
+    return text + table(
+        ["reason", "#rejected", "#share of all", "details, for example"], rows, "rejections"
+    )
 
 
 def kinds_of_rejections(decisions: Sequence[Decision]) -> Counter[str]:

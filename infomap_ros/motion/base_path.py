@@ -39,7 +39,7 @@ class BasePlannerConfig:
         unit="m", low=0.0, high=5.0,
     )  # fmt: skip
     standing_reach: float = parameter(
-        0.1, "Ground around the body that counts as known because the robot stands there.",
+        0.2, "Ground around the body that counts as known because the robot stands there.",
         unit="m", low=0.0, high=5.0,
     )  # fmt: skip
     spacing: float = parameter(

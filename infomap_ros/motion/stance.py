@@ -168,9 +168,9 @@ def _column_outcome(
             return TOUCHES_OBSTACLE
         if vehicle.needs_ground[n]:
             return UNKNOWN_BODY
-        if ground == math.inf:
-            return STANDS if unseen_is_free else UNSEEN
-    if low <= ground:
+        if low <= ground and not unseen_is_free:
+            return UNSEEN
+    elif low <= ground:
         return TOUCHES_GROUND
     if high > terrain.overhead[k, m]:
         return TOUCHES_OBSTACLE

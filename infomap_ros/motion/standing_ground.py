@@ -24,7 +24,7 @@ _FLATTEST = 0.2  # cosine of the steepest plane that is taken for ground
 
 
 def with_standing_ground(
-    terrain: Terrain, vehicle: Vehicle, T_map_bases: ArrayLike, reach: float = 0.1
+    terrain: Terrain, vehicle: Vehicle, T_map_bases: ArrayLike, reach: float = 0.2
 ) -> Terrain:
     """Declare the ground under poses in which the robot stands or has stood as known.
 

@@ -129,7 +129,7 @@ class Vehicle:
             carriage.support,
             centre,
             _reach(columns, carriage, settings.max_slope),
-            settings.limits,
+            settings.limits_for(_smallest_radius(carriage)),
         )
         return cls(robot, settings, joints, carriage, mass, arrays)
 
@@ -158,7 +158,9 @@ class Vehicle:
         return Stance(
             T_map_base=batch.T_map_base[0],
             ok=outcome == kernels.STANDS,
-            reason=outcome_in_words(outcome, measures, self.config, self.undercarriage.names),
+            reason=outcome_in_words(
+                outcome, measures, self.arrays.limits, self.undercarriage.names
+            ),
             tip_margin=float(measures[kernels.TIP]),
             slope=float(measures[kernels.SLOPE]),
             step=float(measures[kernels.STEP]),
@@ -217,6 +219,12 @@ def _wheel_columns(
         part[:, 2] = np.maximum(part[:, 2], centre[2])
         columns.append(part[part[:, 3] > part[:, 2]])
     return np.concatenate([np.zeros((0, 4)), *columns])
+
+
+def _smallest_radius(carriage: Undercarriage) -> float:
+    """Height of the axle above the lowest point of the smallest wheel [m]."""
+    lowest = carriage.contacts[:, :, 2].min(axis=1)
+    return float((carriage.centres[:, 2] - lowest).min())
 
 
 def _reach(columns: FloatArray, carriage: Undercarriage, slope: float) -> float:

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+
+_STEP_SHARE = 0.75  # of a wheel's radius that it climbs
 
 
 @dataclass(frozen=True)
@@ -15,7 +18,7 @@ class VehicleConfig:
     """Limits of the ground that a vehicle stands and drives on.
 
     Raises:
-        ConfigError: a value is out of its range.
+        ConfigError: a value is out of its range, or a footprint comes without `max_step`.
     """
 
     wheel_links: str = parameter(
@@ -39,7 +42,12 @@ class VehicleConfig:
         0.44, "Steepest plane of the wheels (25 degrees).", unit="rad", low=0.0, high=1.5
     )
     max_step: float = parameter(
-        0.05, "Highest step from cell to cell under a wheel.", unit="m", low=0.0, high=1.0
+        0.0,
+        "Highest step from cell to cell under a wheel; 0 for three quarters of the smallest "
+        "wheel's radius.",
+        unit="m",
+        low=0.0,
+        high=1.0,
     )
     max_roughness: float = parameter(
         0.03, "Largest roughness of the ground under a wheel.", unit="m", low=0.0, high=1.0
@@ -59,15 +67,20 @@ class VehicleConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+        if self.footprint and self.max_step == 0.0:
+            raise ConfigError("max_step", self.max_step, "more than 0 m where a footprint is given")
 
-    @property
-    def limits(self) -> FloatArray:
-        """As `infomap_ros.motion.stance.VehicleArrays` holds them, shape (6,)."""
+    def limits_for(self, radius: float) -> FloatArray:
+        """As `infomap_ros.motion.stance.VehicleArrays` holds them, shape (6,).
+
+        Args:
+            radius: of the smallest wheel [m].
+        """
         return np.array(
             [
                 self.suspension_travel,
                 self.max_slope,
-                self.max_step,
+                self.max_step or _STEP_SHARE * radius,
                 self.max_roughness,
                 self.min_tip_margin,
                 float(self.unseen_is_free),

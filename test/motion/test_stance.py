@@ -274,7 +274,7 @@ def test_easy_cells_are_good_in_every_heading(vehicle, rng, size):
 
 def test_robot_on_a_footprint_rests_on_its_corners():
     config = VehicleConfig(
-        footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), ground_height=-0.05
+        footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), ground_height=-0.05, max_step=0.05
     )
     robot = Vehicle.from_robot(rover_model(), config, FOLDED)
     pose = robot.stance(ground(plane(0.1, 0.0)), 0.0, 0.0, 0.0).T_map_base
@@ -291,9 +291,17 @@ BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     ("config", "xml", "match"),
     [
         ({}, LINK.format(BOX), "0 links that match"),
-        ({"footprint": (0.0, 0.0, 1.0, 1.0)}, LINK.format(BOX), "3 or more"),
-        ({"footprint": (0.0, 0.0, 1.0, 1.0, 2.0, 2.0)}, LINK.format(BOX), "one line"),
-        ({"footprint": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)}, LINK.format(BOX), "no inertials"),
+        ({"max_step": 0.1, "footprint": (0.0, 0.0, 1.0, 1.0)}, LINK.format(BOX), "3 or more"),
+        (
+            {"max_step": 0.1, "footprint": (0.0, 0.0, 1.0, 1.0, 2.0, 2.0)},
+            LINK.format(BOX),
+            "one line",
+        ),
+        (
+            {"max_step": 0.1, "footprint": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)},
+            LINK.format(BOX),
+            "no inertials",
+        ),
     ],
 )
 def test_robot_that_cannot_stand_is_refused(config, xml, match):
@@ -308,3 +316,12 @@ def test_nonsense_is_refused_by_name(vehicle):
         vehicle.stance(ground(plane(0, 0)), math.nan, 0.0, 0.0)
     with pytest.raises(ConfigError, match="max_slope"):
         VehicleConfig(max_slope=-1.0)
+    with pytest.raises(ConfigError, match="max_step"):
+        VehicleConfig(footprint=(0.0, 0.0, 1.0, 0.0, 0.0, 1.0))
+
+
+def test_wheel_climbs_three_quarters_of_its_radius():
+    for height, good in ((0.74 * RADIUS, True), (0.76 * RADIUS, False)):
+        kerb = ground(lambda x, y, height=height: np.where(x > 0.16, height, 0.0))
+        config = {"max_roughness": 1.0, "suspension_travel": 1.0}
+        assert rover(**config).stance(kerb, 0.0, 0.0, 0.0).ok is good

@@ -40,7 +40,7 @@ class RatingConfig:
         1.0, "w_NI of eq. (11), also for what interests add and others take.", low=0.0, high=1e6
     )
     distance_weight: float = parameter(
-        0.005,
+        0.01,
         "w_d of eq. (11): so many full views must a unit of distance bring to be worth while.",
         low=0.0,
         high=1e6,

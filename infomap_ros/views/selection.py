@@ -39,7 +39,7 @@ class SelectionConfig:
         12, "To at most so many views a motion is planned before the choice gives up.", low=1
     )
     least_information: float = parameter(
-        0.002,
+        0.005,
         "A view that is expected to tell less than this share of a full unknown view is not worth "
         "taking.",
         low=0.0,

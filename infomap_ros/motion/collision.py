@@ -22,7 +22,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelWindow
 from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
 from infomap_ros.motion import collision_kernels as kernels
-from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig
+from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig, pair_gaps
 from infomap_ros.motion.collision_kernels import CLEAR, MotionSpace
 from infomap_ros.motion.robot_model import RobotModel
 
@@ -184,8 +184,7 @@ class CollisionChecker:
     @cached_property
     def _gaps(self) -> FloatArray:
         """Links that stand still do not come nearer between two checks."""
-        moving = (self.body.arrays.bodies > 0)[self.body.arrays.pairs].sum(axis=1)
-        return self.body.config.margin * moving.astype(np.float64)
+        return pair_gaps(self.body.arrays, self.body.config.margin)
 
     @cached_property
     def _all_links(self) -> NDArray[np.int64]:

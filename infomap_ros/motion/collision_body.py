@@ -115,10 +115,12 @@ class CollisionBody:
         pairs = movable_pairs(robot, tree)
         qs = _random_configurations(robot.arm, settings.samples)
         tolerances = np.full(len(links), settings.tolerance)
+        covers: dict[tuple[str, float], FloatArray] = {}
         for _ in range(_REFINEMENTS + 1):
-            arrays = _body_arrays(robot, tree, tolerances, pairs)
+            arrays = _body_arrays(robot, tree, tolerances, pairs, covers)
             counts = np.zeros(len(pairs), dtype=np.int64)
-            kernels.count_touching(tree.arrays, arrays, qs, counts)
+            gaps = pair_gaps(arrays, settings.margin)
+            kernels.count_touching(tree.arrays, arrays, gaps, qs, counts)
             always = counts >= settings.always_share * len(qs)
             if not always.any():
                 break
@@ -153,6 +155,11 @@ class CollisionBody:
         return placed
 
 
+def pair_gaps(arrays: BodyArrays, margin: float) -> FloatArray:
+    """Distance that the links of each pair keep, shape (P,) [m]: the margin for each that moves."""
+    return margin * (arrays.bodies > 0)[arrays.pairs].sum(axis=1).astype(np.float64)
+
+
 def _is_any(link: str, patterns: tuple[str, ...]) -> bool:
     return any(fnmatch.fnmatchcase(link, pattern) for pattern in patterns)
 
@@ -165,10 +172,19 @@ def _random_configurations(chain: KinematicChain, count: int) -> FloatArray:
 
 
 def _body_arrays(
-    robot: RobotModel, tree: LinkTree, tolerances: FloatArray, pairs: NDArray[np.int64]
+    robot: RobotModel,
+    tree: LinkTree,
+    tolerances: FloatArray,
+    pairs: NDArray[np.int64],
+    known: dict[tuple[str, float], FloatArray],
 ) -> BodyArrays:
+    """Arrays of all links, each with its tolerance [m]; known covers are not made again."""
     links = robot.links_with_solids
-    covers = [_link_cover(robot, tree, *item) for item in zip(links, tolerances, strict=True)]
+    wanted = list(zip(links, tolerances.tolist(), strict=True))
+    for link, tolerance in wanted:
+        if (link, tolerance) not in known:
+            known[link, tolerance] = _link_cover(robot, tree, link, tolerance)
+    covers = [known[item] for item in wanted]
     bodies = np.array([tree.bodies[_shapes(robot, link)[0].joint] for link in links])
     balls = np.array([_ball(cover) for cover in covers]).reshape(-1, 4)
     return BodyArrays(

@@ -15,7 +15,9 @@ from infomap_ros.motion.robot_model import RobotModel
 def movable_pairs(robot: RobotModel, tree: LinkTree) -> NDArray[np.int64]:
     """Pairs of links with shapes that move against each other and are not joined by a joint.
 
-    Two links count as joined where only links without shapes are between them.
+    Two links count as joined where only links without shapes are between them, and where all
+    joints between them slide in one direction, as the tubes of a telescope do: these are in one
+    another by design.
 
     Returns:
         Numbers in ``robot.links_with_solids``, shape (P, 2).
@@ -26,9 +28,20 @@ def movable_pairs(robot: RobotModel, tree: LinkTree) -> NDArray[np.int64]:
     pairs = [
         (i, j)
         for (i, a), (j, b) in combinations(enumerate(links), 2)
-        if tree.bodies[joint_of[a]] != tree.bodies[joint_of[b]] and above[a] != b and above[b] != a
+        if above[a] != b
+        and above[b] != a
+        and not _is_telescope(tree, int(tree.bodies[joint_of[a]]), int(tree.bodies[joint_of[b]]))
     ]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _is_telescope(tree: LinkTree, first: int, second: int) -> bool:
+    """Whether all joints between two bodies slide in one direction; also where there is none."""
+    up, down = set(tree.bodies_up_from(first)), set(tree.bodies_up_from(second))
+    joints = [body - 1 for body in up ^ down]
+    axes = np.array([tree.axis(joint) for joint in joints]).reshape(-1, 3)
+    parallel = np.abs(axes @ axes[:1].T) > 1.0 - 1e-6
+    return bool(tree.arrays.prismatic[joints].all() and parallel.all())
 
 
 def _next_above(robot: RobotModel, link: str) -> str:

@@ -60,6 +60,13 @@ class LinkTree:
             yield body
             body = int(self.arrays.parents[body - 1])
 
+    def axis(self, joint: int) -> FloatArray:
+        """Axis of a joint in the base frame, all joints at zero, shape (3,)."""
+        rotation = np.eye(3)
+        for body in self.bodies_up_from(joint + 1):
+            rotation = self.arrays.placements[body - 1][:, :3] @ rotation
+        return rotation[:, 2]
+
     @classmethod
     def of(cls, robot: RobotModel, joint_positions: Mapping[str, float] | None = None) -> LinkTree:
         """The tree that the joints of ``robot.arm`` move.

@@ -22,7 +22,7 @@ from infomap_ros.geometry import PlacedSolid, Solid, Sphere
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.solid_extent import solid_extent
 
-_CELLS = 6000
+_CELLS = 4000
 _GROWTH = 1.25
 _SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its centre
 _SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
@@ -50,7 +50,7 @@ def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
     while True:
         cut = _cut(solid, extent, tolerance)
         if cut is not None:
-            return _chosen(*cut)
+            return np.asarray(_chosen(*cut))
         tolerance *= _GROWTH
 
 
@@ -93,37 +93,39 @@ def _halved(centres: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatAr
     return (centres[:, None] + offsets).reshape(-1, 3), edges
 
 
-def _chosen(cells: FloatArray, centres: FloatArray, radii: FloatArray) -> FloatArray:
-    """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,)."""
-    small_first = np.argsort(radii, kind="stable")
-    spheres = np.empty((len(cells), 4))
-    count = _choose(cells, centres[small_first], radii[small_first], spheres)
-    return spheres[:count].copy()
-
-
 @njit(cache=True, nogil=True)
-def _choose(cells: Any, centres: Any, radii: Any, spheres: Any) -> int:
-    """Write the chosen spheres, shape (K, 4), largest gain first; of equal ones the first."""
-    n, m = len(cells), len(centres)
-    held, gains, left = np.zeros((n, m), np.bool_), np.zeros(m, np.int64), np.ones(n, np.bool_)
-    for i in range(n):
-        for j in range(m):
-            held[i, j] = _distance(cells[i], centres[j]) + cells[i, 3] <= radii[j] + _SLACK
-            gains[j] += held[i, j]
-    count = 0
-    while left.any():
-        best, radius = np.argmax(gains), 0.0
-        for i in range(n):
-            if left[i] and held[i, best]:
-                left[i] = False
-                radius = max(radius, _distance(cells[i], centres[best]) + cells[i, 3])
-                for j in range(m):
-                    gains[j] -= held[i, j]
-        spheres[count, :3], spheres[count, 3] = centres[best], radius
-        count += 1
-    return count
+def _chosen(cells: Any, centres: Any, radii: Any) -> Any:
+    """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,); shape (K, 4).
+
+    Of spheres that hold equally many cells, the smallest is taken.
+    """
+    count, left = len(cells), len(cells)
+    held, gains = np.zeros(count, np.bool_), np.zeros(len(radii), np.int64)
+    for m in range(len(radii)):
+        for n in range(count):
+            gains[m] += _radius_to_hold(centres[m], cells[n]) <= radii[m] + _SLACK
+    spheres = np.empty((count, 4))
+    chosen = 0
+    while left > 0:
+        best = 0
+        for m in range(1, len(radii)):
+            if gains[m] > gains[best] or (gains[m] == gains[best] and radii[m] < radii[best]):
+                best = m
+        spheres[chosen, :3], spheres[chosen, 3] = centres[best], 0.0
+        for n in range(count):
+            needed = _radius_to_hold(centres[best], cells[n])
+            if held[n] or needed > radii[best] + _SLACK:
+                continue
+            held[n] = True
+            left -= 1
+            spheres[chosen, 3] = max(spheres[chosen, 3], needed)
+            for m in range(len(radii)):
+                gains[m] -= _radius_to_hold(centres[m], cells[n]) <= radii[m] + _SLACK
+        chosen += 1
+    return spheres[:chosen].copy()
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _distance(a: Any, b: Any) -> float:
-    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+def _radius_to_hold(centre: Any, cell: Any) -> float:
+    x, y, z = centre[0] - cell[0], centre[1] - cell[1], centre[2] - cell[2]
+    return math.sqrt(x * x + y * y + z * z) + cell[3]

@@ -28,7 +28,8 @@ class Step:
     Attributes:
         decision: the choice.
         motions: that followed before the next decision.
-        outcome: "taken", "not taken", "no view", or why the robot did not get there or see.
+        outcome: "taken", "no view", "not taken, the run ended", or why the robot did not get there
+            or see.
     """
 
     decision: Decision
@@ -137,5 +138,5 @@ def _step(records: Sequence[Record]) -> Step:
     elif failures and not looked:
         outcome = failures[-1]
     else:
-        outcome = "taken" if looked else "not taken"
+        outcome = "taken" if looked else "not taken, the run ended"
     return Step(decision, motions, outcome)

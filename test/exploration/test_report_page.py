@@ -16,6 +16,7 @@ import pytest
 from infomap_ros.errors import MapFileError
 from infomap_ros.exploration.log_parsing import RunLogError
 from infomap_ros.exploration.report import write_map_report, write_report
+from infomap_ros.exploration.report_page import scene
 from infomap_ros.exploration.report_page.axes import (
     DASH,
     MINUS,
@@ -146,6 +147,17 @@ def test_viewer_gets_every_candidate(report: str) -> None:
     terms = arrays["candidate_terms"].reshape(len(candidates), -1)
     for column, name in enumerate(manifest["terms"]):
         np.testing.assert_allclose(terms[:, column], [c["terms"][name] for c in candidates], 1e-6)
+
+
+def test_of_very_many_candidates_each_decision_shows_some(
+    tmp_path: Path, voxel_map: VoxelMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene, "LARGEST_CHOICE", 300)
+    write_report(tmp_path / "r.html", write_log(tmp_path / "run.jsonl"), voxel_map)
+    manifest, arrays = unpacked(Reader((tmp_path / "r.html").read_text("utf-8")))
+    shown = np.diff(arrays["candidate_starts"])
+    assert (shown == 20).all()  # every third of 60
+    assert [step["considered"] for step in manifest["steps"]] == [60] * 13
 
 
 def test_hundred_thousand_voxels_fit_into_ten_megabytes() -> None:

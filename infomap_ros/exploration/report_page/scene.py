@@ -38,6 +38,9 @@ _UNITS = {
     for term in vars(terms).values()
     if isinstance(getattr(term, "name", None), str) and hasattr(term, "unit")
 }
+LARGEST_CHOICE = 60_000
+"""Of more candidates than this in all decisions, each decision shows every so many."""
+
 _LEAST_STEP = 0.01  # of a path: points closer than this are left out [m]
 
 
@@ -115,7 +118,8 @@ def _add_run(manifest: dict[str, Any], arrays: dict[str, NDArray[Any]], run: Rec
 def _add_candidates(
     manifest: dict[str, Any], arrays: dict[str, NDArray[Any]], run: RecordedRun
 ) -> None:
-    listed = [step.decision.candidates for step in run.steps]
+    most = max(20, LARGEST_CHOICE // max(len(run.steps), 1))
+    listed = [_spread(step.decision.candidates, most) for step in run.steps]
     every = [candidate for group in listed for candidate in group]
     names = term_names([*every, *(step.decision for step in run.steps)])
     reasons = list(dict.fromkeys(candidate.rejection for candidate in every))
@@ -161,6 +165,11 @@ def _step(step: Step) -> dict[str, Any]:
         "outcome": step.outcome,
         "taken": step.taken,
     }
+
+
+def _spread(candidates: Sequence[Candidate], most: int) -> Sequence[Candidate]:
+    """All candidates, or every so many of them."""
+    return candidates[:: max(1, -(-len(candidates) // most))]
 
 
 def _corner_rays(matrix: FloatArray, camera: Any) -> list[list[float]]:

@@ -74,6 +74,7 @@ class Viewer {
     }
     this.orbit.update(Math.max(clientWidth, 1), Math.max(clientHeight, 1));
     if (this.orbit.untouched) this.orbit.home();
+    this.moving = false;
     this.redraw();
   }
 
@@ -100,7 +101,7 @@ class Viewer {
   // them when the map has come to rest.
   done(share, taken) {
     this.busy = false;
-    this.share = Math.max(0.01, Math.min(1, share * Math.max(0.02, Math.min(1.5, 35 / taken))));
+    this.share = Math.max(0.05, Math.min(1, share * Math.max(0.02, Math.min(1.5, 35 / taken))));
     if (this.moving) {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => { this.moving = false; this.redraw(); }, 200);

@@ -9,7 +9,6 @@ one step.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,19 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.block_kernels import find_block
 from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
-
-EMPTY, UNKNOWN, SOLID, UNCERTAIN = 0, 1, 2, 3
-"""Codes of voxels; the first of the uncertain ones, which follow each other by evidence.
-
-After them come those of unknown voxels with a predicted probability, in the same order.
-"""
+from infomap_ros.views.codes import EMPTY, SOLID, UNCERTAIN, UNKNOWN, CodeBook
 
 _TABLE_QUANTA = 64
-_MOST_UNCERTAIN = 62  # so that a code fits in a byte
 _LARGEST = 1 << 27
 
 
@@ -58,42 +51,14 @@ class VisibleField:
         return np.asarray(np.asarray(points) / self.voxel_size - self.first * BLOCK_SIDE)
 
 
-def uncertain_quanta(certain_probability: float) -> int:
-    """Largest evidence, for or against, of a voxel that is not certain [quanta]."""
-    certain = math.log(1.0 / certain_probability - 1.0) / LOG_ODDS_QUANTUM
-    return min(math.ceil(certain - 1e-9) - 1, _MOST_UNCERTAIN)
-
-
-def code_probabilities(certain_probability: float) -> FloatArray:
-    """Probability of occupancy of each code, shape (n,)."""
-    limit = uncertain_quanta(certain_probability)
-    evidence = np.arange(-limit, limit + 1) * LOG_ODDS_QUANTUM
-    uncertain = 1.0 / (1.0 + np.exp(-evidence))
-    return np.concatenate([[0.0, 0.5, 1.0], uncertain, uncertain])
-
-
-def is_known_code(certain_probability: float) -> NDArray[np.bool_]:
-    """Which codes are those of known voxels, shape (n,)."""
-    known = np.ones(UNCERTAIN + 2 * (2 * uncertain_quanta(certain_probability) + 1), np.bool_)
-    known[UNKNOWN], known[predicted_code(certain_probability) :] = False, False
-    return known
-
-
-def predicted_code(certain_probability: float) -> int:
-    """First code of unknown voxels with a predicted probability."""
-    return UNCERTAIN + 2 * uncertain_quanta(certain_probability) + 1
-
-
-def visible_field(
-    m: VoxelMap, low: ArrayLike, high: ArrayLike, certain_probability: float
-) -> VisibleField:
+def visible_field(m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook) -> VisibleField:
     """Prepare the part of a map that lies in a box.
 
     Args:
         m: the map.
         low: corner of the box, shape (3,), map frame [m].
         high: opposite corner.
-        certain_probability: known voxels less likely occupied are EMPTY, less likely empty SOLID.
+        book: of codes.
 
     Raises:
         InvalidInputError: the box is none, or too large for a dense directory of blocks.
@@ -110,19 +75,18 @@ def visible_field(
     if float(np.prod(shape.astype(float))) > _LARGEST:
         raise InvalidInputError("field", f"of {shape.tolist()} blocks is too large")
     directory = np.full(tuple(shape), -1 - UNKNOWN, np.int32)
-    blocks, table = m._storage.blocks, _evidence_codes(certain_probability)
+    blocks, table = m._storage.blocks, _evidence_codes(book)
     rows = _enter_blocks(blocks, first, table, directory)
     codes = np.empty((rows, BLOCK_VOXELS), np.uint8)
     _fill_codes(blocks, first, table, directory, codes)
     return VisibleField(directory, first, codes, size)
 
 
-def _evidence_codes(certain_probability: float) -> NDArray[np.uint8]:
+def _evidence_codes(book: CodeBook) -> NDArray[np.uint8]:
     """Code of known voxels by evidence, from -_TABLE_QUANTA to _TABLE_QUANTA."""
-    limit = uncertain_quanta(certain_probability)
     quanta = np.arange(-_TABLE_QUANTA, _TABLE_QUANTA + 1)
-    codes = UNCERTAIN + limit + quanta
-    codes[quanta < -limit], codes[quanta > limit] = EMPTY, SOLID
+    codes = UNCERTAIN + book.limit + quanta
+    codes[quanta < -book.limit], codes[quanta > book.limit] = EMPTY, SOLID
     return codes.astype(np.uint8)
 
 

@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.workers import Workers
-from infomap_ros.views.field import (
-    EMPTY,
-    SOLID,
-    VisibleField,
-    code_probabilities,
-    is_known_code,
-    visible_field,
-)
+from infomap_ros.views.codes import CodeBook
+from infomap_ros.views.field import VisibleField, visible_field
 from infomap_ros.views.information_config import InformationConfig
-from infomap_ros.views.observation_value import voxel_bits
+from infomap_ros.views.observation_value import surface_bits, voxel_bits
 from infomap_ros.views.predicted_field import with_predictions
+from infomap_ros.views.surface_field import with_surfaces
 
 _LEAST_STEPS = 64
+
+
+def code_book(config: InformationConfig) -> CodeBook:
+    """Codes by what counts as certain and as precise."""
+    return CodeBook(config.certain_probability, config.wanted_sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +56,17 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
     steps = max(math.ceil(reach), _LEAST_STEPS)
     edges = np.linspace(0.0, reach, steps + 1)
     middle = 0.5 * (edges[:-1] + edges[1:]) * m.config.voxel_size
-    p = code_probabilities(config.certain_probability)
+    book = code_book(config)
+    p = book.probabilities()
     bits = voxel_bits(p, middle[:, None], m.config, config)
-    bits[:, [EMPTY, SOLID]] = 0.0
+    bits[:, (p == 0.0) | (p == 1.0)] = 0.0
+    bits += surface_bits(book.sigmas(), middle[:, None], m.config, config)
     bits[middle < config.min_range] = 0.0
     gains = bits * np.diff(edges**3)[:, None] / 3.0
     before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
     step = reach / steps
     clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
-    clear[~is_known_code(config.certain_probability)] *= (1.0 - config.unknown_occlusion) ** (
-        1.0 / steps
-    )
+    clear[~book.known()] *= (1.0 - config.unknown_occlusion) ** (1.0 / steps)
     return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
 
 
@@ -75,10 +75,11 @@ def field_around(
 ) -> VisibleField:
     """The part of a map that can be seen from positions, shape (M, 3) [m], within `max_range`."""
     low, high = positions.min(axis=0) - max_range, positions.max(axis=0) + max_range
-    field = visible_field(m, low, high, config.certain_probability)
-    return (
-        with_predictions(field, m, config.certain_probability) if config.predict_unknown else field
-    )
+    book = code_book(config)
+    field = visible_field(m, low, high, book)
+    if config.predict_unknown:
+        field = with_predictions(field, m, book)
+    return with_surfaces(field, m, book) if config.wanted_sigma > 0.0 else field
 
 
 @cache

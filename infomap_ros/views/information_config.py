@@ -81,6 +81,14 @@ class InformationConfig:
         "are more likely occupied than not.",
     )
 
+    wanted_sigma: float = parameter(
+        0.0,
+        "Standard deviation of a surface along its normal that suffices. What a view is expected "
+        "to tell about where less precise surfaces lie then counts too; 0 counts none of it.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
     grey_levels: int = parameter(
         32, "Levels of probability that eqs. (7) to (9) as printed tell apart.", low=2, high=1000
     )

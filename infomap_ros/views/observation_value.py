@@ -74,12 +74,23 @@ def observed_share(
         grid: of the map: voxel size, correlation of the range errors of neighbouring pixels.
         config: noise law and angle between pixels.
     """
+    sigma, seen = _observation(distances, grid, config)
+    located = erf(grid.voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * grid.voxel_size))
+    return np.asarray(located * seen)
+
+
+def _observation(
+    distances: ArrayLike, grid: VoxelMapConfig, config: InformationConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviation of what a scan says of a voxel, along the ray [m], and how likely it does.
+
+    See `observed_share`.
+    """
     length = np.maximum(np.asarray(distances, dtype=np.float64), 1e-9)
     pixels = (grid.voxel_size / (config.pixel_angle * length)) ** 2
     averaged = grid.error_correlation + (1.0 - grid.error_correlation) / np.maximum(pixels, 1.0)
     sigma = config.range_noise * length**config.range_exponent * np.sqrt(averaged)
-    located = erf(grid.voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * grid.voxel_size))
-    return np.asarray(located * np.minimum(pixels, 1.0))
+    return sigma, np.minimum(pixels, 1.0)
 
 
 def voxel_bits(
@@ -96,3 +107,25 @@ def voxel_bits(
     hit, miss = grid.hit_quanta * LOG_ODDS_QUANTUM, grid.miss_quanta * LOG_ODDS_QUANTUM
     share = observed_share(distances, grid, config)
     return np.asarray(share * expected_reduction(probability, hit, miss))
+
+
+def surface_bits(
+    sigma: ArrayLike, distances: ArrayLike, grid: VoxelMapConfig, config: InformationConfig
+) -> FloatArray:
+    """Bits that one scan is expected to tell about where surfaces lie.
+
+    A Gaussian whose standard deviation falls from a to b loses log2(a / b) bits of entropy, with
+    1 / b^2 = 1 / a^2 + 1 / sigma^2 (eq. 4 of Sujan and Dubowsky 2005, in one dimension). What is
+    more precise than ``wanted_sigma`` does not count.
+
+    Args:
+        sigma: of the surfaces along their normals, 0 for none; broadcasts against `distances` [m].
+        distances: from the camera [m].
+        grid: of the map.
+        config: of the sensor.
+    """
+    observed, seen = _observation(distances, grid, config)
+    prior = np.asarray(sigma, dtype=np.float64)
+    wanted = max(config.wanted_sigma, 1e-12)
+    after = prior * observed / np.maximum(np.hypot(prior, observed), 1e-300)
+    return np.asarray(seen * np.log2(np.maximum(prior, wanted) / np.maximum(after, wanted)))

@@ -13,7 +13,8 @@ from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE, BLOCK_VOXELS, local_index
 from infomap_ros.mapping.prediction import PredictionConfig, predict_unknown
 from infomap_ros.mapping.window import UNKNOWN_QUANTA
-from infomap_ros.views.field import UNKNOWN, VisibleField, predicted_code, uncertain_quanta
+from infomap_ros.views.codes import UNKNOWN, CodeBook
+from infomap_ros.views.field import VisibleField
 
 _LEAST_PROBABILITY = 1e-9
 
@@ -21,15 +22,17 @@ _LEAST_PROBABILITY = 1e-9
 def with_predictions(
     field: VisibleField,
     m: VoxelMap,
-    certain_probability: float,
+    book: CodeBook,
     config: PredictionConfig | None = None,
 ) -> VisibleField:
     """The field with unknown voxels near known ones as `predict_unknown` predicts them.
 
+    No more certain than the least certain EMPTY or SOLID voxel: nobody has looked there.
+
     Args:
         field: of the map.
         m: the map.
-        certain_probability: that the field was made with.
+        book: that the field was made with.
         config: of the prediction.
     """
     size = field.voxel_size
@@ -37,7 +40,7 @@ def with_predictions(
     high = low + (np.array(field.directory.shape) * BLOCK_SIDE - 1) * size
     window = m.window(low, high)
     p = np.clip(predict_unknown(window, config), _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
-    limit = uncertain_quanta(certain_probability)
+    limit = book.limit
     levels = np.rint(np.log(p / (1.0 - p)) / LOG_ODDS_QUANTUM).clip(-limit, limit).astype(np.int16)
     levels[window.quanta != UNKNOWN_QUANTA] = 0
     blank = field.directory == -1 - UNKNOWN
@@ -48,7 +51,7 @@ def with_predictions(
     directory = field.directory.copy()
     directory.flat[added] = len(field.codes) + np.arange(len(added))
     codes = np.concatenate([field.codes, np.full((len(added), BLOCK_VOXELS), UNKNOWN, np.uint8)])
-    _enter(directory, window.quanta, levels, predicted_code(certain_probability) + limit, codes)
+    _enter(directory, window.quanta, levels, book.predicted + limit, codes)
     return replace(field, directory=directory, codes=codes)
 
 

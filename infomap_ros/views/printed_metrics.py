@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.field import code_at, code_probabilities, is_known_code, visible_field
+from infomap_ros.views.codes import CodeBook
+from infomap_ros.views.field import code_at, visible_field
 from infomap_ros.views.gains import gain_table, workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import entropy_of
@@ -35,8 +36,8 @@ from infomap_ros.views.predicted_field import with_predictions
 from infomap_ros.views.ray_kernels import region_steps, turned
 from infomap_ros.views.rays import camera_rays, checked_region
 
-FINEST = 1e-6
-"""Probability below which codes do not tell voxels apart."""
+FINEST = CodeBook(1e-6)
+"""Codes that tell almost all voxels apart by their probability."""
 
 
 class SeenVolumes(NamedTuple):
@@ -166,7 +167,7 @@ def _rated(
     volumes[middles * m.config.voxel_size < config.min_range] = 0.0
     scaled, box = poses.copy(), field.relative(checked_region(region))
     scaled[:, :3, 3] = field.relative(places)
-    p, known = code_probabilities(FINEST), is_known_code(FINEST)
+    p, known = FINEST.probabilities(), FINEST.known()
 
     def see(_: int, first: int, last: int) -> None:
         for view in range(first, last):

@@ -22,13 +22,14 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OCCUPIED, VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE
 from infomap_ros.views import crossing_kernels as sums_of
-from infomap_ros.views.field import VisibleField, code_probabilities, is_known_code, visible_field
+from infomap_ros.views.codes import CodeBook
+from infomap_ros.views.field import VisibleField, visible_field
 from infomap_ros.views.gains import workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import entropy_of
 from infomap_ros.views.rays import camera_rays, checked_region
 
-_FINEST = 1e-6
+_FINEST = CodeBook(1e-6)
 IntArray = NDArray[np.int64]
 
 _WANTED_OCCUPIED, _WANTED_OCCPLANE = 0.2, 0.8
@@ -170,7 +171,7 @@ def _sums(
     rays, angles = camera_rays(camera, config.ray_spacing)
     scaled, box = poses.copy(), field.relative(checked_region(region))
     scaled[:, :3, 3] = field.relative(places)
-    p, known = code_probabilities(_FINEST), is_known_code(_FINEST)
+    p, known = _FINEST.probabilities(), _FINEST.known()
     nearness, first_near = np.zeros((0, 0, 0), np.float32), np.zeros(3, np.int64)
     if near_surfaces:
         nearness, first_near = _nearness(m, field, config.proximity)

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE
-from infomap_ros.views.field import EMPTY, UNKNOWN
+from infomap_ros.views.codes import EMPTY, UNKNOWN
 
 _FRACTION = 32
 _BLOCK_SHIFT = _FRACTION + BLOCK_BITS

@@ -14,7 +14,8 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE, pack, table_slot
-from infomap_ros.views.field import EMPTY, VisibleField, code_at
+from infomap_ros.views.codes import EMPTY
+from infomap_ros.views.field import VisibleField, code_at
 from infomap_ros.views.gains import field_around, gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import region_steps, turned

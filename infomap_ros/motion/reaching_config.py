@@ -44,6 +44,10 @@ class ReachingConfig:
         12, "Of these, the nearest good ones that are given to the planner of the base.", low=1,
         high=1000,
     )  # fmt: skip
+    least_approach: float = parameter(
+        0.3, "A way that does not lead to the view is offered where it brings the base nearer by "
+        "more than this.", unit="m", low=0.0, high=100.0,
+    )  # fmt: skip
     clear_body: float = parameter(
         0.05, "Space within this of the robot's present body is free though it was never seen.",
         unit="m", low=0.0, high=1.0,

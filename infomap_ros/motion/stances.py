@@ -16,6 +16,7 @@ from infomap_ros.motion.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.whole_body import WholeBody
 
+_LEAN = 0.1  # [rad]
 _UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
 _TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _QUICK = ArmPathConfig(time_limit=0.05)
@@ -72,6 +73,12 @@ class StanceFinder:
     config: ReachingConfig
     here: FloatArray
 
+    def wishes(self, view: FloatArray) -> FloatArray:
+        """Places from which a level base would reach a view, whatever the ground, shape (P, 3)."""
+        places, _, _ = self.whole.postures.places_for(view, self._steepness_tolerance)
+        count = min(len(places), self.config.goals)
+        return places[np.random.default_rng(0).choice(len(places), count, replace=False)]
+
     def find(self, view: FloatArray, deadline: float) -> Stances:
         """Stances for one view, cheap conditions first.
 
@@ -94,9 +101,7 @@ class StanceFinder:
 
     def _standing(self, view: FloatArray) -> tuple[_Candidates | None, str]:
         """Places on ground that can be reached, at the right height, where the robot stands."""
-        places, heights, rows = self.whole.postures.places_for(
-            view, self.config.direction_tolerance + 0.1
-        )
+        places, heights, rows = self.whole.postures.places_for(view, self._steepness_tolerance)
         terrain, area = self.planner.terrain, self.planner.reachable_area(self.here)
         cells = terrain.cells_of(places)
         inside = np.asarray(((cells >= 0) & (cells < area.shape)).all(axis=1))
@@ -162,6 +167,11 @@ class StanceFinder:
             else:
                 reason = f"unfolding the arm: {path.reason}"
         return good, reason
+
+    @property
+    def _steepness_tolerance(self) -> float:
+        """The base may lean when it stands there [rad]."""
+        return self.config.direction_tolerance + _LEAN
 
     def _way_to(self, places: FloatArray) -> FloatArray:
         turns = np.abs((places[:, 2] - self.here[2] + np.pi) % (2.0 * np.pi) - np.pi)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -23,6 +24,9 @@ def run_node(
     until: Callable[[NodeType], Future] | None = None,
 ) -> int:
     """Initialise ROS, spin one node in one thread until shut down, and clean up.
+
+    Only the first interrupt counts: a terminal and a launch file may both send one, and the second
+    would break off what the node does at its end, such as saving a map.
 
     Args:
         factory: makes the node; an error of the library means that it does not start.
@@ -50,6 +54,7 @@ def run_node(
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.block_kernels import quanta_at
+from infomap_ros.mapping.block_kernels import quanta_of
 from infomap_ros.mapping.blocks import BLOCK_COUNT, UNSEEN
-from infomap_ros.mapping.keys import BLOCK_SIDE, BLOCK_VOXELS, unpack
+from infomap_ros.mapping.keys import BLOCK_SIDE, unpack
 from infomap_ros.mapping.queries import is_surface, voxel_of
 
 NEVER_SEEN, OPEN, SOLID = 0, 1, 2
@@ -29,31 +29,43 @@ def gather_cubes(blocks: Any, first: Any, ratio: int, occupied: float, cubes: An
         occupied: evidence above which a voxel is occupied [quanta].
         cubes: receives the states, uint8, shape (nx, ny, nz); zero before.
     """
-    nx, ny, nz = cubes.shape
+    places = np.empty((3, BLOCK_SIDE), np.int64)
     for slot in range(blocks.counts[BLOCK_COUNT]):
         if blocks.kind[slot] == UNSEEN:
             continue
-        x, y, z = unpack(blocks.keys[slot])
-        x, y, z = x * BLOCK_SIDE, y * BLOCK_SIDE, z * BLOCK_SIDE
-        last = BLOCK_SIDE - 1
-        if (x + last) // ratio < first[0] or x // ratio >= first[0] + nx:
+        corner, inside = unpack(blocks.keys[slot]), True
+        for axis in range(3):
+            for n in range(BLOCK_SIDE):
+                places[axis, n] = (corner[axis] * BLOCK_SIDE + n) // ratio - first[axis]
+            size = cubes.shape[axis]
+            inside = inside and places[axis, BLOCK_SIDE - 1] >= 0 and places[axis, 0] < size
+        if inside:
+            _gather_block(blocks, slot, places, occupied, cubes)
+
+
+@njit(cache=True, nogil=True)
+def _gather_block(blocks: Any, slot: int, places: Any, occupied: float, cubes: Any) -> None:
+    """Enter a block's voxels into the cubes whose indices `places` holds per axis."""
+    nx, ny, nz = cubes.shape
+    kind, base, row = blocks.kind[slot], blocks.base[slot], blocks.plane[slot]
+    narrow, wide = blocks.narrow, blocks.wide
+    for c in range(BLOCK_SIDE):
+        k = places[2, c]
+        if not 0 <= k < nz:
             continue
-        if (y + last) // ratio < first[1] or y // ratio >= first[1] + ny:
-            continue
-        if (z + last) // ratio < first[2] or z // ratio >= first[2] + nz:
-            continue
-        for local in range(BLOCK_VOXELS):
-            known, value = quanta_at(blocks, slot, local)
-            if not known:
+        for b in range(BLOCK_SIDE):
+            j = places[1, b]
+            if not 0 <= j < ny:
                 continue
-            i = (x + (local & 7)) // ratio - first[0]
-            j = (y + ((local >> 3) & 7)) // ratio - first[1]
-            k = (z + (local >> 6)) // ratio - first[2]
-            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-                if value > occupied:
-                    cubes[i, j, k] = SOLID
-                elif cubes[i, j, k] == NEVER_SEEN:
-                    cubes[i, j, k] = OPEN
+            for a in range(BLOCK_SIDE):
+                i = places[0, a]
+                local = a | (b << 3) | (c << 6)
+                known, value = quanta_of(kind, base, row, narrow, wide, local)
+                if known and 0 <= i < nx:
+                    if value > occupied:
+                        cubes[i, j, k] = SOLID
+                    elif cubes[i, j, k] == NEVER_SEEN:
+                        cubes[i, j, k] = OPEN
 
 
 @njit(cache=True, nogil=True)

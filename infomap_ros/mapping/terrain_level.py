@@ -31,16 +31,15 @@ def grow_level(cubes: Any, seed: Any, headroom: int, gap: int, top: Any, level: 
         level: receives the height at which ground was looked for [cubes], shape (nx, ny).
     """
     nx, ny, nz = cubes.shape
-    top[:] = -1
-    level[:] = -1
+    top[:], level[:] = -1, -1
+    starts, surfaces = _list_surfaces(cubes, headroom, gap)
     capacity = 4 * nx * ny + 1
     cells, tops = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     levels, following = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     buckets = np.full(nz + 1, -1, np.int64)
-    anchored = np.zeros((nx, ny), np.bool_)
-    i, j = seed[0], seed[1]
-    cells[0], levels[0], following[0] = i * ny + j, seed[2], -1
-    tops[0] = _surface_below(cubes, i, j, seed[2], headroom, gap)
+    anchored = np.zeros(nx * ny, np.bool_)
+    cells[0], levels[0], following[0] = seed[0] * ny + seed[1], seed[2], -1
+    tops[0] = _surface_below(starts, surfaces, cells[0], seed[2])
     buckets[0], count, lowest = 0, 1, 0
     while lowest <= nz:
         entry = buckets[lowest]
@@ -48,24 +47,26 @@ def grow_level(cubes: Any, seed: Any, headroom: int, gap: int, top: Any, level: 
             lowest += 1
             continue
         buckets[lowest] = following[entry]
-        i, j = cells[entry] // ny, cells[entry] % ny
+        cell = cells[entry]
+        i, j = cell // ny, cell % ny
         if level[i, j] >= 0:
             continue
         top[i, j] = tops[entry]
-        level[i, j] = tops[entry] if tops[entry] >= 0 else levels[entry]
-        anchored[i, j] = anchored[i, j] or tops[entry] >= 0
+        here = tops[entry] if tops[entry] >= 0 else levels[entry]
+        level[i, j] = here
+        anchored[cell] = anchored[cell] or tops[entry] >= 0
         for side in range(4):
             a, b = i + (side == 0) - (side == 1), j + (side == 2) - (side == 3)
             if not (0 <= a < nx and 0 <= b < ny) or level[a, b] >= 0:
                 continue
-            here = level[i, j]
-            if anchored[i, j]:
-                anchored[a, b] = True
-                surface = _surface_near(cubes, a, b, here, headroom, gap)
+            other = a * ny + b
+            if anchored[cell]:
+                anchored[other] = True
+                surface = _surface_near(starts, surfaces, other, here)
             else:
-                surface = _surface_below(cubes, a, b, here, headroom, gap)
+                surface = _surface_below(starts, surfaces, other, here)
             cost = min(abs(surface - here), nz) if surface >= 0 else _UNKNOWN_COST
-            cells[count], tops[count], levels[count] = a * ny + b, surface, here
+            cells[count], tops[count], levels[count] = other, surface, here
             following[count] = buckets[cost]
             buckets[cost] = count
             count += 1
@@ -73,15 +74,31 @@ def grow_level(cubes: Any, seed: Any, headroom: int, gap: int, top: Any, level: 
 
 
 @njit(cache=True, nogil=True)
+def _list_surfaces(cubes: Any, headroom: int, gap: int) -> Any:
+    """Uppermost cubes of all surfaces, upwards in each column; and where each column's begin."""
+    nx, ny, nz = cubes.shape
+    starts = np.zeros(nx * ny + 1, np.int64)
+    surfaces = np.empty(nx * ny, np.int64)
+    count = 0
+    for cell in range(nx * ny):
+        i, j = cell // ny, cell % ny
+        if count + nz > len(surfaces):
+            more = np.empty(2 * len(surfaces) + nz, np.int64)
+            more[:count] = surfaces[:count]
+            surfaces = more
+        for k in range(nz - 1):
+            if cubes[i, j, k] == SOLID and _is_surface_top(cubes, i, j, k, headroom, gap):
+                surfaces[count] = k
+                count += 1
+        starts[cell + 1] = count
+    return starts, surfaces
+
+
+@njit(cache=True, nogil=True)
 def _is_surface_top(cubes: Any, i: int, j: int, k: int, headroom: int, gap: int) -> bool:
-    """Whether cube k is solid, the cubes above are not, and open space was seen there."""
-    nz = cubes.shape[2]
-    if not 0 <= k < nz - 1 or cubes[i, j, k] != SOLID:
-        return False
+    """Whether the cubes above solid cube k are not solid, and open space was seen there."""
     seen = False
-    for h in range(1, max(headroom, gap + 1) + 1):
-        if k + h >= nz:
-            break
+    for h in range(1, min(max(headroom, gap + 1), cubes.shape[2] - 1 - k) + 1):
         state = cubes[i, j, k + h]
         if h <= headroom and state == SOLID:
             return False
@@ -91,26 +108,23 @@ def _is_surface_top(cubes: Any, i: int, j: int, k: int, headroom: int, gap: int)
 
 
 @njit(cache=True, nogil=True)
-def _surface_near(cubes: Any, i: int, j: int, level: int, headroom: int, gap: int) -> int:
-    """Surface nearest to a level, of two as near the lower; -1 for none."""
-    for distance in range(cubes.shape[2]):
-        if _is_surface_top(cubes, i, j, level - distance, headroom, gap):
-            return level - distance
-        if distance and _is_surface_top(cubes, i, j, level + distance, headroom, gap):
-            return level + distance
-    return -1
+def _surface_near(starts: Any, surfaces: Any, cell: int, level: int) -> int:
+    """Surface of a column nearest to a level, of two as near the lower; -1 for none."""
+    best = -1
+    for n in range(starts[cell], starts[cell + 1]):
+        if best < 0 or abs(surfaces[n] - level) < abs(best - level):
+            best = surfaces[n]
+    return best
 
 
 @njit(cache=True, nogil=True)
-def _surface_below(cubes: Any, i: int, j: int, level: int, headroom: int, gap: int) -> int:
-    """Highest surface not above a level, else the lowest above it; -1 for none."""
-    for k in range(min(level, cubes.shape[2] - 1), -1, -1):
-        if _is_surface_top(cubes, i, j, k, headroom, gap):
-            return k
-    for k in range(level + 1, cubes.shape[2]):
-        if _is_surface_top(cubes, i, j, k, headroom, gap):
-            return k
-    return -1
+def _surface_below(starts: Any, surfaces: Any, cell: int, level: int) -> int:
+    """Highest surface of a column not above a level, else the lowest above it; -1 for none."""
+    best = -1
+    for n in range(starts[cell], starts[cell + 1]):
+        if best < 0 or surfaces[n] <= level:
+            best = surfaces[n]
+    return best
 
 
 @njit(cache=True, nogil=True)

@@ -55,6 +55,7 @@ def run_node(
         pass
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        gc.unfreeze()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -84,22 +84,44 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
 
 
-def why_this(chosen: RatedView, full_view: float, kept: bool, views: list[RatedView]) -> str:
-    """Say what speaks for the chosen view and against those that were ranked before it."""
-    x, y, z = chosen.pose[:3, 3]
-    terms = chosen.terms
-    share = 100.0 * terms.get("information", 0.0) / full_view
+def why_this(
+    chosen: RatedView, views: list[RatedView], kept: bool, full_view: float, unit: str
+) -> str:
+    """Say what speaks for the chosen view and against those that were ranked before it.
+
+    Args:
+        chosen: the view.
+        views: all that were considered.
+        kept: it is the previous goal.
+        full_view: information of a view into nothing but unknown space; 0 where that has none.
+        unit: of the information.
+    """
+    (x, y, z), terms = chosen.pose[:3, 3], chosen.terms
+    information = terms.get("information", 0.0)
+    share = ""
+    if full_view > 0.0:
+        share = f" ({100.0 * information / full_view:.0f} % of a full unknown view)"
     parts = [
-        f"view from ({x:.2f}, {y:.2f}, {z:.2f}) m: expects {terms.get('information', 0.0):.0f} "
-        f"bits ({share:.0f} % of a full unknown view) at distance {terms.get('distance', 0.0):.2f}"
+        f"view from ({x:.2f}, {y:.2f}, {z:.2f}) m: expects {information:.{_digits(information)}f} "
+        f"{unit}{share} at distance {terms.get('distance', 0.0):.2f}"
     ]
     if kept:
         parts.append("the goal so far is kept, as no other is clearly better")
     changes = {name: terms.get(name, 0.0) for name in ("interest", "teammates", "repetition")}
-    parts += [f"{name} {bits:+.0f} bits" for name, bits in changes.items() if abs(bits) >= 0.5]
+    least = 0.005 * abs(information)
+    parts += [
+        f"{name} {change:+.{_digits(change)}f} {unit}"
+        for name, change in changes.items()
+        if abs(change) > least
+    ]
     better = [view for view in views if view.rejection and view.score > chosen.score]
     text = "; ".join(parts)
     return f"{text}. {_count_reasons(better, 'ranked higher but ruled out')}".rstrip()
+
+
+def _digits(value: float) -> int:
+    """Digits behind the point that leave about three in all."""
+    return 0 if abs(value) >= 100.0 or value == 0.0 else 2
 
 
 def why_none(views: list[RatedView]) -> str:

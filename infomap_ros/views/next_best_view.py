@@ -179,7 +179,9 @@ class NextBestView:
             if not options.surroundings.is_whole:
                 reason += " What lies farther away was not searched."
         else:
-            reason = why_this(chosen, options.full_view, selected.kept, everything)
+            source = options.source
+            full_view = source.full_view(options.situation)
+            reason = why_this(chosen, everything, selected.kept, full_view, source.unit)
         return ViewDecision(
             chosen,
             selected.reach,

@@ -21,7 +21,14 @@ _FADE = 0.5  # [m] of unknown space behind which a glance expects little
 
 
 class InformationSource(Protocol):
-    """Tells how much views are expected to inform."""
+    """Tells how much views are expected to inform.
+
+    Attributes:
+        unit: in which it counts, for texts.
+    """
+
+    @property
+    def unit(self) -> str: ...  # noqa: D102
 
     def quick(
         self, situation: Situation, positions: FloatArray, rotations: FloatArray

@@ -45,6 +45,7 @@ class ExpectedInformation:
         if metric not in METRICS:
             raise ConfigError("metric", metric, "one of " + ", ".join(METRICS))
         self._metric, self._threads = metric, threads
+        self.unit = "bits" if metric == _SHARED else f"of {metric}"
         self._config = config or InformationConfig()
         spacing = max(quick_ray_spacing, self._config.ray_spacing)
         self._quick_config = replace(self._config, ray_spacing=spacing)

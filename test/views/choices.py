@@ -15,6 +15,8 @@ from infomap_ros.views.voxel_gains import VoxelGains
 class Prescribed:
     """An information source with given values and given voxels per view, by camera position x."""
 
+    unit = "bits"
+
     def __init__(self, gains: dict[float, dict[int, float]] | None = None, full: float = 100.0):
         self._gains, self._full = gains or {}, full
 

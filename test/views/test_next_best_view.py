@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views import expected_information
+from infomap_ros.views import METRICS, ExpectedInformation, expected_information
 from infomap_ros.views.candidates import CandidateConfig
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
@@ -271,3 +271,25 @@ class Forgetful(Robot):
 def test_wrong_number_of_answers_is_an_error(half_seen: Situation) -> None:
     with pytest.raises(InvalidInputError, match="reachability"):
         choose(half_seen, Forgetful())
+
+
+@pytest.mark.parametrize("metric", sorted(METRICS))
+def test_every_metric_can_choose(half_seen: Situation, metric: str) -> None:
+    few = dataclasses.replace(
+        FEW,
+        candidates=CandidateConfig(candidates=30),
+        selection=SelectionConfig(refined=5),
+    )
+    source = ExpectedInformation(metric, quick_ray_spacing=0.1)
+    decision = NextBestView(few, information=source).select(
+        half_seen, FlyingCamera(half_seen.T_map_camera), np.random.default_rng(0)
+    )
+    assert decision.chosen is not None
+    ratings = [view.rating for view in decision.candidates if view.fine]
+    assert len(set(ratings)) > 1 and np.isfinite(ratings).all()
+    assert source.unit in decision.reason
+
+
+def test_unknown_metric_is_refused() -> None:
+    with pytest.raises(ConfigError, match="expected_entropy_reduction"):
+        ExpectedInformation("entropy_of_everything")

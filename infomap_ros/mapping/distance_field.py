@@ -117,8 +117,8 @@ def distance_field(
         thresholds: when a voxel counts as free.
         unknown_is_free: voxels never observed, and all outside the window, are not in the way.
         known_free: space that is known to be free although it was never seen, such as that which
-            the robot's body fills [map]. Voxels never observed whose centres lie in it are free;
-            what was observed there is not touched.
+            the robot's body fills [map]. Voxels whose centres lie in it are free unless the map
+            says that they are occupied.
         own_points: points within the robot, shape (K, 3) [m, map]: the voxels that hold them are
             free whatever was observed there, as nothing else can be in that place.
 
@@ -126,12 +126,12 @@ def distance_field(
         InvalidInputError: `own_points` has another shape.
     """
     states = window.states(thresholds)
-    blocked = (states == OCCUPIED) | (states == UNCERTAIN)
+    doubtful = states == UNCERTAIN
     if not unknown_is_free:
-        unknown = states == UNKNOWN
-        if known_free and unknown.any():
-            _clear(unknown, window, known_free)
-        blocked |= unknown
+        doubtful |= states == UNKNOWN
+    if known_free and doubtful.any():
+        _clear(doubtful, window, known_free)
+    blocked = doubtful | (states == OCCUPIED)
     points = float_array(own_points, "own_points")
     if points.size:
         places = window.positions_of(_points(points))
@@ -173,13 +173,13 @@ def _points(points: ArrayLike) -> NDArray[np.float64]:
     return rows
 
 
-def _clear(unknown: NDArray[np.bool_], window: VoxelWindow, solids: Sequence[PlacedSolid]) -> None:
+def _clear(doubtful: NDArray[np.bool_], window: VoxelWindow, solids: Sequence[PlacedSolid]) -> None:
     """Unmark the voxels whose centres lie in solids."""
     for solid in solids:
         middle, reach = solid.transform[:3, 3], solid.solid.bounding_radius
         low, high = window.positions_of([middle - reach, middle + reach])
-        low, high = np.clip(low, 0, unknown.shape), np.clip(high + 1, 0, unknown.shape)
-        box = unknown[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+        low, high = np.clip(low, 0, doubtful.shape), np.clip(high + 1, 0, doubtful.shape)
+        box = doubtful[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
         places = np.argwhere(box)
         if len(places):
             inside = points_inside(window.centres_of(places + low), [solid])

@@ -97,9 +97,10 @@ def test_unknown_counts_as_blocked_unless_told_otherwise() -> None:
     np.testing.assert_array_equal(zero, [(2, 0, 0), (3, 3, 3)])
 
 
-def test_known_free_space_clears_what_was_never_seen_and_nothing_else() -> None:
+def test_known_free_space_clears_all_that_is_not_occupied() -> None:
     quanta = np.full((8, 8, 8), UNKNOWN_QUANTA)
     quanta[4, 4, 4] = 20
+    quanta[5, 4, 4] = -2  # seen through once: more likely free than not
     view = window(quanta)
     centre = view.centres_of([(4, 4, 4)])[0]
     ball = PlacedSolid(Sphere(0.15), make_transform(np.eye(3), centre))

@@ -110,7 +110,8 @@ class Situation:
         teammates: the other robots.
         views_so_far: number of views taken before.
         past_views: ``T_map_camera`` of them as far as known, shape (V, 4, 4).
-        free_body: the robot's own body in the map frame: space that is free although never seen.
+        free_body: the robot's own body in the map frame: space that is free whatever the map says.
+        clear_space: space that is declared free, map frame; what the map knows to be occupied is.
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
             above the ground where `ground_height` is given.
         ground_height: height of the ground at a place.
@@ -134,6 +135,7 @@ class Situation:
     views_so_far: int = 0
     past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     free_body: Sequence[PlacedSolid] = ()
+    clear_space: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
     ground_height: GroundHeight | None = None
     arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))

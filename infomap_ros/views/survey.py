@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from infomap_ros.geometry import PlacedSolid, points_inside
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import FREE, UNKNOWN, OccupancyThresholds, VoxelWindow
+from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelWindow
 from infomap_ros.views import space_kernels
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.surroundings import (
@@ -87,7 +87,8 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     occupied = max(0.5, 2.0 * settings.free_probability)
     states = window.states(OccupancyThresholds(settings.free_probability, occupied))
     camera = window.positions_of(situation.position[None])[0]
-    _clear_body(window, states, situation.free_body)
+    _clear(window, states, situation.clear_space, states != OCCUPIED)
+    _clear(window, states, situation.free_body)
     _clear_camera(states, camera, settings.camera_radius / size + 1.0)
     first = np.maximum(window.positions_of(inner[:1])[0], 0)
     last = np.minimum(window.positions_of(inner[1:])[0], np.array(states.shape) - 1)
@@ -168,11 +169,14 @@ def _common(box: FloatArray, other: FloatArray) -> FloatArray:
     return np.stack([np.clip(box[0], *other), np.clip(box[1], *other)])
 
 
-def _clear_body(
-    window: VoxelWindow, states: NDArray[np.uint8], body: Sequence[PlacedSolid]
+def _clear(
+    window: VoxelWindow,
+    states: NDArray[np.uint8],
+    solids: Sequence[PlacedSolid],
+    where: NDArray[np.bool_] | None = None,
 ) -> None:
-    """Set the voxels of the robot's own body to free."""
-    for placed in body:
+    """Set the voxels in solids to free, of them only those marked in `where` if it is given."""
+    for placed in solids:
         radius = placed.solid.bounding_radius + window.voxel_size
         corners = placed.transform[:3, 3] + np.array([[-radius], [radius]])
         low, high = window.positions_of(corners)
@@ -182,7 +186,8 @@ def _clear_body(
         places = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
         flat = places.reshape(-1, 3)
         inside = points_inside(window.centres_of(flat), [placed], 0.5 * window.voxel_size)
-        states[tuple(flat[inside].T)] = FREE
+        chosen = tuple(flat[inside].T)
+        states[chosen] = FREE if where is None else np.where(where[chosen], FREE, states[chosen])
 
 
 def _clear_camera(states: NDArray[np.uint8], camera: IntArray, radius: float) -> None:

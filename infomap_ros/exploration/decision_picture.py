@@ -39,10 +39,10 @@ def draw_decision(run: RecordedRun, step: int, voxel_map: VoxelMap, path: str | 
     if not 0 <= step < len(run.steps):
         raise InvalidInputError("step", f"is {step}, but the run has {len(run.steps)} decisions")
     decision = run.steps[step].decision
-    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    figure = Figure(figsize=(12.0, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     parts: dict[str, Axes] = figure.subplot_mosaic(
-        [["plan", "terms"], ["plan", "rejected"]], width_ratios=(1.6, 1.0)
+        [["plan", "terms"], ["plan", "rejected"]], width_ratios=(1.5, 1.0)
     )
     _draw_map(parts["plan"], voxel_map)
     _draw_paths(parts["plan"], run, step)
@@ -50,7 +50,7 @@ def draw_decision(run: RecordedRun, step: int, voxel_map: VoxelMap, path: str | 
     _draw_chosen(parts["plan"], decision)
     _draw_terms(parts["terms"], decision)
     _draw_rejections(parts["rejected"], decision)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=110, bbox_inches="tight")
 
 
 def _draw_map(axes: Axes, voxel_map: VoxelMap) -> None:
@@ -97,25 +97,28 @@ def _draw_chosen(axes: Axes, decision: Decision) -> None:
             (x + ahead[0], y + ahead[1]),
             (x, y),
             arrowprops={"arrowstyle": "-|>", "color": _CHOSEN, "linewidth": 2.0},
-            zorder=4,
+            zorder=7,
         )
-        axes.plot(x, y, "o", color=_CHOSEN, markersize=11, zorder=5, label="chosen")
+        axes.plot(x, y, "o", color=_CHOSEN, markeredgecolor="white", markersize=16, zorder=8)
+        axes.plot([], [], "o", color=_CHOSEN, label="chosen")
         text = str(decision.view)
-        axes.text(x, y, text, color="white", ha="center", va="center", fontsize=8, zorder=6)
-    axes.legend(loc="lower left", fontsize=8, framealpha=0.9)
+        axes.text(x, y, text, color="white", ha="center", va="center", fontsize=9, zorder=9)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8, frameon=False)
 
 
 def _draw_terms(axes: Axes, decision: Decision) -> None:
     axes.axis("off")
     name = f"View {decision.view}" if decision.pose is not None else "No view"
     axes.set_title(name, loc="left", fontweight="bold")
-    lines = [*textwrap.wrap(decision.reason, 52), ""]
+    lines = [*textwrap.wrap(decision.reason, 58), ""]
     values = {**decision.terms, "rating": decision.rating}
     for term, value in values.items():
+        if value == 0.0:
+            continue
         lines.append(f"{words(term)} {unit_of(term)}".strip() + f":  {number(value)}")
     lines.append("")
     lines.append(f"{decision.considered} candidates, {sum(decision.rejections.values())} rejected")
-    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=10, transform=axes.transAxes)
+    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=9, transform=axes.transAxes)
 
 
 def _draw_rejections(axes: Axes, decision: Decision) -> None:
@@ -123,9 +126,9 @@ def _draw_rejections(axes: Axes, decision: Decision) -> None:
     if not counts:
         axes.axis("off")
         return
-    bars = axes.barh([kind for kind, _ in counts], [count for _, count in counts], color=_CAMERA)
-    axes.bar_label(bars, padding=3)
+    for place, (kind, count) in enumerate(counts):
+        axes.text(0.0, place + 0.28, f"{count}  {kind}", fontsize=9, va="bottom")
+    axes.barh(range(len(counts)), [count for _, count in counts], height=0.45, color=_CAMERA)
     axes.set_title("Rejected, and why", loc="left", fontweight="bold")
-    axes.set(xticks=[], xlim=(0.0, 1.15 * counts[-1][1]))
+    axes.set(xticks=[], yticks=[], ylim=(-0.5, max(len(counts), 5) + 0.1))
     axes.spines[:].set_visible(False)
-    axes.tick_params(length=0)

@@ -16,7 +16,7 @@ from infomap_ros.mapping import VoxelMap
 
 _ENDINGS = {
     "done": ("good", "Done"),
-    "nothing left worth its cost": ("good", "Nothing left that is worth its cost"),
+    "nothing left worth its cost": ("warn", "Nothing left that is worth its cost"),
     "budget spent": ("warn", "The budget is spent"),
     "stopped": ("warn", "Stopped"),
     "failed": ("bad", "Failed"),

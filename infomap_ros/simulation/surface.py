@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation import surface_rays
 
 _Index = NDArray[np.int64]
 
@@ -88,15 +89,7 @@ class SurfaceModel:
         queries = np.ascontiguousarray(points, dtype=np.float64)
         if queries.ndim != 2 or queries.shape[1] != 3:
             raise InvalidInputError("points", f"shape {queries.shape}, expected (N, 3)")
-        nearest, found = _closest(
-            queries,
-            self._triangles,
-            self._starts,
-            self._members,
-            self._low,
-            self._shape,
-            self._cell,
-        )
+        nearest, found = _closest(queries, *self._grid)
         a, b, c = (self._triangles[found, k] for k in range(3))
         normals = np.cross(b - a, c - a)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -105,6 +98,55 @@ class SurfaceModel:
         return SurfaceMatch(
             distances, nearest, normals, np.where(found < 0, -1, self._owner[found])
         )
+
+    def first_hits(self, origins: ArrayLike, ends: ArrayLike) -> FloatArray:
+        """Where straight lines first meet the surface.
+
+        Args:
+            origins: shape (N, 3), world frame [m].
+            ends: shape (N, 3), world frame [m].
+
+        Returns:
+            Share of the way from origin to end, shape (N,); inf where nothing is met.
+        """
+        first = np.ascontiguousarray(origins, dtype=np.float64)
+        last = np.ascontiguousarray(ends, dtype=np.float64)
+        return np.asarray(surface_rays.first_hits(first, last, *self._grid))
+
+    def count_views(
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        cameras: FloatArray,
+        limits: tuple[float, ...],
+        enough: int,
+        tries: int,
+    ) -> _Index:
+        """How many cameras see each point; arguments as of `surface_rays.seen_by_count`."""
+        return np.asarray(
+            surface_rays.seen_by_count(points, normals, cameras, limits, enough, tries, *self._grid)
+        )
+
+    def samples(self, spacing: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Points spread over all triangles, one for about every `spacing` squared [m^2].
+
+        Returns:
+            Points, shape (N, 3) [m], and outward unit normals, shape (N, 3).
+        """
+        a, b, c = (self._triangles[:, k] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        doubled = np.linalg.norm(normals, axis=1)
+        expected = 0.5 * doubled / spacing**2
+        counts = np.floor(expected + rng.uniform(size=len(expected))).astype(np.int64)
+        owner = np.repeat(np.arange(len(counts)), counts)
+        u, v = rng.uniform(size=(2, len(owner), 1))
+        u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+        points = a[owner] + u * (b - a)[owner] + v * (c - a)[owner]
+        return points, normals[owner] / doubled[owner, None]
+
+    @property
+    def _grid(self) -> tuple[FloatArray, _Index, _Index, FloatArray, _Index, float]:
+        return self._triangles, self._starts, self._members, self._low, self._shape, self._cell
 
     def _fill_grid(self) -> tuple[_Index, _Index]:
         """List the triangles that may touch each cell, as starts and members."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -57,8 +58,10 @@ class NearSpace:
         robot = body.robot
         positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
         positions.update({name: float(joints[name]) for name in positions if name in joints})
+        half_diagonal = 0.5 * math.sqrt(3.0) * voxel_map.config.voxel_size
+        by = clear_body + half_diagonal  # so that no voxel that is not free reaches in
         own = [
-            PlacedSolid(_grown(part.solid, clear_body), T_map_base @ part.transform, part.name)
+            PlacedSolid(_grown(part.solid, by), T_map_base @ part.transform, part.name)
             for part in robot.solids_in(robot.base_frame, positions)
         ]
         self._known_free = (*known_free, *own)

@@ -9,21 +9,22 @@ farthest safe approach is offered (Sujan and Dubowsky 2005, Fig. 7).
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
-from infomap_ros.geometry import PlacedSolid, check_transform, float_array
+from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain import Terrain, terrain_of
 from infomap_ros.motion.arm_path import plan_arm_path
 from infomap_ros.motion.base_path import BasePath
 from infomap_ros.motion.base_planner import BasePlanner
+from infomap_ros.motion.clear_start import ClearStart
 from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
 from infomap_ros.motion.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
@@ -31,6 +32,9 @@ from infomap_ros.motion.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.whole_body import WholeBody
+
+_POSTURES_TRIED = 400
+_UNEVEN = (-0.2, -0.1, 0.0, 0.1, 0.2)  # [m]; heights of the ground against the nearest
 
 __all__ = ["ReachingConfig", "WholeBodyReach"]
 
@@ -44,8 +48,7 @@ class WholeBodyReach:
         T_map_base: where the base is, shape (4, 4).
         joints: where the joints are, by name [rad or m].
         config: None for the defaults.
-        known_free: space that is free although it was never seen, such as that in which the robot
-            was started [map].
+        start: the declared space in which the robot was started.
         standing: further poses in which the robot has stood, shape (P, 4, 4): the ground there is
             known.
 
@@ -60,7 +63,7 @@ class WholeBodyReach:
         T_map_base: ArrayLike,
         joints: Mapping[str, float],
         config: ReachingConfig | None = None,
-        known_free: Sequence[PlacedSolid] = (),
+        start: ClearStart | None = None,
         standing: ArrayLike | None = None,
     ) -> None:
         self.config = config or ReachingConfig()
@@ -74,8 +77,9 @@ class WholeBodyReach:
             joints,
             self._whole.radius,
             self.config.clear_body,
-            known_free,
+            () if start is None else (start.space(self._whole.body.robot),),
         )
+        self._start = start
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._ik = IkConfig(
@@ -87,7 +91,10 @@ class WholeBodyReach:
     def planner(self) -> BasePlanner:
         """Plans ways of the base in the driving posture."""
         terrain = terrain_of(self._map, self.config.terrain, self._base[:3, 3])
-        return BasePlanner(terrain, self._whole.vehicle, self.config.base, self._standing)
+        vehicle = self._whole.vehicle
+        if self._start is not None:
+            terrain = self._start.ground(terrain, vehicle)
+        return BasePlanner(terrain, vehicle, self.config.base, self._standing)
 
     @property
     def terrain(self) -> Terrain:
@@ -117,15 +124,15 @@ class WholeBodyReach:
             `partial` is set there is both a reason and a route, which brings the base nearer.
         """
         view = check_transform(T_map_camera, "T_map_camera")
-        deadline = time.monotonic() + self.config.time_limit
         here, why_not = self._with_arm_alone(view)
         if here is not None:
             return here
         finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
-        stances = finder.find(view, deadline)
-        if not len(stances.places):
-            return ReachResult(f"arm alone: {why_not}; with the base: {stances.reason}")
-        return self._with_base(view, stances)
+        stances = finder.find(view)
+        if len(stances.places):
+            return self._with_base(view, stances)
+        reason = f"arm alone: {why_not}; with the base: {stances.reason}"
+        return self._approach(view, finder.wishes(view), reason)
 
     def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
         """Plan the motion to a place of the base and a posture of the arm.
@@ -175,9 +182,7 @@ class WholeBodyReach:
         nearest = distance_transform_edt(~area, return_distances=False, return_indices=True)
         ground = grounds[nearest[0][tuple(cells.T)], nearest[1][tuple(cells.T)]]
         heights = views[:, 2, 3] - ground - self._whole.origin_height
-        radii = np.max(
-            [postures.radius_for(heights + dz, steepness) for dz in (-0.1, 0.0, 0.1)], axis=0
-        )
+        radii = np.max([postures.radius_for(heights + dz, steepness) for dz in _UNEVEN], axis=0)
         gap = away[tuple(cells.T)] + beside - terrain.resolution
         return np.asarray(
             area.any() & (gap <= radii + self.config.position_tolerance) & (radii > 0.0)
@@ -216,26 +221,60 @@ class WholeBodyReach:
     def _with_base(self, view: FloatArray, stances: Stances) -> ReachResult:
         """Drive to one of the places, or as near as can be."""
         path = self.planner.plan(self._xyyaw, stances.places)
-        q = stances.q[path.goal] if path.complete else None
-        return self._drive(path, q)
+        if path.complete:
+            return self._drive(path, stances.q[path.goal])
+        return self._approach(view, stances.places, f"base path: {path.reason}", path)
 
-    def _drive(self, path: BasePath, q: FloatArray | None) -> ReachResult:
-        """Fold the arm, drive, and unfold it to `q`, shape (n,), unless the way is partial."""
+    def _approach(
+        self, view: FloatArray, places: FloatArray, reason: str, path: BasePath | None = None
+    ) -> ReachResult:
+        """The farthest safe approach to places, with the camera as near to the view as can be."""
+        if path is None and len(places):
+            path = self.planner.plan(self._xyyaw, places, time_limit=0.0)
+        if path is None or len(path.poses) < 2 or not self._comes_nearer(view, path):
+            return ReachResult(reason)
+        q = self._nearest_posture(view, path.T_map_base[-1])
+        result = self._drive(path, q)
+        if result.route is None:
+            return ReachResult(f"{reason}; nor nearer: {result.reason}")
+        return replace(
+            result, reason=reason, partial=True, route=replace(result.route, partial=True)
+        )
+
+    def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
+        away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)
+        return bool(away[1] < away[0] - self.config.least_approach)
+
+    def _nearest_posture(self, view: FloatArray, T_map_base: FloatArray) -> FloatArray:
+        """Of some postures, and the driving one, the one whose camera is most like the view."""
+        qs = np.concatenate([self._whole.driving[None], self._whole.postures.q[:_POSTURES_TRIED]])
+        qs = qs[self._near.checker_at(T_map_base).are_free(qs, T_map_base, base=False)]
+        if not len(qs):
+            return self._whole.driving
+        cameras = T_map_base @ self._whole.chain.camera_pose(qs)
+        away = np.linalg.norm(cameras[:, :3, 3] - view[:3, 3], axis=1)
+        angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
+        return np.asarray(qs[int(np.argmin(away + angles))])
+
+    def _drive(self, path: BasePath, q: FloatArray) -> ReachResult:
+        """Fold the arm, drive, and unfold it to `q`, shape (n,).
+
+        Where the way is partial and the arm cannot unfold at its end, it stays folded.
+        """
         if len(path.poses) < 2 and not path.complete:
             return ReachResult(f"base path: {path.reason}")
-        folded = self._whole.driving
+        folded, end = self._whole.driving, path.T_map_base[-1]
         before = self._arm(self._q, folded, self._base)
         if not before.converged:
             return ReachResult(f"folding the arm to drive: {before.reason}")
-        end = path.T_map_base[-1]
-        after = ArmPath.staying(self._whole.chain.joint_names, folded)
-        reason = "" if path.complete else f"base path: {path.reason}"
-        if path.complete and q is not None:
-            after = self._arm(folded, q, end)
-            if not after.converged:
-                return ReachResult(f"arm at the end of the base path: {after.reason}")
+        after = self._arm(folded, q, end)
+        if not after.converged and path.complete:
+            return ReachResult(f"arm at the end of the base path: {after.reason}")
+        if not after.converged:
+            after = ArmPath.staying(self._whole.chain.joint_names, folded)
         camera = end @ self._whole.chain.camera_pose(after.positions[-1])
         route = Route(before, path.poses, path.T_map_base, after, camera, not path.complete)
+        reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
         return ReachResult(reason, path.length, travel, route, not path.complete, camera)
 

@@ -30,8 +30,8 @@ class ReachingConfig:
         unit="rad", low=1e-4, high=3.2,
     )  # fmt: skip
     time_limit: float = parameter(
-        1.0, "Time after which a search for a way to one view ends.", unit="s", low=0.01,
-        high=600.0,
+        0.2, "Time after which no further places are tried for the arm, where one is good.",
+        unit="s", low=0.0, high=600.0,
     )  # fmt: skip
     postures: int = parameter(
         30000, "Random postures of the arm from which places for the base are derived.",

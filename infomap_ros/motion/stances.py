@@ -79,13 +79,8 @@ class StanceFinder:
         count = min(len(places), self.config.goals)
         return places[np.random.default_rng(0).choice(len(places), count, replace=False)]
 
-    def find(self, view: FloatArray, deadline: float) -> Stances:
-        """Stances for one view, cheap conditions first.
-
-        Args:
-            view: T_map_camera, shape (4, 4).
-            deadline: on the monotonic clock [s].
-        """
+    def find(self, view: FloatArray) -> Stances:
+        """Stances for one view, T_map_camera (4, 4), cheap conditions first."""
         found, reason = self._standing(view)
         if found is None:
             return self._none(reason)
@@ -94,7 +89,7 @@ class StanceFinder:
         if found is None:
             return self._none(reason)
         nearest = found.rows(np.argsort(self._way_to(found.places))[: self.config.goals])
-        good, reason = self._unfolding(nearest, checker, deadline)
+        good, reason = self._unfolding(nearest, checker)
         if not good:
             return self._none(reason)
         return Stances(nearest.places[good], nearest.q[good])
@@ -146,16 +141,18 @@ class StanceFinder:
             return None, f"the arm is not free at {len(free)} stances, for example {what}"
         return reached.rows(free), ""
 
-    def _unfolding(
-        self, found: _Candidates, checker: CollisionChecker, deadline: float
-    ) -> tuple[list[int], str]:
-        """Rows of those where the arm gets from the driving posture to the view in balance."""
-        good, reason = [], "no time was left to look for a way of the arm"
+    def _unfolding(self, found: _Candidates, checker: CollisionChecker) -> tuple[list[int], str]:
+        """Rows of those where the arm gets from the driving posture to the view in balance.
+
+        At least one is found, if there is any; further ones while the time lasts.
+        """
+        good: list[int] = []
+        reason, deadline = "", time.monotonic() + self.config.time_limit
         vehicle, terrain = self.whole.vehicle, self.planner.terrain
         for row, (place, q, pose) in enumerate(
             zip(found.places, found.q, found.T_map_base, strict=True)
         ):
-            if time.monotonic() > deadline:
+            if good and time.monotonic() > deadline:
                 break
             stance = vehicle.stance(terrain, place[0], place[1], place[2], q)
             if not stance.ok:

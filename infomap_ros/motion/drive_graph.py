@@ -65,47 +65,29 @@ def empty_graph(easy: NDArray[np.bool_]) -> DriveGraph:
 
 
 @njit(cache=True, nogil=True)
-def _asked(
-    table: Any, i: int, j: int, h: int, u: float, v: float, yaw: float, grid: Any, ground: Any,
-) -> bool:  # fmt: skip
-    """Remembered answer of a table, or that for the place (u, v) [cells]."""
-    if table[i, j, h] == UNASKED:
-        x, y = grid[0] + u * grid[2], grid[1] + v * grid[2]
-        good = is_good(ground, x, y, yaw)
-        table[i, j, h] = CLEAR if good else BLOCKED
-    return table[i, j, h] == CLEAR
+def _ask_node(nodes: Any, i: int, j: int, h: int, grid: Any, ground: Any) -> Any:
+    """State of a node that was not asked yet."""
+    x, y = grid[0] + (i + 0.5) * grid[2], grid[1] + (j + 0.5) * grid[2]
+    nodes[i, j, h] = CLEAR if is_good(ground, x, y, HEADINGS[h]) else BLOCKED
+    return nodes[i, j, h]
 
 
 @njit(cache=True, nogil=True)
-def node_is_clear(
-    graph: Any,
-    i: int,
-    j: int,
-    h: int,
-    grid: Any,
-    ground: Any,
-) -> bool:
-    """Whether the robot may stand in the middle of a cell at a heading."""
-    return _asked(graph.nodes, i, j, h, i + 0.5, j + 0.5, HEADINGS[h], grid, ground)
+def _ask_turn(turns: Any, i: int, j: int, h: int, grid: Any, ground: Any) -> Any:
+    """State half-way from a heading to the next that was not asked yet."""
+    half = 0.5 * ((HEADINGS[(h + 1) % 16] - HEADINGS[h]) % (2.0 * math.pi))
+    x, y = grid[0] + (i + 0.5) * grid[2], grid[1] + (j + 0.5) * grid[2]
+    turns[i, j, h] = CLEAR if is_good(ground, x, y, HEADINGS[h] + half) else BLOCKED
+    return turns[i, j, h]
 
 
 @njit(cache=True, nogil=True)
-def _edge_is_clear(
-    graph: Any, i: int, j: int, h: int, edge: int, grid: Any, ground: Any,
-) -> bool:  # fmt: skip
-    """Whether the half-way pose of an edge is good; edges 0, 1 turn left, right; 2, 3 drive."""
-    if edge < 2:
-        k = h if edge == 0 else (h + 15) % 16
-        following = HEADINGS[(k + 1) % 16]
-        half = 0.5 * ((following - HEADINGS[k]) % (2.0 * math.pi))
-        u, v, yaw = i + 0.5, j + 0.5, HEADINGS[k] + half
-        return _asked(graph.turns, i, j, k, u, v, yaw, grid, ground)
-    dx, dy = MOVES[h, 0], MOVES[h, 1]
-    if abs(dx) + abs(dy) < 3:
-        return True
-    a, b = (i, j) if edge == 2 else (i - dx, j - dy)
-    u, v = a + 0.5 + 0.5 * dx, b + 0.5 + 0.5 * dy
-    return _asked(graph.moves, a, b, h, u, v, HEADINGS[h], grid, ground)
+def _ask_move(moves: Any, i: int, j: int, h: int, grid: Any, ground: Any) -> Any:
+    """State half-way of a knight's move forwards that was not asked yet."""
+    u, v = i + 0.5 + 0.5 * MOVES[h, 0], j + 0.5 + 0.5 * MOVES[h, 1]
+    x, y = grid[0] + u * grid[2], grid[1] + v * grid[2]
+    moves[i, j, h] = CLEAR if is_good(ground, x, y, HEADINGS[h]) else BLOCKED
+    return moves[i, j, h]
 
 
 @njit(cache=True, nogil=True)
@@ -129,82 +111,86 @@ def flood(
     """
     costs, origins = graph.costs.ravel(), graph.origins.ravel()
     costs[:], origins[:] = -1, -1
-    nx, ny = graph.nodes.shape[0], graph.nodes.shape[1]
+    nx, ny = graph.costs.shape[0], graph.costs.shape[1]
+    nodes, halves, middles = graph.nodes, graph.turns, graph.moves
+    turns, moves = _prices(turn_cost)
+    # Entries of the buckets: node and the entry below it. One whose node has become cheaper since
+    # stays and is passed over.
     bucket = np.full(_RING, -1, np.int64)
-    following = np.full(len(costs), -1, np.int64)
-    preceding = np.full(len(costs), -1, np.int64)
-    settled = np.zeros(len(costs), np.bool_)
-    waiting, reached, cost, begun = 0, 0, 0, 0
+    entries = np.empty((len(starts) + 1024, 2), np.int64)
+    count, waiting, reached, cost, begun = 0, 0, 0, 0, 0
     while waiting or begun < len(starts):
         while begun < len(starts) and start_costs[begun] < cost + _RING:
             node, total = starts[begun], start_costs[begun]
             begun += 1
-            if costs[node] < 0 or (total < costs[node] and not settled[node]):
-                waiting += _lower(costs, bucket, following, preceding, node, total)
-                origins[node] = node
-        node = bucket[cost % _RING]
-        if node < 0:
+            if costs[node] < 0 or total < costs[node]:
+                costs[node], origins[node] = total, node
+                entries[count, 0], entries[count, 1] = node, bucket[total % _RING]
+                bucket[total % _RING] = count
+                count, waiting = count + 1, waiting + 1
+        entry = bucket[cost % _RING]
+        if entry < 0:
             cost += 1
             continue
-        _leave(bucket, following, preceding, cost % _RING, node)
-        settled[node] = True
-        waiting, reached = waiting - 1, reached + 1
+        node, bucket[cost % _RING] = entries[entry, 0], entries[entry, 1]
+        waiting -= 1
+        if costs[node] != cost:
+            continue
+        reached += 1
+        if count + 4 > len(entries):
+            entries = _doubled(entries)
         i, j, h = node // (ny * 16), node // 16 % ny, node % 16
         for edge in range(4 if reverse else 3):
-            a, b, g, price = _neighbour(i, j, h, edge, turn_cost)
+            a, b, g = _neighbour(i, j, h, edge)
             if not (0 <= a < nx and 0 <= b < ny):
                 continue
             other = (a * ny + b) * 16 + g
-            total = cost + price
-            if settled[other] or 0 <= costs[other] <= total:
+            total = cost + (turns[h if edge == 0 else g] if edge < 2 else moves[h])
+            if 0 <= costs[other] <= total:
                 continue
-            if not node_is_clear(graph, a, b, g, grid, ground):
+            state = nodes[a, b, g]
+            state = _ask_node(nodes, a, b, g, grid, ground) if state == UNASKED else state
+            if state == BLOCKED:
                 continue
-            if not _edge_is_clear(graph, i, j, h, edge, grid, ground):
+            if edge < 2:
+                k = h if edge == 0 else g
+                state = halves[i, j, k]
+                state = _ask_turn(halves, i, j, k, grid, ground) if state == UNASKED else state
+            elif abs(MOVES[h, 0]) + abs(MOVES[h, 1]) == 3:
+                k, m = (i, j) if edge == 2 else (a, b)
+                state = middles[k, m, h]
+                state = _ask_move(middles, k, m, h, grid, ground) if state == UNASKED else state
+            if state == BLOCKED:
                 continue
-            waiting += _lower(costs, bucket, following, preceding, other, total)
-            origins[other] = node
+            costs[other], origins[other] = total, node
+            entries[count, 0], entries[count, 1] = other, bucket[total % _RING]
+            bucket[total % _RING] = count
+            count, waiting = count + 1, waiting + 1
     return reached
 
 
 @njit(cache=True, nogil=True)
-def _neighbour(i: int, j: int, h: int, edge: int, turn_cost: float) -> Any:
-    """Cell, heading and cost at the other end of an edge."""
+def _prices(turn_cost: float) -> Any:
+    """Cost of the turn from each heading to the next, and of the move forwards in each heading."""
+    turns, moves = np.empty(16, np.int64), np.empty(16, np.int64)
+    for h in range(16):
+        angle = abs(wrapped(HEADINGS[(h + 1) % 16] - HEADINGS[h]))
+        turns[h] = min(max(1, round(UNITS * turn_cost * angle)), _RING - 1)
+        moves[h] = round(UNITS * math.hypot(MOVES[h, 0], MOVES[h, 1]))
+    return turns, moves
+
+
+@njit(cache=True, nogil=True)
+def _neighbour(i: int, j: int, h: int, edge: int) -> tuple[int, int, int]:
+    """Cell and heading at the other end of an edge: 0, 1 turn left, right; 2, 3 drive."""
     if edge < 2:
-        g = (h + 1) % 16 if edge == 0 else (h + 15) % 16
-        angle = abs(wrapped(HEADINGS[g] - HEADINGS[h]))
-        return i, j, g, min(max(1, round(UNITS * turn_cost * angle)), _RING - 1)
+        return i, j, (h + 1) % 16 if edge == 0 else (h + 15) % 16
     dx, dy = MOVES[h, 0], MOVES[h, 1]
-    price = round(UNITS * math.hypot(dx, dy))
-    return (i + dx, j + dy, h, price) if edge == 2 else (i - dx, j - dy, h, price)
+    return (i + dx, j + dy, h) if edge == 2 else (i - dx, j - dy, h)
 
 
 @njit(cache=True, nogil=True)
-def _lower(costs: Any, bucket: Any, following: Any, preceding: Any, node: int, cost: int) -> int:
-    """Give a node a lower cost; 1 if it was not waiting before, else 0."""
-    known = costs[node] >= 0
-    if known:
-        _leave(bucket, following, preceding, costs[node] % _RING, node)
-    costs[node] = cost
-    _enter(bucket, following, preceding, cost % _RING, node)
-    return 0 if known else 1
-
-
-@njit(cache=True, nogil=True)
-def _enter(bucket: Any, following: Any, preceding: Any, slot: int, node: int) -> None:
-    first = bucket[slot]
-    following[node], preceding[node] = first, -1
-    if first >= 0:
-        preceding[first] = node
-    bucket[slot] = node
-
-
-@njit(cache=True, nogil=True)
-def _leave(bucket: Any, following: Any, preceding: Any, slot: int, node: int) -> None:
-    before, after = preceding[node], following[node]
-    if before >= 0:
-        following[before] = after
-    else:
-        bucket[slot] = after
-    if after >= 0:
-        preceding[after] = before
+def _doubled(entries: Any) -> Any:
+    larger = np.empty((2 * len(entries), 2), np.int64)
+    larger[: len(entries)] = entries
+    return larger

@@ -41,7 +41,7 @@ class ReachingConfig:
         400, "Places for the base that are looked at for one view.", low=1, high=100000
     )
     goals: int = parameter(
-        12, "Of these, the nearest good ones that are given to the planner of the base.", low=1,
+        5, "Of these, the nearest good ones that are given to the planner of the base.", low=1,
         high=1000,
     )  # fmt: skip
     least_approach: float = parameter(

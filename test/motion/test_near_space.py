@@ -1,0 +1,76 @@
+"""What counts as free around a robot in a map that knows little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.geometry import Cylinder, PlacedSolid, make_transform
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.motion.arm_path import plan_arm_path
+from infomap_ros.motion.collision import CollisionBody
+from infomap_ros.motion.near_space import NearSpace
+
+from .bodies import rover
+from .scenes import map_where
+
+BASE = make_transform(np.eye(3), (0.3, -0.2, 0.1))
+
+
+@pytest.fixture(scope="module")
+def body() -> CollisionBody:
+    return CollisionBody.from_robot(rover())
+
+
+def space(body: CollisionBody, voxel_map: VoxelMap, **options: object) -> NearSpace:
+    joints = {joint.name: 0.0 for joint in body.robot.joints}
+    arguments = {"radius": 1.2, "clear_body": 0.05} | options
+    return NearSpace(voxel_map, body, BASE, joints, **arguments)  # type: ignore[arg-type]
+
+
+def nothing_known() -> VoxelMap:
+    return map_where(lambda x, y, z: z < 5, lambda x, y, z: z < -0.45)
+
+
+def test_body_and_a_little_around_it_are_free(body: CollisionBody) -> None:
+    checker = space(body, nothing_known()).checker_at(BASE)
+    assert checker.check(np.zeros(4), BASE).free
+    spheres = body.spheres(np.zeros(4), BASE)
+    away = checker.field.clearances(spheres[:, :3], 0.5) - spheres[:, 3]
+    assert away.min() >= 0.05 - body.config.tolerance - 1e-6
+    assert not checker.check([0.0, 1.0, 0.0, 0.0], BASE).free
+
+
+def test_declared_space_is_free(body: CollisionBody) -> None:
+    declared = PlacedSolid(Cylinder(1.2, 2.4), BASE)
+    checker = space(body, nothing_known(), known_free=(declared,)).checker_at(BASE)
+    assert checker.check([0.0, 1.0, 0.0, 0.0], BASE, base=False).free
+
+
+def test_what_was_seen_in_declared_space_still_blocks(body: CollisionBody) -> None:
+    post = map_where(
+        lambda x, y, z: np.hypot(x - 0.8, y + 0.2) < 0.1,
+        lambda x, y, z: np.hypot(x - 0.8, y + 0.2) < 0.1,
+    )
+    declared = PlacedSolid(Cylinder(1.2, 2.4), BASE)
+    checker = space(body, post, known_free=(declared,)).checker_at(BASE)
+    assert "with the map at" in checker.check([0.0, 1.3, 0.0, 0.0], BASE).what
+
+
+def test_robot_that_was_mapped_as_an_obstacle_can_move_away(body: CollisionBody) -> None:
+    """The cameras have seen the robot's own forearm, upright at x = 0.4."""
+
+    def forearm(x, y, z):
+        return (np.hypot(x - 0.4, y + 0.2) < 0.04) & (abs(z - 0.8) < 0.04)
+
+    seen = map_where(forearm, lambda x, y, z: z > -1.0)
+    checker = space(body, seen).checker_at(BASE)
+    assert checker.field.clearances([(0.41, -0.19, 0.81)], 1.0)[0] > 0.0
+    path = plan_arm_path(checker, np.zeros(4), [0.0, -0.8, 0.3, 0.0], BASE)
+    assert path.converged, path.reason
+
+
+def test_checker_of_a_place_is_remembered(body: CollisionBody) -> None:
+    near = space(body, nothing_known())
+    assert near.checker_at(BASE) is near.checker_at(BASE.copy())
+    assert near.checker_at(BASE) is not near.checker_at(np.eye(4))

@@ -31,12 +31,14 @@ class BodyShape:
         joint: index of the joint that moves it, 0 for none.
         solid: the shape.
         placement: ``T_joint_solid``, shape (4, 4).
+        geometry: the shape as coal has it, a mesh with its hollows.
     """
 
     link: str
     joint: int
     solid: Solid
     placement: FloatArray
+    geometry: coal.CollisionGeometry
 
 
 def body_shapes(
@@ -78,7 +80,9 @@ def _shape(model: pinocchio.Model, item: pinocchio.GeometryObject) -> BodyShape:
         solid = _solid(item.geometry)
     except InvalidInputError as error:
         raise RobotModelError(f"link '{link}' has an impossible shape: {error}") from error
-    return BodyShape(link, int(item.parentJoint), solid, np.array(item.placement.homogeneous))
+    return BodyShape(
+        link, int(item.parentJoint), solid, np.array(item.placement.homogeneous), item.geometry
+    )
 
 
 def _solid(geometry: coal.CollisionGeometry) -> Solid:

@@ -22,7 +22,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelWindow
 from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
 from infomap_ros.motion import collision_kernels as kernels
-from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig, pair_gaps
+from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig
 from infomap_ros.motion.collision_kernels import CLEAR, MotionSpace
 from infomap_ros.motion.robot_model import RobotModel
 
@@ -138,7 +138,7 @@ class CollisionChecker:
             field=self.field.arrays,
             links=self._all_links if base else body.moving_links,
             radii=self._radii,
-            gaps=self._gaps,
+            gaps=self.body.gaps,
             margin=float(body.config.margin),
             T_map_base=np.ascontiguousarray(pose[:3]),
         )
@@ -180,11 +180,6 @@ class CollisionChecker:
     @cached_property
     def _radii(self) -> FloatArray:
         return np.ascontiguousarray(self.body.arrays.spheres[:, 3])
-
-    @cached_property
-    def _gaps(self) -> FloatArray:
-        """Links that stand still do not come nearer between two checks."""
-        return pair_gaps(self.body.arrays, self.body.config.margin)
 
     @cached_property
     def _all_links(self) -> NDArray[np.int64]:

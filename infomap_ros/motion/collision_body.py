@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import collision_kernels as kernels
 from infomap_ros.motion.body_shapes import BodyShape
 from infomap_ros.motion.chain import KinematicChain
 from infomap_ros.motion.collision_kernels import BodyArrays
-from infomap_ros.motion.link_pairs import movable_pairs
+from infomap_ros.motion.link_pairs import allowed_pairs, is_any_of, movable_pairs
 from infomap_ros.motion.link_tree import LinkTree
+from infomap_ros.motion.pair_study import TrueShapes, study_pairs
 from infomap_ros.motion.robot_model import RobotModel
 from infomap_ros.motion.sphere_cover import cover_by_spheres
 
@@ -53,16 +54,30 @@ class CollisionConfig:
         "planner of the base answers for where they stand.",
     )
     always_share: float = parameter(
-        0.95,
-        "Links that touch in at least this share of random configurations touch by design and are "
-        "not compared, as links joined by a joint are not.",
-        low=0.5,
+        0.5,
+        "Links whose collision meshes touch in at least this share of random configurations touch "
+        "by design, or their meshes are too coarse to tell, and are not compared.",
+        low=0.1,
         high=1.0,
     )
-    samples: int = parameter(500, "Number of random configurations for that.", low=50, high=100000)
+    alarm_share: float = parameter(
+        0.3,
+        "Where the spheres of two links come too near in more than this share of random "
+        "configurations although the links do not touch, their distance is adapted until they "
+        "mostly do not.",
+        low=0.0,
+        high=1.0,
+    )
+    samples: int = parameter(500, "Number of random configurations for both.", low=50, high=100000)
+    allowed_contacts: tuple[str, ...] = parameter(
+        (), "Pairs of links (patterns) that may touch, as 'first:second'."
+    )
 
     def __post_init__(self) -> None:
         check_config(self)
+        for pair in self.allowed_contacts:
+            if pair.count(":") != 1:
+                raise ConfigError("allowed_contacts", pair, "two patterns, as 'first:second'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +91,8 @@ class CollisionBody:
         links: names of the links with shapes.
         tree: kinematics.
         arrays: for kernels.
+        gaps: distance below which the links of each pair count as touching, shape (P,) [m];
+            negative where their spheres overlap without harm.
         moving_links: numbers of the links that the arm moves and the map may block.
         base_links: of those that stand still on the base, without the ground links.
     """
@@ -86,6 +103,7 @@ class CollisionBody:
     links: tuple[str, ...]
     tree: LinkTree
     arrays: BodyArrays
+    gaps: FloatArray
     moving_links: NDArray[np.int64]
     base_links: NDArray[np.int64]
 
@@ -99,8 +117,10 @@ class CollisionBody:
         """Cover a robot's links by spheres.
 
         Links never compared with each other: those that do not move against each other, those
-        joined by a joint, and those that touch in nearly all configurations. Where the spheres of
-        two links nearly always touch, they are made finer before that is believed.
+        joined by a joint, those that `allowed_contacts` names, and those that touch with all joints
+        at rest or in nearly all configurations. Where spheres come too near to each other too often
+        although the links do not touch, the pair's gap is adapted, and if that does not help the
+        spheres are made finer (see `pair_study`).
 
         Args:
             robot: with a camera frame.
@@ -113,23 +133,25 @@ class CollisionBody:
         settings = config or CollisionConfig()
         tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
         pairs = movable_pairs(robot, tree)
-        qs = _random_configurations(robot.arm, settings.samples)
+        pairs = pairs[~allowed_pairs(links, pairs, settings.allowed_contacts)]
+        qs = _configurations(robot, settings.samples)
+        shapes = TrueShapes(robot, tree, qs)
         tolerances = np.full(len(links), settings.tolerance)
         covers: dict[tuple[str, float], FloatArray] = {}
         for _ in range(_REFINEMENTS + 1):
             arrays = _body_arrays(robot, tree, tolerances, pairs, covers)
-            counts = np.zeros(len(pairs), dtype=np.int64)
-            gaps = pair_gaps(arrays, settings.margin)
-            kernels.count_touching(tree.arrays, arrays, gaps, qs, counts)
-            always = counts >= settings.always_share * len(qs)
-            if not always.any():
+            gaps = _wanted_gaps(arrays, settings.margin)
+            shares = settings.always_share, settings.alarm_share
+            study = study_pairs(shapes, tree, arrays, qs, gaps, *shares)
+            noisy = study.compared & (study.false_alarms > settings.alarm_share)
+            if not noisy.any():
                 break
-            tolerances[np.unique(pairs[always])] *= 0.5
-        arrays = arrays._replace(pairs=np.ascontiguousarray(pairs[~always]))
-        ground = np.array([_is_any(link, settings.ground_links) for link in links], dtype=bool)
+            tolerances[np.unique(pairs[noisy])] *= 0.5
+        arrays = arrays._replace(pairs=np.ascontiguousarray(pairs[study.compared]))
+        ground = np.array([is_any_of(link, settings.ground_links) for link in links], dtype=bool)
         moves = arrays.bodies > 0
         return cls(
-            robot, robot.arm, settings, links, tree, arrays,
+            robot, robot.arm, settings, links, tree, arrays, study.gaps[study.compared],
             np.flatnonzero(moves & ~ground), np.flatnonzero(~moves & ~ground),
         )  # fmt: skip
 
@@ -155,20 +177,18 @@ class CollisionBody:
         return placed
 
 
-def pair_gaps(arrays: BodyArrays, margin: float) -> FloatArray:
+def _wanted_gaps(arrays: BodyArrays, margin: float) -> FloatArray:
     """Distance that the links of each pair keep, shape (P,) [m]: the margin for each that moves."""
     return margin * (arrays.bodies > 0)[arrays.pairs].sum(axis=1).astype(np.float64)
 
 
-def _is_any(link: str, patterns: tuple[str, ...]) -> bool:
-    return any(fnmatch.fnmatchcase(link, pattern) for pattern in patterns)
-
-
-def _random_configurations(chain: KinematicChain, count: int) -> FloatArray:
-    """Within the limits, a joint without limits within a turn; always the same."""
+def _configurations(robot: RobotModel, count: int) -> FloatArray:
+    """The one at rest, then random ones within the limits; always the same."""
+    chain = robot.arm
     low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    return np.random.default_rng(0).uniform(low, high, (count, len(chain)))
+    rest = [robot.joint(name).rest for name in chain.joint_names]
+    return np.vstack([rest, np.random.default_rng(0).uniform(low, high, (count, len(chain)))])
 
 
 def _body_arrays(

@@ -231,17 +231,6 @@ def all_free(space: Any, qs: Any, T_map_bases: Any, free: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def count_touching(tree: Any, body: Any, gaps: Any, qs: Any, counts: Any) -> None:
-    """In how many configurations, shape (N, n), each pair is nearer than its gap, shapes (P,)."""
-    places = np.empty((len(tree.parents) + 1, 3, 4))
-    base = np.eye(4)[:3]
-    for i in range(len(qs)):
-        place_bodies(tree, qs[i], base, places)
-        for pair in range(len(counts)):
-            counts[pair] += _pair_touches(body, pair, gaps[pair], places)
-
-
-@njit(cache=True, nogil=True)
 def first_contact(space: Any, q: Any) -> tuple[int, int, float, float, float]:
     """What a configuration touches, for a message.
 

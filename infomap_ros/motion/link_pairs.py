@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from itertools import combinations
 
 import numpy as np
@@ -33,6 +34,33 @@ def movable_pairs(robot: RobotModel, tree: LinkTree) -> NDArray[np.int64]:
         and not _is_telescope(tree, int(tree.bodies[joint_of[a]]), int(tree.bodies[joint_of[b]]))
     ]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def allowed_pairs(
+    links: tuple[str, ...], pairs: NDArray[np.int64], contacts: tuple[str, ...]
+) -> NDArray[np.bool_]:
+    """Tell which pairs of links, shape (P, 2), are allowed to touch, shape (P,).
+
+    Args:
+        links: names.
+        pairs: numbers of links.
+        contacts: pairs of patterns, as ``first:second``, in either order.
+    """
+    patterns = [contact.split(":") for contact in contacts]
+    patterns += [[second, first] for first, second in patterns]
+    allowed = [
+        any(
+            fnmatch.fnmatchcase(links[i], a) and fnmatch.fnmatchcase(links[j], b)
+            for a, b in patterns
+        )
+        for i, j in pairs
+    ]
+    return np.array(allowed, dtype=bool)
+
+
+def is_any_of(link: str, patterns: tuple[str, ...]) -> bool:
+    """Whether a link's name matches a pattern."""
+    return any(fnmatch.fnmatchcase(link, pattern) for pattern in patterns)
 
 
 def _is_telescope(tree: LinkTree, first: int, second: int) -> bool:

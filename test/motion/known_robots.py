@@ -10,6 +10,9 @@ from infomap_ros.motion import RobotModel
 
 TIAGO_ARM = tuple(f"arm_{number}_joint" for number in range(1, 8))
 
+TELESCOPE = {f"joint_arm_l{number}": "joint_arm_l3" for number in range(3)}
+"""The segments of Stretch's arm, which one motor drives."""
+
 
 def installed(package: str, ending: str) -> Path:
     """A file of an installed distribution."""

@@ -13,7 +13,7 @@ from infomap_ros.motion import RobotModel, solve_ik_batch
 from infomap_ros.motion.urdf import read_urdf
 
 from .arms import random_positions
-from .known_robots import KNOWN_ROBOTS, TIAGO_ARM, installed, stretch, tiago
+from .known_robots import KNOWN_ROBOTS, TELESCOPE, TIAGO_ARM, installed, stretch, tiago
 
 
 @cache
@@ -98,9 +98,6 @@ def description_of(name: str) -> tuple[str, list[str]]:
         return read_urdf(path).xml, [str(path.parent)]
     path = installed("example-robot-data", endings[name])
     return read_urdf(path).xml, [str(path.parents[4])]
-
-
-TELESCOPE = {f"joint_arm_l{number}": "joint_arm_l3" for number in range(3)}
 
 
 def test_the_telescope_of_stretch_is_one_joint(rng):

@@ -94,6 +94,8 @@ class MapFusionNode(MonitoredNode):
         keeper.prepare()
         reserve_heap(self.config(MemoryConfig))
         self._worker = self.start_worker(self._config.queue_size)
+        self._telling = False
+        keeper.team.listen(self._worker)
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             self.create_service(Trigger, f"~/{name}", self._service(order))
@@ -119,8 +121,14 @@ class MapFusionNode(MonitoredNode):
 
     def _publish_more(self) -> None:
         """Where no scan does it, tell a subscriber that is new what it waits for."""
-        if self._keeper.behind and not self._worker.waiting:
-            self._worker.submit_always(self._keeper.publish_more)
+
+        def tell() -> None:
+            self._telling = False
+            self._keeper.publish_more()
+
+        if self._keeper.behind and not self._telling:
+            self._telling = True
+            self._worker.submit_always(tell)
 
     def _autosave(self) -> None:
         self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save))

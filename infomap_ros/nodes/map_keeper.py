@@ -6,25 +6,21 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from infomap_ros.errors import MapFileError
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.mapping.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.map_outputs import MapOutputs
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.map_warm_up import warm_up
 from infomap_ros.nodes.robot_body import without_body
 from infomap_ros.nodes.scan_gate import Scan
+from infomap_ros.nodes.team_map import TeamMap
 from infomap_ros.nodes.update_stream import UpdateStream
-from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
+from infomap_ros.replay.messages import decode_point_cloud
 
 
 @dataclass(frozen=True)
@@ -49,6 +45,9 @@ class MapKeeper:
 
     Args:
         node: has the configurations of keeper, outputs and map, and publishes.
+
+    Attributes:
+        team: the map that is shown where there are other robots.
     """
 
     def __init__(self, node: MonitoredNode) -> None:
@@ -56,6 +55,7 @@ class MapKeeper:
         self._config = node.config(MapKeeperConfig)
         self._body_filter = node.config(BodyFilterConfig)
         self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
+        self.team = TeamMap(node, self._updates, self._outputs.changed)
         self._path = Path(self._config.map_file).absolute()
         self._map = VoxelMap(node.config(VoxelMapConfig))
         self._map.track_changes(True)
@@ -105,9 +105,11 @@ class MapKeeper:
 
     def publish_pictures(self) -> None:
         """Publish voxel_map and projected_map where they are wanted and out of date."""
-        self._node.health.note("map memory [bytes]", str(self._map.memory_bytes()))
-        self._node.health.note("known voxels", str(self._map.known_voxels))
-        self._outputs.publish_pictures(self._map, self._stamp)
+        shown = self.team.voxel_map or self._map
+        memory = self._map.memory_bytes() + self.team.memory_bytes()
+        self._node.health.note("map memory [bytes]", str(memory))
+        self._node.health.note("known voxels", str(shown.known_voxels))
+        self._outputs.publish_pictures(shown, self._stamp)
 
     def save(self) -> str:
         """Write the map file; returns a sentence.
@@ -157,29 +159,3 @@ class MapKeeper:
                 "default_rotation_sigma stand in for it"
             )
         return self._node.config(AssumedPoseConfig).covariance()
-
-
-def warm_up(threads: int) -> None:
-    """Use every kernel of a map once, so that it is compiled before the first message.
-
-    Args:
-        threads: that integrate a scan.
-    """
-    points = PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5).back_project(np.full((24, 32), 1.0))
-    covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (24, 32, 3, 3))
-    message = encode_point_cloud(
-        RclpyMessageTypes(), PointCloudRecord(0, "warm_up", points, covariances)
-    )
-    cloud = decode_point_cloud(message)
-    without_body(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], BodyFilterConfig())
-    # Voxels so small that all tables grow.
-    trial = VoxelMap(VoxelMapConfig(voxel_size=0.01, max_range=2.0, threads=threads))
-    trial.track_changes(True)
-    camera = fit_pinhole_camera(cloud.points)
-    trial.integrate(cloud.points, np.eye(4), cloud.covariances, 1e-6 * np.eye(6), camera)
-    trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
-    trial.take_changes()
-    trial.mark_changed(0, 1)
-    trial.is_known(trial.gaussians()[1])
-    voxel_map_rows(trial)
-    project_map(trial, ProjectionConfig())

@@ -9,6 +9,7 @@ harms nobody.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,7 @@ from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
     OCCUPANCY_ROW,
     MapUpdate,
+    decode_update,
     encode_update,
     next_version,
     version_at,
@@ -76,14 +78,30 @@ class UpdateStream:
         self._next_block = 0
         self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
+        self._listener: Callable[[MapUpdate], object] | None = None
         events = PublisherEventCallbacks(matched=self._on_matched)
         self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
+
+    @property
+    def robot(self) -> int:
+        """Id of this robot."""
+        return self._config.robot_id
+
+    @property
+    def version(self) -> int:
+        """Version of the last publication."""
+        return self._version
+
+    def tell_also(self, listener: Callable[[MapUpdate], object]) -> None:
+        """Call `listener` with everything that subscribers get from now on, from the start on."""
+        self._listener = listener
+        self._newcomer = True
 
     @property
     def behind(self) -> bool:
         """Whether somebody still waits for what was known before."""
         waiting = self._newcomer or self._blocks_left > 0 or len(self._taken_back) > 0
-        return waiting and self._publisher.get_subscription_count() > 0
+        return waiting and self._is_heard
 
     def publish(self, voxel_map: VoxelMap, stamp: int, *, always: bool = True) -> None:
         """Tell what changed and a slice of what others still wait for.
@@ -95,7 +113,7 @@ class UpdateStream:
             stamp: of the messages [ns].
             always: send an empty message if there is nothing to tell.
         """
-        if not self._publisher.get_subscription_count():
+        if not self._is_heard:
             self._taken_back = self._taken_back[:0]
             self._newcomer = True
             voxel_map.track_changes(True)  # forgets the changes
@@ -113,6 +131,10 @@ class UpdateStream:
         """From now on another map is told: take back what the `old` one had and that has not."""
         self._taken_back = np.concatenate([self._taken_back, old.voxels()[0]])
         self._newcomer = True
+
+    @property
+    def _is_heard(self) -> bool:
+        return self._listener is not None or self._publisher.get_subscription_count() > 0
 
     def _on_matched(self, event: QoSPublisherMatchedInfo) -> None:
         if event.total_count_change > 0:
@@ -139,15 +161,10 @@ class UpdateStream:
 
     def _send(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
         self._version = next_version(self._version)
-        update = MapUpdate(
-            voxel_size,
-            self._config.robot_id,
-            self._version,
-            changes.indices,
-            changes.log_odds,
-            changes.has_gaussian,
-            changes.means,
-            changes.covariances,
-        )
-        for rows in encode_update(update) or [np.zeros(0, OCCUPANCY_ROW)]:
+        update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version)
+        parts = encode_update(update)
+        for rows in parts or [np.zeros(0, OCCUPANCY_ROW)]:
             self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))
+        if self._listener is not None:
+            for rows in parts:
+                self._listener(decode_update(rows))

@@ -1,7 +1,7 @@
 """What robots tell each other of the map: the wire format of map updates, and their merge."""
 
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.versions import next_version, version_at
+from infomap_ros.team.versions import is_newer, next_version, version_at
 from infomap_ros.team.wire import (
     MAX_MESSAGE_BYTES,
     NOT_OBSERVED,
@@ -21,6 +21,7 @@ __all__ = [
     "MapUpdate",
     "decode_update",
     "encode_update",
+    "is_newer",
     "next_version",
     "version_at",
 ]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT
+from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT, VoxelChanges
 
 NOT_OBSERVED = -128
 """Log-odds of a voxel of which its robot knows nothing any more."""
@@ -83,6 +83,22 @@ class MapUpdate:
     has_gaussian: NDArray[np.bool_]
     means: NDArray[np.float64]
     covariances: NDArray[np.float64]
+
+    @classmethod
+    def of_changes(
+        cls, changes: VoxelChanges, voxel_size: float, robot: int, version: int
+    ) -> MapUpdate:
+        """The update that tells the changes of a robot's map."""
+        return cls(
+            voxel_size,
+            robot,
+            version,
+            changes.indices,
+            changes.log_odds,
+            changes.has_gaussian,
+            changes.means,
+            changes.covariances,
+        )
 
 
 def encode_update(update: MapUpdate, max_bytes: int = MAX_MESSAGE_BYTES) -> list[NDArray[np.void]]:

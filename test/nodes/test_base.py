@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from dataclasses import dataclass
 from typing import Any
@@ -103,7 +104,11 @@ def test_a_node_that_cannot_start_ends_with_one_line(capfd: pytest.CaptureFixtur
     def refuse() -> Any:
         raise ConfigError("rate", -1.0, "a positive number")
 
-    assert run_node(refuse, []) == 2
+    interrupt = signal.getsignal(signal.SIGINT)
+    status = run_node(refuse, [])
+    signal.signal(signal.SIGINT, interrupt)
+
+    assert status == 2
     assert "parameter 'rate' is -1.0" in capfd.readouterr().err
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import encode, encode_point_cloud, encode_pose
-from infomap_ros.replay.messages.rows import decode_rows
-from infomap_ros.team import NOT_OBSERVED, decode_update
+from infomap_ros.replay.messages.rows import decode_rows, encode_rows
+from infomap_ros.team import NOT_OBSERVED, MapUpdate, decode_update, encode_update
 
 TYPES = RclpyMessageTypes()
 SECOND = 1_000_000_000
@@ -246,6 +247,84 @@ def test_a_cloud_without_pose_is_dropped_with_its_reason(graph: Any) -> None:
 
     assert "before the first pose" in detail
     assert bench.node.health.results() == 0
+
+
+def other_robot(version: int, odds: Sequence[int], **changes: Any) -> list[PointCloud2]:
+    """What robot 9 tells of the voxels (100, 0, 0), (101, 0, 0), ..., without surface."""
+    count = len(odds)
+    indices = np.array([[100 + i, 0, 0] for i in range(count)], np.int32)
+    nothing = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    update = MapUpdate(
+        **{"voxel_size": 0.1, "robot": 9, "version": version, "indices": indices} | changes,
+        log_odds=np.array(odds, np.int8),
+        has_gaussian=np.zeros(count, np.bool_),
+        means=nothing[0],
+        covariances=nothing[1],
+    )
+    return [encode_rows(TYPES, START, "map", rows) for rows in encode_update(update)]
+
+
+def test_the_grid_shows_what_other_robots_saw_and_the_updates_do_not(graph: Any) -> None:
+    bench = Bench(graph, voxel_map_period=0.05, projection__low=0.0, projection__high=2.0)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    grids = graph.collect(OccupancyGrid, "projected_map", qos.latched())
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+
+    for message in other_robot(7, [20, -20]):
+        team.publish(message)
+
+    def cell(x: float, y: float) -> int:
+        info = grids[-1].info
+        column = int((x - info.origin.position.x) / 0.1)
+        row = int((y - info.origin.position.y) / 0.1)
+        inside = 0 <= column < info.width and 0 <= row < info.height
+        return int(grids[-1].data[row * info.width + column]) if inside else -1
+
+    wanted = [(10.05, 0.05, 100), (10.15, 0.05, 0), (2.05, 0.05, 100), (1.05, 0.05, 0)]
+    graph.spin_until(
+        lambda: grids and all(cell(x, y) == value for x, y, value in wanted), "both robots' part"
+    )
+    bench.wait_for_map(as_replica(expected_map(cloud())))
+
+
+@pytest.mark.parametrize(
+    ("changes", "frame", "reason"),
+    [
+        ({}, "odom", "wrong frame"),
+        ({"voxel_size": 0.2}, "map", "invalid data"),
+        ({"robot": 0, "version": 2**31}, "map", "robot id in use"),
+    ],
+)
+def test_updates_that_do_not_fit_are_dropped(
+    graph: Any, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], frame: str, reason: str
+) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: 0)
+    bench = Bench(graph)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    (message,) = other_robot(changes.pop("version", 7), [20], **changes)
+    message.header.frame_id = frame
+
+    team.publish(message)
+
+    bench.wait_for_drop(reason)
+
+
+def test_the_own_updates_may_come_back(graph: Any) -> None:
+    bench = Bench(graph)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    bench.send(pose(), cloud())
+    bench.wait_for_map(as_replica(expected_map(cloud())))
+    for message in bench.updates:
+        team.publish(message)
+    team.publish(other_robot(7, [20])[0])
+
+    robots = "robots in the map"
+    graph.spin_until(lambda: bench.node.health.values().get(robots) == "2", "both robots")
+    assert bench.node.health.drops() == {}
 
 
 @pytest.mark.parametrize(

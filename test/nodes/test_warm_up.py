@@ -25,16 +25,18 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.mapping.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.map_contents import voxel_map_rows
-from infomap_ros.nodes.map_keeper import warm_up
+from infomap_ros.nodes.map_warm_up import warm_up
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_body import without_body
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
+from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
 warm_up(1)
 before = kernels()
 camera = PinholeCamera(320, 240, 300.0, 300.0, 159.5, 119.5)
 voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
 voxel_map.track_changes(True)
+replica = MapReplica(voxel_map.config)
 for step in range(3):
     points = camera.back_project(np.full((240, 320), 2.0 + 0.7 * step))
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (240, 320, 3, 3))
@@ -46,7 +48,9 @@ for step in range(3):
     found = fit_pinhole_camera(cloud.points)
     voxel_map.integrate(cloud.points, pose, cloud.covariances, 1e-6 * np.eye(6), found)
     voxel_map.mark_changed(0, 5)
-    voxel_map.take_changes()
+    parts = encode_update(MapUpdate.of_changes(voxel_map.take_changes(), 0.05, 1, step + 1))
+    for part in parts:
+        replica.apply(decode_update(part))
     voxel_map_rows(voxel_map)
     project_map(voxel_map, ProjectionConfig())
     voxel_map.known_voxels, voxel_map.is_known(np.zeros((1, 3)))

@@ -215,8 +215,7 @@ def test_a_replica_of_a_map_shows_the_map() -> None:
     for version in range(1, 4):
         points = np.column_stack([rng.uniform(-1.0, 1.0, (500, 2)), np.full(500, 1.5)])
         source.integrate(points, np.eye(4))
-        changes = source.take_changes()
-        update = MapUpdate(SIZE, 1, version, *(vars(changes).values()))
+        update = MapUpdate.of_changes(source.take_changes(), SIZE, 1, version)
         for rows in encode_update(update, 5000):
             replica.apply(decode_update(rows))
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from textwrap import shorten
 from time import perf_counter
 
 import numpy as np
@@ -135,6 +136,6 @@ def why_none(views: list[RatedView]) -> str:
 def _count_reasons(views: list[RatedView], what: str) -> str:
     if not views:
         return ""
-    counts = Counter(view.rejection.split(":")[0] for view in views).most_common(6)
-    listed = ", ".join(f"{reason} ({number})" for reason, number in counts)
+    counts = Counter(shorten(view.rejection, 90, placeholder=" ...") for view in views)
+    listed = ", ".join(f"{reason} ({number})" for reason, number in counts.most_common(5))
     return f"{len(views)} {what}: {listed}."

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from textwrap import shorten
@@ -65,8 +66,22 @@ class ViewDecision:
     strategy: str = ""
 
     def rejections(self) -> Counter[str]:
-        """How many views were rejected for each reason."""
-        return Counter(view.rejection for view in self.candidates if view.rejection)
+        """How many views were rejected for each reason; see `count_reasons`."""
+        return count_reasons(self.candidates)
+
+
+def count_reasons(views: Iterable[RatedView]) -> Counter[str]:
+    """How many views were rejected for each reason.
+
+    Reasons that differ in nothing but numbers count as one, by the text of the first.
+    """
+    counts: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for view in views:
+        if view.rejection:
+            kind = re.sub(r"[-+]?\d[\d.]*", "#", view.rejection)
+            counts[first.setdefault(kind, view.rejection)] += 1
+    return counts
 
 
 class Stopwatch:
@@ -136,6 +151,6 @@ def why_none(views: list[RatedView]) -> str:
 def _count_reasons(views: list[RatedView], what: str) -> str:
     if not views:
         return ""
-    counts = Counter(shorten(view.rejection, 90, placeholder=" ...") for view in views)
-    listed = ", ".join(f"{reason} ({number})" for reason, number in counts.most_common(5))
+    counts = count_reasons(views).most_common(5)
+    listed = ", ".join(f"{shorten(why, 90, placeholder=' ...')} ({n})" for why, n in counts)
     return f"{len(views)} {what}: {listed}."

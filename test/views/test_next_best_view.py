@@ -12,6 +12,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views import METRICS, ExpectedInformation, expected_information
 from infomap_ros.views.candidates import CandidateConfig
+from infomap_ros.views.decision import RatedView, count_reasons
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.reach import Flight, FlyingCamera
@@ -290,6 +291,12 @@ def test_every_metric_can_choose(half_seen: Situation, metric: str) -> None:
     ratings = [view.rating for view in decision.candidates if view.fine]
     assert len(set(ratings)) > 1 and np.isfinite(ratings).all()
     assert source.unit in decision.reason
+
+
+def test_reasons_that_differ_in_numbers_count_as_one() -> None:
+    reasons = ("reach: 1.2 m", "reach: 0.7 m", "no path", "", "reach: 13 m")
+    views = [RatedView(np.eye(4), rejection=reason) for reason in reasons]
+    assert count_reasons(views) == {"reach: 1.2 m": 3, "no path": 1}
 
 
 def test_unknown_metric_is_refused() -> None:

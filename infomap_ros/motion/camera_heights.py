@@ -8,7 +8,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot_model import RobotModel
 
 _POSTURES = 2000
-_LEAST_HEIGHT = 0.02  # [m]
+_LEAST_HEIGHT = 0.15  # [m]; nearer to rough ground the arm would touch it
 
 
 def camera_heights(robot: RobotModel) -> tuple[float, float]:

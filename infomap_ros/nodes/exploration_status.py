@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +29,7 @@ class ExplorationNews:
         home_joints: joint positions of the beginning [rad or m].
         failed_view: ``T_map_camera`` of the last view that could not be reached, shape (4, 4).
         failure: why.
+        failures: number of views that could not be reached so far.
     """
 
     views: int = 0
@@ -35,12 +37,13 @@ class ExplorationNews:
     home_joints: dict[str, float] = field(default_factory=dict)
     failed_view: FloatArray | None = None
     failure: str = ""
+    failures: int = 0
 
 
 def status_message(
-    exploration: Exploration, failed_view: tuple[FloatArray, str] | None
+    exploration: Exploration, failed_views: Sequence[tuple[FloatArray, str]]
 ) -> DiagnosticStatus:
-    """State, figures and last reason of an exploration."""
+    """State, figures and last reason of an exploration, and what it could not reach."""
     progress, mission = exploration.progress, exploration.mission
     figures: dict[str, object] = {
         "state": exploration.state,
@@ -57,8 +60,10 @@ def status_message(
             "mean sigma [m]": round(progress.mean_sigma, 5),
             "surface voxels": progress.surface_voxels,
         }
-    if failed_view is not None:
-        figures |= {"failed view": json.dumps(failed_view[0].tolist()), "failure": failed_view[1]}
+    figures["failures"] = len(failed_views)
+    if failed_views:
+        pose, reason = failed_views[-1]
+        figures |= {"failed view": json.dumps(pose.tolist()), "failure": reason}
     failed = exploration.state == "ended: failed"
     return DiagnosticStatus(
         level=DiagnosticStatus.ERROR if failed else DiagnosticStatus.OK,
@@ -82,7 +87,7 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
         view = None if failed is None else check_transform(np.array(json.loads(failed)))
         if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
             raise ValueError("home is not a finite pose")
-        views = int(values["views"])
-        return ExplorationNews(views, home, joints, view, values.get("failure", ""))
+        views, failures = int(values["views"]), int(values["failures"])
+        return ExplorationNews(views, home, joints, view, values.get("failure", ""), failures)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error

@@ -87,7 +87,7 @@ class ExplorerNode(MonitoredNode):
         self._mission_file = Path(self._config.mission_file).absolute()
         self._exploration: Exploration | None = None
         self._thread: threading.Thread | None = None
-        self._failed_view: tuple[FloatArray, str] | None = None
+        self._failed_views: list[tuple[FloatArray, str]] = []
         self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
         orders: dict[str, Callable[[], str]] = {
             "start": self._start,
@@ -178,12 +178,12 @@ class ExplorerNode(MonitoredNode):
             )
 
     def _on_failed_view(self, pose: FloatArray, reason: str) -> None:
-        self._failed_view = pose, reason
+        self._failed_views.append((pose, reason))
 
     def _publish_status(self) -> None:
         """Say what is being done; next_best_view learns from it what failed and where home is."""
         if self._exploration is not None:
-            self._status.publish(status_message(self._exploration, self._failed_view))
+            self._status.publish(status_message(self._exploration, self._failed_views))
 
     def destroy_node(self) -> None:
         """Stop the robot, then the node."""

@@ -115,6 +115,8 @@ class Situation:
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
             above the ground where `ground_height` is given.
         ground_height: height of the ground at a place.
+        promising: the map by which it is judged what views are expected to tell, see
+            `views.vain_looks`; `voxel_map` where not given.
         arm_views: ``T_map_camera`` that the arm can take while the base stays, shape (A, 4, 4);
             candidates besides those that are drawn.
         positions_hint: camera positions to choose from instead of sampling the free space, shape
@@ -138,6 +140,7 @@ class Situation:
     clear_space: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
     ground_height: GroundHeight | None = None
+    promising: VoxelMap | None = None
     arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     positions_hint: FloatArray | None = None
 
@@ -158,6 +161,11 @@ class Situation:
             if hint.ndim != 2 or hint.shape[1] != 3 or not np.isfinite(hint).all():
                 raise InvalidInputError("positions_hint", f"shape {hint.shape}, expected (K, 3)")
             object.__setattr__(self, "positions_hint", hint)
+
+    @property
+    def promising_map(self) -> VoxelMap:
+        """The map by which it is judged what views are expected to tell."""
+        return self.voxel_map if self.promising is None else self.promising
 
     @property
     def position(self) -> FloatArray:

@@ -57,7 +57,7 @@ class ExpectedInformation:
         """Of all orientations (P, O, 3, 3) at positions (P, 3), with few rays: (P, O)."""
         if self._metric == _SHARED:
             return information_of_views(
-                situation.voxel_map,
+                situation.promising_map,
                 positions,
                 rotations,
                 situation.camera,
@@ -102,13 +102,13 @@ class ExpectedInformation:
         if len(poses) == 0:
             return []
         field = field_around(
-            situation.voxel_map, poses[:, :3, 3], situation.max_range, self._config
+            situation.promising_map, poses[:, :3, 3], situation.max_range, self._config
         )
 
         def gather(_: int, first: int, last: int) -> None:
             for index in range(first, last):
                 found[index] = view_gains(
-                    situation.voxel_map,
+                    situation.promising_map,
                     poses[index],
                     situation.camera,
                     situation.max_range,
@@ -124,7 +124,7 @@ class ExpectedInformation:
         self, situation: Situation, poses: FloatArray, config: InformationConfig
     ) -> FloatArray:
         return expected_information(
-            situation.voxel_map,
+            situation.promising_map,
             poses,
             situation.camera,
             situation.max_range,

@@ -1,0 +1,269 @@
+"""The next best view of a robot with arm and base: choice and motion put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from infomap_ros.exploration.explanation import explain
+from infomap_ros.exploration.progress import measure_progress
+from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry import PlacedSolid, StereoRig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.camera_heights import camera_heights, random_postures
+from infomap_ros.motion.clear_start import ClearStart
+from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
+from infomap_ros.motion.route import ReachResult, Route
+from infomap_ros.views.decision import ViewDecision
+from infomap_ros.views.goal_memory import GoalMemory, GoalMemoryConfig
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
+from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
+from infomap_ros.views.view_information import ExpectedInformation
+
+
+@dataclass(frozen=True)
+class ViewPlannerConfig:
+    """How the next view is chosen.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    strategy: str = parameter(
+        "largest_information",
+        "How views are ranked: random, raster, largest_unknown, smallest_known, "
+        "largest_information, look_ahead, or the dotted path of a class of one's own.",
+    )
+    metric: str = parameter(
+        "expected_entropy_reduction", "What counts as information, by the name of a metric."
+    )
+    max_range: float = parameter(
+        4.0, "How far the camera measures well enough to map.", unit="m", low=0.1, high=1000.0
+    )
+    arm_views: int = parameter(
+        250, "Candidates that are drawn among the postures of the arm.", low=0, high=100_000
+    )
+    start_clearance: float = parameter(
+        0.9,
+        "Radius about the base's first place in which space that was never seen is taken for free, "
+        "and unseen ground for even, so that it can move at all: have nothing stand there.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    rounds: int = parameter(
+        4,
+        "When none of the views that were tried can be reached, others are drawn; so many times at "
+        "most.",
+        low=1,
+        high=100,
+    )
+    threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
+    seed: int = parameter(1, "Seed of the candidates.", low=0)
+    choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
+    memory: GoalMemoryConfig = field(default_factory=GoalMemoryConfig)
+    vain: VainLooksConfig = field(default_factory=VainLooksConfig)
+    reaching: ReachingConfig = field(default_factory=ReachingConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Surrounding:
+    """What the choice depends on besides map and robot.
+
+    Attributes:
+        interests: places that matter more or less.
+        teammates: other robots.
+    """
+
+    interests: Sequence[Interest] = ()
+    teammates: Sequence[Teammate] = ()
+
+
+class ViewPlanner:
+    """Chooses where the robot looks next, and how it gets there.
+
+    Args:
+        robot: with its camera frame.
+        rig: the rectified stereo pair.
+        task: what is to be mapped.
+        config: of choice and motion.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        rig: StereoRig,
+        task: TaskConfig,
+        config: ViewPlannerConfig | None = None,
+    ) -> None:
+        self.config = config or ViewPlannerConfig()
+        self.robot, self._rig, self._task = robot, rig, task
+        information = ExpectedInformation(
+            self.config.metric, InformationConfig.of_stereo(rig), threads=self.config.threads
+        )
+        self._information = information
+        self._choice = NextBestView(self.config.choice, self.config.strategy, information)
+        self._memory = GoalMemory(self.config.memory)
+        self._vain = VainLooks(self.config.vain)
+        self._rng = np.random.default_rng(self.config.seed)
+        self._heights = camera_heights(robot)
+        self._start: ClearStart | None = None
+        self._goal: FloatArray | None = None
+        self._failures: list[tuple[FloatArray, str]] = []
+        self._past: list[FloatArray] = []
+
+    def choose(
+        self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
+    ) -> Choice:
+        """The next best view and the way there, or why there is none.
+
+        Args:
+            voxel_map: what is known.
+            state: where the robot is.
+            around: interests and teammates.
+        """
+        self._take_note(voxel_map, state)
+        decision = self._select(voxel_map, state, around or Surrounding())
+        route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
+        partial = route is not None and route.partial
+        self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
+        return self._choice_of(decision, route, voxel_map, state)
+
+    def _select(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> ViewDecision:
+        """Choose among candidates; where none that was tried can be reached, among others."""
+        reach = _Attempts(self._reach(voxel_map, state))
+        situation = self._situation(voxel_map, state, reach.robot, around)
+        situation = self._without_vain_looks(situation)
+        for _ in range(self.config.rounds):
+            decision = self._choice.select(
+                situation,
+                reach,
+                self._rng,
+                self._goal,
+                lambda poses: self._memory.reasons_against(poses, voxel_map),
+            )
+            if decision.chosen is not None or not reach.failures:
+                break
+            for pose, reason in reach.failures:
+                self._memory.remember(pose, reason, voxel_map)
+            reach.failures.clear()
+        return decision
+
+    def _without_vain_looks(self, situation: Situation) -> Situation:
+        """Note what the view just taken promised in vain, and expect it no more."""
+        (left,) = self._information.gains(situation, situation.T_map_camera[None])
+        self._vain.note(left.keys, situation.voxel_map, situation.position, situation.max_range)
+        return replace(situation, promising=self._vain.without_them(situation.voxel_map))
+
+    def way_home(
+        self,
+        voxel_map: VoxelMap,
+        state: RobotState,
+        base: Sequence[float],
+        joints: Mapping[str, float],
+    ) -> Choice:
+        """The way to a base pose (x, y, yaw) and arm posture, or why there is none."""
+        result = self._reach(voxel_map, state).way_to(base, joints)
+        progress = measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
+        pose = None if result.route is None else result.route.T_map_camera
+        return Choice(progress, pose, result.route, result.reason)
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        """Note that a view could not be reached; it is not chosen until the map changes there."""
+        self._failures.append((pose, reason))
+        self._goal = None
+
+    def _take_note(self, voxel_map: VoxelMap, state: RobotState) -> None:
+        """Remember where views were taken, and which ones could not be."""
+        self._past.append(state.T_map_camera)
+        if self._start is None and self.config.start_clearance > 0.0:
+            self._start = ClearStart(state.T_map_base, self.config.start_clearance)
+        for pose, reason in self._failures:
+            self._memory.remember(pose, reason, voxel_map)
+        self._failures.clear()
+
+    def _reach(self, voxel_map: VoxelMap, state: RobotState) -> WholeBodyReach:
+        return WholeBodyReach(
+            self.robot,
+            voxel_map,
+            state.T_map_base,
+            state.joints,
+            self.config.reaching,
+            self._start,
+        )
+
+    def _situation(
+        self, voxel_map: VoxelMap, state: RobotState, reach: WholeBodyReach, around: Surrounding
+    ) -> Situation:
+        low, high = self._task.region
+        return Situation(
+            voxel_map,
+            self._rig.left,
+            self.config.max_range,
+            state.T_map_camera,
+            state.pose_covariance,
+            RegionOfTask(low, high),
+            around.interests,
+            around.teammates,
+            views_so_far=len(self._past),
+            past_views=np.array(self._past),
+            free_body=self._body(state),
+            clear_space=() if self._start is None else (self._start.space(self.robot),),
+            arm_views=self._arm_views(state.T_map_base),
+            heights=self._heights,
+            ground_height=reach.terrain.height_at,
+        )
+
+    def _body(self, state: RobotState) -> list[PlacedSolid]:
+        """The robot's solids in the map."""
+        solids = self.robot.solids_in(self.robot.base_frame, state.joints)
+        return [
+            PlacedSolid(each.solid, state.T_map_base @ each.transform, each.name) for each in solids
+        ]
+
+    def _arm_views(self, T_map_base: FloatArray) -> FloatArray:
+        """Camera poses of random postures of the arm, shape (A, 4, 4)."""
+        postures = random_postures(self.robot, self.config.arm_views, self._rng)
+        return np.asarray(T_map_base @ self.robot.arm.camera_pose(postures))
+
+    def _choice_of(
+        self, decision: ViewDecision, route: Route | None, voxel_map: VoxelMap, state: RobotState
+    ) -> Choice:
+        chosen = decision.chosen
+        if chosen is not None and route is None:
+            raise TypeError("a view was chosen without a route")
+        return Choice(
+            measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3]),
+            None if chosen is None else chosen.pose,
+            route,
+            decision.reason,
+            explain(decision, state),
+        )
+
+
+class _Attempts:
+    """A robot that can be asked which views it reaches, and remembers which it does not."""
+
+    def __init__(self, robot: WholeBodyReach) -> None:
+        self.robot = robot
+        self.failures: list[tuple[FloatArray, str]] = []
+
+    def may_reach(self, poses: FloatArray) -> Sequence[str]:
+        return self.robot.may_reach(poses)
+
+    def reach(self, T_map_camera: FloatArray) -> ReachResult:
+        result = self.robot.reach(T_map_camera)
+        if result.route is None:
+            self.failures.append((T_map_camera, result.reason))
+        return result

@@ -125,12 +125,12 @@ class CollisionBody:
         Args:
             robot: with a camera frame.
             config: how.
-            joint_positions: of the joints that are not of the arm [rad or m]; zero where not given.
+            joint_positions: of the other joints [rad or m]; at rest where not given.
 
         Raises:
             RobotModelError: the robot has no camera frame or its arm moves its own base.
         """
-        settings = config or CollisionConfig()
+        settings, robot = config or CollisionConfig(), robot.holding(joint_positions or {})
         tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
         pairs = movable_pairs(robot, tree)
         pairs = pairs[~allowed_pairs(links, pairs, settings.allowed_contacts)]

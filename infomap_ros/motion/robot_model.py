@@ -45,6 +45,7 @@ class RobotModel:
         base_frame: str = "",
         camera_frame: str = "",
         arm_joints: Sequence[str] = (),
+        held: Mapping[str, float] | None = None,
     ) -> None:
         self.mechanism = mechanism
         self.model = model = mechanism.model
@@ -63,8 +64,9 @@ class RobotModel:
         body = {self._parent_joint(self.base_frame), *(shape.joint for shape in self._shapes)}
         self._needed_by_body = mechanism.owners(mechanism.above(body))
         self.arm_joints = tuple(arm_joints)
+        self._held = dict(held or {})
         if self.arm_joints:
-            self.chain(self.arm_joints)
+            self.chain(self.arm_joints, self._held)
 
     @classmethod
     def from_urdf(
@@ -112,7 +114,24 @@ class RobotModel:
         Raises:
             RobotModelError: the robot has no camera frame.
         """
-        return self.chain(self.arm_joints)
+        return self.chain(self.arm_joints, self._held)
+
+    def holding(self, joint_positions: Mapping[str, float]) -> RobotModel:
+        """The same robot, `arm` of which holds the joints that it does not move at these positions.
+
+        Args:
+            joint_positions: by name [rad or m]; those of the arm and unknown ones are ignored.
+
+        Raises:
+            RobotModelError: a position is not finite.
+        """
+        if not self.arm_joints:
+            return self
+        others = set(self.mechanism.indices) - set(self.arm_joints)
+        held = {name: joint_positions[name] for name in others if name in joint_positions}
+        return RobotModel(
+            self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held
+        )
 
     def chain(
         self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None

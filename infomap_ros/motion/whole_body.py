@@ -86,12 +86,12 @@ def _whole_body(
     postures = ArmPostures.of(body, config.postures)
     driving = _driving(body, config)
     vehicle = Vehicle.from_robot(
-        robot, config.vehicle, {**dict(held), **body.chain.by_name(driving)}
+        body.robot, config.vehicle, {**dict(held), **body.chain.by_name(driving)}
     )
     sample = np.concatenate([body.spheres(q, np.eye(4)) for q in postures.q[:500]])
     distances = np.linalg.norm(sample[:, :3], axis=1) + sample[:, 3]
     return WholeBody(
-        robot=robot,
+        robot=body.robot,
         body=body,
         vehicle=vehicle,
         postures=postures,

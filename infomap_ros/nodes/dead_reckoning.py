@@ -66,7 +66,7 @@ class DeadReckoningNode(MonitoredNode):
 
     def _on_description(self, message: String) -> None:
         text = decode_text(message).text
-        self._robot = RobotModel.from_urdf(text, base_frame=self._frames.base_frame)
+        self._robot = self._frames.robot.read(text, base_frame=self._frames.base_frame)
 
     def _on_joints(self, message: JointState) -> None:
         self._joints.add(decode_joint_state(message))

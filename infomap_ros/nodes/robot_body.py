@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -14,6 +14,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.mapping.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.clock_jumps import JumpingBuffer
@@ -33,6 +34,7 @@ class RobotBodyConfig:
         "Drop points on the robot's own body. Needs robot_description and, if it has joints, "
         "joint_states; before the first robot_description nothing is dropped.",
     )
+    robot: DescriptionConfig = field(default_factory=DescriptionConfig)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -52,6 +54,7 @@ class RobotBody:
         self._joints = JumpingBuffer(lambda: JointBuffer(config), round(config.max_gap * 1e9))
         self._robot: RobotModel | None = None
         self._log = node.get_logger()
+        self._reading = node.config(RobotBodyConfig).robot
         if node.config(RobotBodyConfig).remove_body:
             node.listen(
                 String, "robot_description", self._on_description, qos.latched(), required=False
@@ -93,7 +96,7 @@ class RobotBody:
         self._joints.others_have_jumped(stamp)
 
     def _on_description(self, message: String) -> None:
-        self._robot = RobotModel.from_urdf(decode_text(message).text)
+        self._robot = self._reading.read(decode_text(message).text)
         self._log.info(f"removing the body of robot '{self._robot.name}' from clouds")
 
     def _on_joints(self, message: JointState) -> None:

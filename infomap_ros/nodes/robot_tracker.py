@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo, JointState
@@ -18,6 +18,7 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.replay.messages import (
@@ -45,6 +46,12 @@ class RobotTrackerConfig:
     camera_frame: str = parameter(
         "", "Optical frame of the left camera. Empty: the frame of left/camera_info."
     )
+    arm_joints: tuple[str, ...] = parameter(
+        (),
+        "Joints that move the camera when views are planned; all between base and camera where "
+        "empty. The others between them are held.",
+    )
+    robot: DescriptionConfig = field(default_factory=DescriptionConfig)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -209,8 +216,9 @@ class RobotTracker:
         """Read the robot once both its description and the camera's frame are known."""
         if not self._description or self._infos[0] is None:
             return
-        self._robot = RobotModel.from_urdf(
-            self._description, self._camera_frame, self._config.base_frame
+        config = self._config
+        self._robot = config.robot.read(
+            self._description, self._camera_frame, config.base_frame, config.arm_joints
         )
         self._log.info(f"robot '{self._robot.name}', camera in '{self._camera_frame}'")
         self._news.notify_all()

@@ -8,8 +8,10 @@ import numpy as np
 import pinocchio
 import pytest
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import Box, Cylinder, Sphere, points_inside
 from infomap_ros.motion import RobotModel, solve_ik_batch
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.motion.urdf import read_urdf
 
 from .arms import random_positions
@@ -100,6 +102,11 @@ def description_of(name: str) -> tuple[str, list[str]]:
     return read_urdf(path).xml, [str(path.parents[4])]
 
 
+HEAD_AND_WRIST = tuple(
+    f"joint_{name}" for name in ("head_pan", "head_tilt", "wrist_pitch", "wrist_roll")
+)
+
+
 def test_the_telescope_of_stretch_is_one_joint(rng):
     """One motor drives its four segments; then five joints reach position and direction."""
     robot = stretch(mimics=TELESCOPE)
@@ -137,6 +144,29 @@ def test_the_lift_of_tiago_can_be_left_out(rng):
     assert robot.arm.joint_names == TIAGO_ARM
     raised = robot.chain(TIAGO_ARM, held={"torso_lift_joint": 0.3})
     q = random_positions(raised, rng, 1)[0]
+    holding = robot.holding({"torso_lift_joint": 0.3, "arm_1_joint": 9.0, "unknown": 1.0}).arm
+    np.testing.assert_array_equal(holding.camera_pose(q), raised.camera_pose(q))
     np.testing.assert_allclose(
         raised.camera_pose(q)[:3, 3] - robot.arm.camera_pose(q)[:3, 3], [0.0, 0.0, 0.3], atol=1e-12
     )
+
+
+def test_what_a_description_does_not_say_comes_from_parameters():
+    """As a node reads Stretch: its text, and a folder for its meshes."""
+    path = installed("hello-robot-stretch-urdf", "SE3_eoa_wrist_dw3_tool_sg3.urdf")
+    config = DescriptionConfig(
+        mimics=tuple(f"{follower}:{leader}" for follower, leader in TELESCOPE.items()),
+        assumed_joints=("joint_left_wheel", "joint_right_wheel"),
+        mesh_folders=(str(path.parent),),
+    )
+    arm = ("joint_lift", "joint_arm_l3", "joint_wrist_yaw")
+    frame = "gripper_camera_color_optical_frame"
+    robot = config.read(path.read_text("utf-8"), frame, "base_link", arm)
+    assert robot.arm.joint_names == arm
+    assert robot.solids_in(frame, dict.fromkeys([*arm, *HEAD_AND_WRIST], 0.1))
+
+
+@pytest.mark.parametrize("mimic", ["a", "a:b:c"])
+def test_malformed_mimics_are_refused(mimic):
+    with pytest.raises(ConfigError, match="mimics"):
+        DescriptionConfig(mimics=(mimic,))

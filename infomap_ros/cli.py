@@ -19,6 +19,7 @@ from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.sequences import FORMATS
 from infomap_ros.replay.sequences import convert as convert_sequence
 from infomap_ros.replay.settings import setting_names, with_settings
+from infomap_ros.studies.commands import app as studies
 
 app = typer.Typer(
     help="Stereo images to a probabilistic 3-D map with honest uncertainty.",
@@ -26,6 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(studies, name="study")
 _PASSED_ON = {
     "allow_extra_args": True,
     "ignore_unknown_options": True,

@@ -132,3 +132,19 @@ def test_every_command_explains_itself(run, command):
     status, out, _ = run(command, "--help")
     assert status == 0
     assert "sage" in out
+
+
+def test_a_study_leaves_its_figure_and_summary(tmp_path, run):
+    status, out, _ = run("study", "map-consistency", "--scenes", 2, "--out", tmp_path)
+    summary = json.loads(out.splitlines()[-1])
+    assert status in (0, 1), "two scenes decide nothing"
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["scenes"] == 2
+    assert "| 2 cm | 2 |" in out
+    assert (tmp_path / "map_consistency.png").stat().st_size > 10_000
+
+
+def test_a_study_that_there_is_not_is_named(run):
+    status, _, error = run("study", "alchemy")
+    assert status == 2
+    assert "alchemy" in error

@@ -6,20 +6,16 @@ freedom) has the mean 1 if the covariance is right, more if the map is too sure 
 Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
 Wiley 2001, section 5.4.2.
 
-    python -m infomap_ros.studies.map_consistency --scenes 200 --out DIR
+    infomap study map-consistency --scenes 200 --out DIR
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
@@ -102,7 +98,7 @@ class ConsistencyResult:
 def nees_band(samples: int) -> tuple[float, float]:
     """Band of the mean of so many independent chi-square values of one degree of freedom."""
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = stats.chi2.ppf([tail, 1.0 - tail], samples) / samples
+    low, high = special.chdtri(samples, [1.0 - tail, tail]) / samples
     return float(low), float(high)
 
 
@@ -184,28 +180,3 @@ def summary(results: Sequence[ConsistencyResult], seconds: float) -> dict[str, f
         figures[f"nees_all_{key}"] = result.mean_nees_of_all
         figures["band_low"], figures["band_high"] = result.band
     return figures
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study from the command line; exit status 1 if the map is not consistent."""
-    default = ConsistencyConfig()
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenes", type=int, default=default.scenes)
-    parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--out", type=Path, default=Path("map_consistency"))
-    options = parser.parse_args(arguments)
-    config = ConsistencyConfig(scenes=options.scenes, seed=options.seed)
-    start = time.monotonic()
-    results = run_study(config, lambda done: print(f"\r{done}/{config.scenes} scenes", end=""))
-    print("\n" + table(results))
-    options.out.mkdir(parents=True, exist_ok=True)
-    from infomap_ros.studies.consistency_figure import draw_histograms
-
-    draw_histograms(results, options.out / "map_consistency.png")
-    figures = summary(results, time.monotonic() - start)
-    (options.out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
-    return 0 if all(result.is_consistent for result in results) else 1
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -24,6 +24,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.export import write_ply
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.exploring_robot import ExploringRobotConfig, SimulatedRobot
 from infomap_ros.simulation.scenes import make_world
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
@@ -108,17 +109,18 @@ class ExplorationRun:
         settings = dataclasses.replace(options.simulator, seed=seed)
         world = make_world(options.world.name, seed)
         self.simulator = Simulator(world, description, settings)
+        task = task_in(world, options.task)
         frames = settings.robot
         robot = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
         self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
         self._robot = SimulatedRobot(self.simulator, robot, self.map, options.robot)
-        planner = ViewPlanner(robot, self._robot.rig, options.task, options.planner)
+        planner = ViewPlanner(robot, self._robot.rig, task, options.planner)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
         self._exploration = Exploration(
-            self._robot, _MapPlanner(planner, self.map), options.task, self._log, self.control
+            self._robot, _MapPlanner(planner, self.map), task, self._log, self.control
         )
-        self._write_start()
+        self._write_start(task)
 
     def run(self) -> Ending:
         """Explore to the end."""
@@ -169,12 +171,12 @@ class ExplorationRun:
         """Free what drawing needs."""
         self.simulator.close()
 
-    def _write_start(self) -> None:
+    def _write_start(self, task: TaskConfig) -> None:
         options, camera = self.options, self._robot.rig.left
         names = ("width", "height", "fx", "fy", "cx", "cy")
         self._log.write(
             "start",
-            task=dataclasses.asdict(options.task),
+            task=dataclasses.asdict(task),
             robot=Path(options.world.description).stem,
             world=f"{options.world.name} {options.world.seed}",
             strategy=options.planner.strategy,
@@ -182,6 +184,15 @@ class ExplorationRun:
             camera={name: getattr(camera, name) for name in names},
             max_range=options.planner.max_range,
         )
+
+
+def task_in(world: World, task: TaskConfig) -> TaskConfig:
+    """The task with the world's own region, unless another than the default was asked for."""
+    default = TaskConfig()
+    if (task.region_low, task.region_high) != (default.region_low, default.region_high):
+        return task
+    low, high = (tuple(float(x) for x in corner) for corner in world.region)
+    return dataclasses.replace(task, region_low=low, region_high=high)
 
 
 def _description(place: str) -> str:

@@ -60,7 +60,8 @@ function paintEdge(context, orbit, edge, middle) {
     if (last && Math.hypot(at[0] - last[0], at[1] - last[1]) < 26) return;
     last = at;
     context.textAlign = side[0] > 0.35 ? "left" : side[0] < -0.35 ? "right" : "center";
-    context.fillText(label, at[0], at[1]);
+    const room = context.textAlign === "right" ? context.measureText(label).width + 3 : 0;
+    context.fillText(label, Math.max(at[0], room), at[1]);
   };
   for (const tick of edge.ticks) text(tick, number(tick), 12);
   last = null;

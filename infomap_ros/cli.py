@@ -11,7 +11,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from infomap_ros.errors import CapacityError, InfomapError
+from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
+from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.map_inputs import MapOptions
 from infomap_ros.replay.map_run import MapRun
@@ -132,6 +133,35 @@ def _remarks(run: MapRun, reader: BagReader) -> list[str]:
             "assumed.default_rotation_sigma stand in for it"
         )
     return remarks
+
+
+@app.command()
+def explore(
+    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    world: Annotated[str, typer.Option(help="mars, office or cave")] = "mars",
+    seed: Annotated[int, typer.Option(help="of the world and of all noise")] = 1,
+    strategy: Annotated[
+        Optional[str], typer.Option(help="name of a strategy, or a class by its dotted path")
+    ] = None,
+    setting: Annotated[
+        Optional[list[str]], typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
+    ] = None,
+) -> None:
+    """Explore a simulated world: map file, .ply, report.html and summary.json."""
+    from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun
+    from infomap_ros.simulation.run_progress import RunProgress
+
+    given = [f"world.name={world}", f"world.seed={seed}"]
+    given += [] if strategy is None else [f"planner.strategy={strategy}"]
+    options = with_settings(ExplorationOptions(), given + (setting or []))
+    with RunProgress(Console(stderr=True)) as progress:
+        run = ExplorationRun(options, out, progress.show)
+        ending = run.run()
+    summary = run.write_results(ending)
+    run.close()
+    typer.echo(json.dumps(summary))
+    if ending.reason is EndReason.FAILED:
+        raise ExplorationError(ending.detail)
 
 
 @app.command()

@@ -67,9 +67,9 @@ class ArmPostures:
             steepness: shape (...) [rad].
 
         Returns:
-            Shape (...) [m]; 0 where no posture comes near.
+            Shape (...) [m]; 0 where no posture comes near, or the height is NaN.
         """
-        rows, columns = _bins(heights, steepness, self.lowest)
+        rows, columns = _bins(np.nan_to_num(heights, nan=-np.inf), steepness, self.lowest)
         inside = (rows >= 0) & (rows < self.radii.shape[0])
         found = self.radii[np.clip(rows, 0, self.radii.shape[0] - 1), columns]
         return np.where(inside, found, 0.0)
@@ -102,7 +102,7 @@ class ArmPostures:
 def _bins(
     heights: FloatArray, steepness: FloatArray, lowest: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    rows = np.floor((heights - lowest) / _HEIGHT_BIN).astype(np.int64)
+    rows = np.floor(np.clip((heights - lowest) / _HEIGHT_BIN, -1.0, 1e6)).astype(np.int64)
     return rows, np.floor((steepness + 0.5 * np.pi) / _STEEPNESS_BIN).astype(np.int64)
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.approach import Approach, ApproachConfig
 from infomap_ros.views.decision import RatedView, Stopwatch
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Rating, Ratings
@@ -35,9 +36,6 @@ class SelectionConfig:
         low=1,
         high=100_000,
     )
-    reach_attempts: int = parameter(
-        12, "To at most so many views a motion is planned before the choice gives up.", low=1
-    )
     least_information: float = parameter(
         0.005,
         "A view that is expected to tell less than this share of a full unknown view is not worth "
@@ -48,13 +46,7 @@ class SelectionConfig:
     least_rating: float = parameter(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
     )
-    alternatives: int = parameter(
-        3,
-        "Where the way turns out longer than it looked, at most so many views are compared by the "
-        "way that each really takes.",
-        low=1,
-        high=1000,
-    )
+    approach: ApproachConfig = field(default_factory=ApproachConfig)
     keep_margin: float = parameter(
         0.2,
         "The previous goal is kept unless another view is better by this share of the score.",
@@ -76,6 +68,7 @@ class Selected:
         reach: how it is reached.
         plan: views that are meant to follow, shape (K, 4, 4).
         kept: it is the previous goal.
+        tried: views to which a motion was planned.
     """
 
     views: list[RatedView]
@@ -83,6 +76,7 @@ class Selected:
     reach: ReachResult | None
     plan: FloatArray
     kept: bool
+    tried: tuple[int, ...]
 
 
 class Selection:
@@ -109,15 +103,29 @@ class Selection:
             ratings, scores = self._rank(self._options)
             views = _views(self._options, ratings, scores)
             self._reject_worthless(views, ratings, np.arange(len(views)))
-        with self._watch.stage("may_reach"):
-            survivors = self._survivors(views, scores)
-        with self._watch.stage("refinement"):
-            order, plans, kept = self._refine(views, survivors)
-        with self._watch.stage("reach"):
-            index, result = self._plan_motions(views, order, kept)
-        kept = kept and index == self._options.previous
+        approach = Approach(
+            self._config.approach,
+            self._options,
+            self._rating.config,
+            self._reachability,
+            self._strategy.needs_worth,
+        )
+        batches, kept = self._survivors(views, scores), False
+        plans: dict[int, tuple[int, ...]] = {}
+        while not approach.is_over:
+            with self._watch.stage("may_reach"):
+                survivors = next(batches, None)
+            if survivors is None:
+                break
+            with self._watch.stage("refinement"):
+                order, plans, kept = self._refine(views, survivors)
+            with self._watch.stage("reach"):
+                approach.try_in_turn(views, order, kept)
+        index = approach.index
         followers = [] if index is None else list(plans.get(index, ()))
-        return Selected(views, index, result, self._options.poses[followers], kept)
+        kept = kept and index == self._options.previous
+        poses = self._options.poses[followers]
+        return Selected(views, index, approach.result, poses, kept, tuple(approach.tried))
 
     def _rank(self, options: Options) -> tuple[Ratings, Scores]:
         ratings = self._rating.rate(options)
@@ -136,26 +144,36 @@ class Selection:
             elif rating < self._config.least_rating:
                 views[index] = views[index].rejected("not worth its cost")
 
-    def _survivors(self, views: list[RatedView], scores: Scores) -> IntArray:
-        """The best views that nothing cheap speaks against; asks the robot for many at once."""
+    def _survivors(self, views: list[RatedView], scores: Scores) -> Iterator[IntArray]:
+        """The views that nothing cheap speaks against, best first, as many as are refined at once.
+
+        Asks the robot for many at once. The previous goal is among the first.
+        """
         order = np.argsort(-scores.values, kind="stable")
         order = np.array([i for i in order if not views[i].rejection], np.int64)
-        found: list[int] = []
+        found = self._previous(views)
         batch = max(4 * self._config.refined, 64)
         for start in range(0, len(order), batch):
-            part = order[start : start + batch]
-            self._ask(views, part, self._known_unreachable)
-            part = np.array([i for i in part if not views[i].rejection], np.int64)
-            self._ask(views, part, self._reachability.may_reach)
-            found += [int(i) for i in part if not views[i].rejection]
-            if len(found) >= self._config.refined:
-                break
-        chosen = found[: self._config.refined]
+            part = [int(i) for i in order[start : start + batch] if i not in found]
+            found += self._passed(views, np.array(part, np.int64))
+            while len(found) >= self._config.refined:
+                yield np.array(found[: self._config.refined], np.int64)
+                found = found[self._config.refined :]
+        if found:
+            yield np.array(found, np.int64)
+
+    def _previous(self, views: list[RatedView]) -> list[int]:
         previous = self._options.previous
-        if previous is not None and not views[previous].rejection and previous not in chosen:
-            self._ask(views, np.array([previous]), self._reachability.may_reach)
-            chosen += [] if views[previous].rejection else [previous]
-        return np.array(chosen, np.int64)
+        if previous is None or views[previous].rejection:
+            return []
+        return self._passed(views, np.array([previous]))
+
+    def _passed(self, views: list[RatedView], indices: IntArray) -> list[int]:
+        """Which views are not known to be unreachable and may be reached."""
+        self._ask(views, indices, self._known_unreachable)
+        left = np.array([i for i in indices if not views[i].rejection], np.int64)
+        self._ask(views, left, self._reachability.may_reach)
+        return [int(i) for i in left if not views[i].rejection]
 
     def _ask(
         self, views: list[RatedView], indices: IntArray, question: KnownUnreachable | None
@@ -204,41 +222,6 @@ class Selection:
             return False
         best, own = views[ranked[0]].score, views[previous].score
         return best - own <= self._config.keep_margin * max(abs(best), abs(own))
-
-    def _plan_motions(
-        self, views: list[RatedView], order: list[int], kept: bool
-    ) -> tuple[int | None, ReachResult | None]:
-        """Plan to the best views in turn until one is reached; else the best partial approach.
-
-        A way that is longer than it looked lowers the score; the next views are then tried too, as
-        long as they may still turn out better.
-        """
-        best: tuple[int | None, ReachResult | None] = (None, None)
-        second_best, best_score, reached = best, -np.inf, 0
-        for index in order[: self._config.reach_attempts]:
-            if views[index].score <= best_score or reached == self._config.alternatives:
-                break
-            result = self._reachability.reach(views[index].pose)
-            if result.reason or result.partial:
-                reason = result.reason or "the way does not lead all the way"
-                views[index] = views[index].rejected(reason)
-                if result.partial and second_best[0] is None:
-                    second_best = index, result
-                continue
-            score = views[index].score - self._surcharge(index, result)
-            reached += 1
-            if score > best_score:
-                best, best_score = (index, result), score
-            if kept or not self._strategy.needs_worth:
-                break
-        return second_best if best[0] is None else best
-
-    def _surcharge(self, index: int, result: ReachResult) -> float:
-        """What the way really costs beyond what the rating has assumed [full views]."""
-        assumed = self._options.path_lengths[index]
-        weights = self._rating.config
-        excess = max(result.travel - assumed, 0.0) if np.isfinite(assumed) else 0.0
-        return float(weights.distance_weight * np.mean(weights.position_weights[:2]) * excess)
 
 
 def _views(options: Options, ratings: Ratings, scores: Scores) -> list[RatedView]:

@@ -11,6 +11,7 @@ import pytest
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views import METRICS, ExpectedInformation, expected_information
+from infomap_ros.views.approach import ApproachConfig
 from infomap_ros.views.candidates import CandidateConfig
 from infomap_ros.views.decision import RatedView, count_reasons
 from infomap_ros.views.goal_memory import GoalMemory
@@ -93,10 +94,37 @@ def test_unreachable_everywhere_is_said(half_seen: Situation) -> None:
 
 def test_motions_are_planned_to_a_bounded_number_of_views(half_seen: Situation) -> None:
     robot = Robot(far="base path: none")
-    config = dataclasses.replace(FEW, selection=SelectionConfig(refined=12, reach_attempts=5))
+    config = dataclasses.replace(
+        FEW, selection=SelectionConfig(refined=12, approach=ApproachConfig(attempts=5))
+    )
     decision = choose(half_seen, robot, config)
     assert decision.chosen is None and robot.planned == 5
     assert decision.rejections()["base path: none"] == 5
+
+
+class BehindTheScreen(Robot):
+    """Cannot reach one half of the room."""
+
+    def reach(self, T_map_camera: np.ndarray) -> Flight:
+        self.planned += 1
+        return Flight("no path" if T_map_camera[0, 3] > 1.6 else "")
+
+
+def test_what_fails_in_one_place_is_next_tried_elsewhere(half_seen: Situation) -> None:
+    few = SelectionConfig(refined=12, approach=ApproachConfig(attempts=6, elsewhere=0.5))
+    robot = BehindTheScreen()
+    decision = choose(half_seen, robot, dataclasses.replace(FEW, selection=few))
+    failed = [view.pose[:3, 3] for view in decision.candidates if view.rejection == "no path"]
+    gaps = np.linalg.norm(np.array(failed)[:, None] - failed, axis=-1)
+    assert len(failed) >= 3 and gaps[np.triu_indices(len(failed), 1)].min() > 0.5
+
+
+def test_next_best_are_refined_when_the_best_all_fail(half_seen: Situation) -> None:
+    few = SelectionConfig(refined=4, approach=ApproachConfig(attempts=60))
+    decision = choose(half_seen, BehindTheScreen(), dataclasses.replace(FEW, selection=few))
+    assert decision.chosen is not None and decision.chosen.fine
+    assert decision.chosen.pose[0, 3] <= 1.6
+    assert sum(view.fine for view in decision.candidates) > 4
 
 
 def test_partial_approach_is_second_best(half_seen: Situation) -> None:
@@ -200,6 +228,18 @@ def test_remembered_goals_are_not_tried_again(half_seen: Situation) -> None:
     assert decision.chosen is not None
     assert not np.array_equal(decision.chosen.pose, best.pose)
     assert any("no path" in view.rejection for view in decision.candidates)
+
+
+def test_views_without_a_way_are_remembered_by_the_choice_itself(half_seen: Situation) -> None:
+    memory, robot = GoalMemory(), Robot(far="no path")
+    first = choose(half_seen, robot, memory=memory)
+    assert first.chosen is None
+    failed = [view.pose for view in first.candidates if view.rejection == "no path"]
+    assert len(memory) == len(failed) == robot.planned
+    again = choose(half_seen, FlyingCamera(half_seen.T_map_camera), memory=memory)
+    assert again.chosen is not None
+    assert not any(np.array_equal(again.chosen.pose, pose) for pose in failed)
+    assert sum("unreachable before: no path" in v.rejection for v in again.candidates) > 0
 
 
 class LongWay(Robot):

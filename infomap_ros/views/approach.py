@@ -1,0 +1,130 @@
+"""From ranked views to one with a way to it: the last part of Fig. 7."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.views.decision import RatedView
+from infomap_ros.views.options import Options
+from infomap_ros.views.rating import RatingConfig
+from infomap_ros.views.reach import Reachability, ReachResult
+
+
+@dataclass(frozen=True)
+class ApproachConfig:
+    """Configuration of `Approach`.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    attempts: int = parameter(
+        15, "To at most so many views a motion is planned before the choice gives up.", low=1
+    )
+    alternatives: int = parameter(
+        3,
+        "Where the way turns out longer than it looked, at most so many views are compared by the "
+        "way that each really takes.",
+        low=1,
+        high=1000,
+    )
+    elsewhere: float = parameter(
+        0.4,
+        "Views nearer than this to one that could not be reached are tried after all others.",
+        unit="m",
+        low=0.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class Approach:
+    """Plans motions to views in turn until one is reached; keeps the best partial approach.
+
+    Attributes:
+        index: of the view that is chosen, None as long as there is none.
+        result: the way to it.
+        is_over: a view is reached, or all attempts are spent.
+        tried: the views to which a motion was planned.
+    """
+
+    def __init__(
+        self,
+        config: ApproachConfig,
+        options: Options,
+        weights: RatingConfig,
+        reachability: Reachability,
+        compares: bool,
+    ) -> None:
+        """Set up.
+
+        Args:
+            config: limits.
+            options: the views.
+            weights: what a longer way costs.
+            reachability: plans the motions.
+            compares: whether scores count in full views, so that what a way costs can be taken off.
+        """
+        self.index: int | None = None
+        self.result: ReachResult | None = None
+        self.is_over = False
+        self.tried: list[int] = []
+        self._config, self._options, self._weights = config, options, weights
+        self._reachability, self._compares = reachability, compares
+
+    def try_in_turn(self, views: list[RatedView], order: list[int], first_wins: bool) -> None:
+        """Plan to views, best first.
+
+        A way that is longer than it looked lowers the score; the next views are then tried too, as
+        long as they may still turn out better.
+
+        Args:
+            views: all views; gets the reasons.
+            order: which to try.
+            first_wins: the first is taken if it is reached at all.
+        """
+        waiting, best_score, reached = list(order), -np.inf, 0
+        while waiting and len(self.tried) < self._config.attempts:
+            index = waiting.pop(0)
+            if views[index].score <= best_score or reached == self._config.alternatives:
+                break
+            self.tried.append(index)
+            result = self._reachability.reach(views[index].pose)
+            if result.reason or result.partial:
+                self._put_down(views, index, result)
+                waiting = self._elsewhere_first(index, waiting)
+                continue
+            reached += 1
+            score = views[index].score - self._surcharge(index, result)
+            if score > best_score:
+                self.index, self.result, best_score = index, result, score
+            if not self._compares or (first_wins and index == order[0]):
+                break
+        self.is_over = reached > 0 or len(self.tried) >= self._config.attempts
+
+    def _put_down(self, views: list[RatedView], index: int, result: ReachResult) -> None:
+        """Note why a view is not reached; the first partial approach is second best."""
+        reason = result.reason or "the way does not lead all the way"
+        views[index] = views[index].rejected(reason)
+        if result.partial and self.index is None:
+            self.index, self.result = index, result
+
+    def _elsewhere_first(self, failed: int, waiting: list[int]) -> list[int]:
+        """Views near one that is not reached are likely not reached either."""
+        positions = self._options.positions
+        gaps = np.linalg.norm(positions[waiting] - positions[failed], axis=1)
+        near = gaps < self._config.elsewhere
+        far = [i for i, is_near in zip(waiting, near, strict=True) if not is_near]
+        return far + [i for i, is_near in zip(waiting, near, strict=True) if is_near]
+
+    def _surcharge(self, index: int, result: ReachResult) -> float:
+        """What the way really costs beyond what the rating has assumed [full views]."""
+        assumed = self._options.path_lengths[index]
+        excess = max(result.travel - assumed, 0.0) if np.isfinite(assumed) else 0.0
+        along = np.mean(self._weights.position_weights[:2])
+        return float(self._weights.distance_weight * along * excess)

@@ -109,6 +109,7 @@ setup(
             "stereo_range = infomap_ros.nodes.stereo_range:main",
             "map_fusion = infomap_ros.nodes.map_fusion:main",
             "bag_player = infomap_ros.nodes.bag_player:main",
+            "simulator = infomap_ros.nodes.simulator:main",
             "infomap = infomap_ros.cli:main",
         ],
     },

@@ -17,12 +17,14 @@ from infomap_ros.geometry.config import ParameterInfo, all_parameters
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 
 NODES = {
     "stereo_range": StereoRangeNode.CONFIGS,
     "map_fusion": MapFusionNode.CONFIGS,
     "bag_player": BagPlayerNode.CONFIGS,
+    "simulator": SimulatorNode.CONFIGS,
 }
 _BEGIN, _END = "<!-- parameters of {} -->", "<!-- end of parameters of {} -->"
 

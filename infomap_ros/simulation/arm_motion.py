@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.mimicry import Follower
 from infomap_ros.simulation.robot_body import RobotBody
 
 _TOLERANCE = 0.01  # [rad or m]
@@ -23,11 +24,15 @@ class ArmMotion:
     Args:
         body: the robot.
         robot: its description, for the limits of the joints.
+        followers: joints that mimic others, by name; they cannot be commanded.
     """
 
-    def __init__(self, body: RobotBody, robot: RobotModel) -> None:
+    def __init__(
+        self, body: RobotBody, robot: RobotModel, followers: Mapping[str, Follower]
+    ) -> None:
         self._body = body
-        limits = [robot.joint(name) for name in body.servos]
+        self._followers = _follower_columns(body.servos, followers)
+        limits = [robot.joint(_leader(name, followers)) for name in body.servos]
         self._lower = np.array([limit.lower for limit in limits])
         self._upper = np.array([limit.upper for limit in limits])
         speeds = np.array([limit.velocity for limit in limits])
@@ -69,6 +74,8 @@ class ArmMotion:
         self._check_limits(names, knots, columns)
         full = np.repeat(self._targets[None], len(knots) + 1, axis=0)
         full[1:, columns] = knots
+        for follower, leader, factor, offset in self._followers:
+            full[:, follower] = factor * full[:, leader] + offset
         self._knots, self._times = full, np.concatenate([[-1e-9], moments])
         self._elapsed, self.problem = 0.0, ""
 
@@ -106,7 +113,9 @@ class ArmMotion:
             self._elapsed = np.inf
 
     def _columns(self, names: Sequence[str]) -> list[int]:
-        unknown = [name for name in names if name not in self._body.servos]
+        followers = {self._body.servos[column] for column, *_ in self._followers}
+        known = set(self._body.servos) - followers
+        unknown = [name for name in names if name not in known]
         if unknown:
             raise RobotModelError(f"arm trajectory: no such joint: {', '.join(unknown)}")
         return [self._body.servos.index(name) for name in names]
@@ -118,3 +127,18 @@ class ArmMotion:
             limit = f"{self._lower[columns[column]]:g} to {self._upper[columns[column]]:g}"
             problem = f"joint '{names[column]}' at {knots[knot, column]:.4f} is outside {limit}"
             raise InvalidInputError("arm trajectory", problem)
+
+
+def _leader(name: str, followers: Mapping[str, Follower]) -> str:
+    return followers[name].leader if name in followers else name
+
+
+def _follower_columns(
+    servos: Sequence[str], followers: Mapping[str, Follower]
+) -> list[tuple[int, int, float, float]]:
+    """Column of each follower and of its leader, factor and offset."""
+    return [
+        (servos.index(name), servos.index(item.leader), item.factor, item.offset)
+        for name, item in followers.items()
+        if name in servos and item.leader in servos
+    ]

@@ -100,11 +100,14 @@ class SimulatedRobot:
 
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Drive along base poses (x, y, yaw), shape (K, 3), map frame."""
-        odometry = self._simulator.odometry().transform
-        T_odom_map = odometry @ invert_transform(self.state().T_map_base)
-        self._simulator.follow_base_path(poses, _level(T_odom_map))
+        self._simulator.follow_base_path(poses, self._T_odom_map())
         problem, places = self._finish(interrupted, camera=False)
         return Motion(problem, places)
+
+    def _T_odom_map(self) -> FloatArray:
+        """Where localisation and odometry together have the map, level, shape (4, 4)."""
+        odometry = self._simulator.odometry().transform
+        return _level(odometry @ invert_transform(self.state().T_map_base))
 
     def _finish(self, interrupted: Interrupted, camera: bool) -> tuple[str, list[list[float]]]:
         """Let the simulation run until the robot rests; the problem, and where it came by."""
@@ -117,6 +120,8 @@ class SimulatedRobot:
                 late = f"not done after {self._config.motion_timeout:g} s"
                 return ("broken off" if interrupted() else late), places
             simulator.step(self._config.tick)
+            if not camera:
+                simulator.correct_path(self._T_odom_map())
             place = self._place(camera)
             if np.linalg.norm(np.subtract(place, places[-1])) > 0.02:
                 places.append(place)

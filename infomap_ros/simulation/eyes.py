@@ -57,6 +57,8 @@ class Eyes:
         self.camera = StereoCamera(camera, float(np.linalg.norm(right[:3, 3] - left[:3, 3])))
         self._sensor = ImageSensor(sensor, rng)
         self._renderer: Renderer | None = None
+        self._lights: tuple[FloatArray, FloatArray] | None = None
+        self._seen_at: FloatArray = np.zeros(0)
 
     def poses(self) -> tuple[FloatArray, FloatArray]:
         """``T_world_camera`` of the left and right optical frame, shape (4, 4)."""
@@ -69,17 +71,26 @@ class Eyes:
     def look(self, stamp: int) -> StereoPair:
         """Take a pair; the first one opens a renderer, which belongs to the calling thread.
 
+        What the cameras see is drawn anew only when the robot has moved; the noise is always new.
+
         Raises:
             SimulationError: this machine cannot draw images.
         """
-        if self._renderer is None:
-            self._renderer = self.camera.renderer(self._body.model)
-        left, right = self.camera.capture(self._renderer, self._body.data, *self.poses())
+        left, right = self._light()
         for _ in range(_EXPOSURES):
             self._sensor.adjust(left)
         return StereoPair(
             stamp, self._sensor.expose(left), self._sensor.expose(right, _GAIN_MISMATCH)
         )
+
+    def _light(self) -> tuple[FloatArray, FloatArray]:
+        if self._renderer is None:
+            self._renderer = self.camera.renderer(self._body.model)
+        now = np.array(self._body.data.qpos)
+        if self._lights is None or not np.array_equal(now, self._seen_at):
+            self._lights = self.camera.capture(self._renderer, self._body.data, *self.poses())
+            self._seen_at = now
+        return self._lights
 
     def close(self) -> None:
         """Free the renderer."""

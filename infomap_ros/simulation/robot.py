@@ -13,6 +13,7 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import TransformRecord, make_transform, quaternion_from_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.rendering import COLLISION_GROUP
+from infomap_ros.simulation.robot_meshes import prepare_meshes, with_absolute_meshes
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
@@ -28,7 +29,7 @@ def read_description(path: Path, baseline: float | None = None) -> str:
         baseline: distance of the cameras [m]; None keeps the description's.
 
     Returns:
-        The URDF as text.
+        The URDF as text, its mesh files named so that they are found from anywhere.
 
     Raises:
         RobotModelError: the file cannot be read, is not XML, or lacks the camera joints.
@@ -36,7 +37,7 @@ def read_description(path: Path, baseline: float | None = None) -> str:
     try:
         text = path.read_text(encoding="utf-8")
         if baseline is None:
-            return text
+            return with_absolute_meshes(text, path)
         tree = ElementTree.fromstring(text)
     except (OSError, ElementTree.ParseError) as error:
         raise RobotModelError(f"robot description {path}: {error}") from error
@@ -65,6 +66,19 @@ def fixed_frames(description: str, stamp: int = 0) -> list[TransformRecord]:
         ]
     except (ElementTree.ParseError, ValueError) as error:
         raise RobotModelError(f"robot description: {error}") from error
+
+
+def moving_frames(description: str) -> list[tuple[str, str]]:
+    """Parent and child link of every joint of a URDF that is not fixed.
+
+    Raises:
+        RobotModelError: the description is not XML.
+    """
+    try:
+        joints = ElementTree.fromstring(description).findall("joint")
+    except ElementTree.ParseError as error:
+        raise RobotModelError(f"robot description: {error}") from error
+    return [(_link(j, "parent"), _link(j, "child")) for j in joints if j.get("type") != "fixed"]
 
 
 def stereo_baseline(description: str) -> float:
@@ -115,9 +129,13 @@ def load_robot(description: str) -> mujoco.MjSpec:
         options = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
         options.set("discardvisual", "false")
         options.set("fusestatic", "false")
+        options.set("strippath", "false")
+        prepare_meshes(tree)
         robot = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
     except (ElementTree.ParseError, ValueError) as error:
         raise RobotModelError(f"robot description: {error}") from error
+    for mesh in robot.meshes:
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # some enclose no volume
     for geom in robot.geoms:
         if geom.contype or geom.conaffinity:
             geom.group = COLLISION_GROUP

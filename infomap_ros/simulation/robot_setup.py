@@ -32,6 +32,10 @@ class RobotSetupConfig:
     home: tuple[float, ...] = parameter(
         (0.0, -0.35, 0.65, 0.0), "Start positions of arm_joints [rad or m]."
     )
+    mimics: tuple[str, ...] = parameter(
+        (),
+        "Joints that follow another although the description does not say so, as follower=leader.",
+    )
     left_camera_frame: str = parameter(
         "left_camera_optical_frame", "Optical frame of the left camera."
     )
@@ -87,6 +91,16 @@ class RobotSetupConfig:
             raise ConfigError("home", self.home, expected)
         if not self.right_camera_frame and self.baseline < 0.005:
             raise ConfigError("baseline", self.baseline, "at least 0.005 m without right camera")
+
+        for entry in self.mimics:
+            if len(entry.split("=")) != 2:
+                raise ConfigError("mimics", entry, "follower=leader")
+
+    @property
+    def leaders(self) -> dict[str, str]:
+        """Leader of each joint in `mimics`."""
+        pairs = (entry.split("=") for entry in self.mimics)
+        return {follower.strip(): leader.strip() for follower, leader in pairs}
 
     @property
     def wheels(self) -> tuple[str, ...]:

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import (
-    CameraCalibration,
-    JointStateRecord,
-    OdometryRecord,
-    PoseRecord,
-    perturb_transform,
-)
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry import CameraCalibration
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.mimicry import Follower, read_followers
 from infomap_ros.simulation.arm_motion import ArmMotion
-from infomap_ros.simulation.base_motion import BaseMotion, BaseMotionConfig
+from infomap_ros.simulation.base_motion import BaseMotion
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.contacts import ContactEvent, ContactMonitor
-from infomap_ros.simulation.drive_train import DriveTrain, DriveTrainConfig
-from infomap_ros.simulation.dynamics import DynamicsConfig
+from infomap_ros.simulation.drive_train import DriveTrain
 from infomap_ros.simulation.eyes import Eyes, StereoPair
-from infomap_ros.simulation.image_sensor import ImageSensorConfig
-from infomap_ros.simulation.path_following import PathFollowingConfig
 from infomap_ros.simulation.robot_body import PREFIX, RobotBody
+from infomap_ros.simulation.robot_sensors import RobotSensors
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.wheel_odometry import WheelOdometry, WheelOdometryConfig
+from infomap_ros.simulation.simulator_config import SimulatorConfig
+
+__all__ = ["Simulator", "SimulatorConfig"]
 
 _STILL_FOR = 0.4  # [s]
 _STILL = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01])  # [m/s, rad/s]
@@ -39,41 +32,7 @@ _LONGEST_SWING = 6.0  # [s] after which it is held as it is, come what may
 _SETTLING = 3.0  # [s] before the first moment
 
 
-@dataclass(frozen=True)
-class SimulatorConfig:
-    """Parameters of the simulator; the parts have their own."""
-
-    seed: int = parameter(1, "Seed of all noise.", low=0)
-    start_time: float = parameter(
-        1_000_000_000.0, "Stamp of the first moment.", unit="s", low=1.0, high=4e9
-    )
-    joint_noise: float = parameter(
-        0.0005, "Standard deviation of the joint positions.", unit="rad", low=0.0, high=0.1
-    )
-    position_noise: float = parameter(
-        0.003, "Standard deviation of the measured camera pose.", unit="m", low=0.0, high=1.0
-    )
-    rotation_noise: float = parameter(
-        0.0026, "Standard deviation of the measured camera pose.", unit="rad", low=0.0, high=0.5
-    )
-    step_height: float = parameter(
-        0.06, "What a wheel may touch above its lowest point.", unit="m", low=0.0, high=1.0
-    )
-    robot: RobotSetupConfig = field(default_factory=RobotSetupConfig)
-    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
-    drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
-    following: PathFollowingConfig = field(default_factory=PathFollowingConfig)
-    base: BaseMotionConfig = field(default_factory=BaseMotionConfig)
-    odometry: WheelOdometryConfig = field(default_factory=WheelOdometryConfig)
-    camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
-    sensor: ImageSensorConfig = field(default_factory=ImageSensorConfig)
-
-    def __post_init__(self) -> None:
-        """Validate all fields."""
-        check_config(self)
-
-
-class Simulator:
+class Simulator(RobotSensors):
     """A robot in a world, step by step. Same seeds, same commands: same results.
 
     Commands only take note of what is wanted; `step` carries it out. World and map frame are one;
@@ -98,28 +57,27 @@ class Simulator:
         self, world: World, description: str, config: SimulatorConfig | None = None
     ) -> None:
         self.world, self.description = world, description
-        self.config = config = config or SimulatorConfig()
-        self._body = RobotBody(world, description, config.robot, config.dynamics)
-        robot = RobotModel.from_urdf(description, base_frame=config.robot.base_frame)
+        config = config or SimulatorConfig()
+        setup = config.robot
+        body = RobotBody(world, description, setup, config.dynamics)
         seeds = np.random.SeedSequence(config.seed).spawn(4)
-        self._rng, odometry, sensor, self._pose_rng = (np.random.default_rng(s) for s in seeds)
-        self._arm = ArmMotion(self._body, robot)
-        self._drive = DriveTrain(self._body, config.drive, config.following)
+        joints, odometry, images, poses = (np.random.default_rng(seed) for seed in seeds)
+        self._drive = DriveTrain(body, config.drive, config.following)
+        self._settle(body, config.dynamics.steps * config.dynamics.timestep)
+        super().__init__(body, config, (joints, odometry, poses))
+        self._arm = ArmMotion(body, *_joints_of(description, setup))
         self._base = BaseMotion(self._drive, config.base, config.following)
-        self._period = config.dynamics.steps * config.dynamics.timestep
-        self._ticks, self._still, self._idle, self._left = 0, 0.0, 0.0, 0.0
-        self._settle()
-        self._odometry = WheelOdometry(config.odometry, self._body.base_pose(), odometry)
+        self._still, self._idle, self._left = 0.0, 0.0, 0.0
         self._contacts = ContactMonitor(
-            self._body.model, PREFIX, self._body.trial, config.robot.casters, config.step_height
+            body.model, PREFIX, body.trial, setup.casters, config.step_height
         )
-        self._eyes = Eyes(self._body, config.camera, config.sensor, sensor)
+        self._eyes = Eyes(body, config.camera, config.sensor, images)
 
-    def _settle(self) -> None:
+    def _settle(self, body: RobotBody, period: float) -> None:
         """Let the robot come to rest on its wheels."""
-        for _ in range(round(_SETTLING / self._period)):
-            self._body.advance()
-        self._body.data.time = 0.0
+        for _ in range(round(_SETTLING / period)):
+            body.advance()
+        body.data.time = 0.0
         self._drive.way()
 
     # Commands
@@ -170,8 +128,12 @@ class Simulator:
 
     def stop(self) -> None:
         """Stop base and arm."""
-        self._base.stop()
+        self.stop_base()
         self._arm.stop()
+
+    def stop_base(self) -> None:
+        """Stop the base; the arm goes on."""
+        self._base.stop()
 
     def step(self, duration: float) -> None:
         """Simulate for a while [s], rounded to control periods; the rest is carried over.
@@ -208,16 +170,6 @@ class Simulator:
     # What is to be known
 
     @property
-    def time(self) -> float:
-        """Simulated time from the start [s]."""
-        return self._ticks * self._period
-
-    @property
-    def stamp(self) -> int:
-        """Simulated time as a stamp [ns]."""
-        return round((self.config.start_time + self.time) * 1e6) * 1000
-
-    @property
     def is_moving(self) -> bool:
         """Whether a command is being carried out or the robot still swings from it."""
         return self._still < _STILL_FOR and self._idle < _LONGEST_SWING
@@ -250,51 +202,12 @@ class Simulator:
         """
         return self._eyes.look(self.stamp)
 
-    def joint_state(self) -> JointStateRecord:
-        """Positions of all joints, with noise."""
-        positions = self._body.joint_positions()
-        noise = self._rng.normal(0.0, self.config.joint_noise, len(positions))
-        return JointStateRecord(
-            self.stamp, "", tuple(positions), np.array(list(positions.values())) + noise
-        )
-
-    def odometry(self) -> OdometryRecord:
-        """Dead-reckoned ``T_odom_base`` with its covariance."""
-        estimate = self._odometry.estimate()
-        return OdometryRecord(
-            self.stamp,
-            "odom",
-            estimate.transform,
-            estimate.covariance,
-            self.config.robot.base_frame,
-            estimate.twist,
-            estimate.twist_covariance,
-        )
-
-    def camera_pose(self) -> PoseRecord:
-        """Left optical frame in the map, as a good localisation would measure it."""
-        config = self.config
-        sigma = np.repeat([config.position_noise, config.rotation_noise], 3)
-        measured = perturb_transform(
-            self.true_camera_pose(), self._pose_rng.normal(0.0, np.maximum(sigma, 0.0))
-        )
-        covariance = np.diag(np.maximum(sigma, 1e-6) ** 2)
-        frame = self.config.robot.left_camera_frame
-        return PoseRecord(self.stamp, "map", measured, covariance, frame)
-
-    def true_pose(self) -> FloatArray:
-        """``T_world_base``, shape (4, 4)."""
-        return self._body.base_pose()
-
-    def true_camera_pose(self) -> FloatArray:
-        """``T_world_camera`` of the left optical frame, shape (4, 4)."""
-        return self._body.frame(self.config.robot.left_camera_frame)
-
-    @property
-    def T_world_odom(self) -> FloatArray:
-        """Where the odom frame truly is, shape (4, 4)."""
-        return self._odometry.T_world_odom
-
     def close(self) -> None:
         """Free what drawing needs."""
         self._eyes.close()
+
+
+def _joints_of(description: str, setup: RobotSetupConfig) -> tuple[RobotModel, dict[str, Follower]]:
+    """The robot's kinematics, and its joints that follow others."""
+    robot = RobotModel.from_urdf(description, base_frame=setup.base_frame, mimics=setup.leaders)
+    return robot, read_followers(ElementTree.fromstring(description), setup.leaders)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class TrialModel:
         wheels: the driven wheels.
         home: start position of every servo joint [rad or m].
         inertia: largest inertia that each servo joint moves [kg m^2 or kg].
-        locked: joints that cannot move: no range or no effort.
+        locked: joints whose limits leave them no way.
         touching: pairs of links whose solids overlap at home.
     """
 
@@ -83,7 +84,8 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
     links = [model.body(index).name for index in range(model.nbody)]
     _require("joint", (*setup.wheels, *setup.arm_joints), names)
     _require("link", (setup.base_frame, *setup.casters), links)
-    locked = tuple(n for n in names if n not in setup.wheels and _is_locked(model, n))
+    fixed = _without_range(description)
+    locked = tuple(name for name in names if name in fixed)
     servos = [n for n in names if n not in setup.wheels and n not in locked]
     home = _home(model, servos, setup)
     data = mujoco.MjData(model)
@@ -109,11 +111,16 @@ def _require(kind: str, wanted: tuple[str, ...], known: list[str]) -> None:
         raise RobotModelError(f"the robot has no moving {kind} {', '.join(missing)}")
 
 
-def _is_locked(model: mujoco.MjModel, name: str) -> bool:
-    index = model.joint(name).id
-    without_range = model.jnt_limited[index] and np.ptp(model.jnt_range[index]) < _LOCKED_RANGE
-    without_effort = model.jnt_actfrclimited[index] and np.ptp(model.jnt_actfrcrange[index]) == 0.0
-    return bool(without_range or without_effort)
+def _without_range(description: str) -> set[str]:
+    """Joints whose limits leave them no way."""
+    found = set()
+    for joint in ElementTree.fromstring(description).findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") in ("revolute", "prismatic") and limit is not None:
+            low, high = (float(limit.get(end, "0")) for end in ("lower", "upper"))
+            if high - low < _LOCKED_RANGE:
+                found.add(joint.get("name", ""))
+    return found
 
 
 def _home(model: mujoco.MjModel, servos: list[str], setup: RobotSetupConfig) -> dict[str, float]:

@@ -1,0 +1,138 @@
+"""Node ``simulator``: the hardware's stand-in, a robot in a simulated world.
+
+It publishes what the hardware would and moves on cmd_vel, base_path and arm_trajectory; what is
+true and a robot cannot know goes to ground_truth/* alone. Simulation and drawing run in the worker
+thread; callbacks only pass commands on. On a machine that is too slow for the wanted pace,
+simulated time passes more slowly, and /clock says so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.simulator_inputs import SimulatorInputs
+from infomap_ros.nodes.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
+from infomap_ros.simulation.robot import read_description
+from infomap_ros.simulation.scenes import SCENES, build_scene, describe_scene
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+
+_TICK = 0.02  # [s] between two looks at what is due
+_LONGEST_LAG = 0.2  # [s] that is caught up; what is more is lost
+_IDLE = 0.002  # [s] that others get between two ticks
+
+
+@dataclass(frozen=True)
+class SimulatorNodeConfig:
+    """Which world the robot is in, which robot it is, and how fast time passes.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    world: str = parameter("mars", "The world.", choices=tuple(SCENES))
+    world_seed: int = parameter(1, "Seed of everything random in the world.", low=0)
+    world_size: float = parameter(
+        0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
+    )
+    description: str = parameter(
+        "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
+    )
+    pace: float = parameter(
+        1.0,
+        "Simulated seconds per second. 0: as fast as possible while the robot moves, and 1 while "
+        "it stands and others think.",
+        low=0.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class SimulatorNode(MonitoredNode):
+    """See the module."""
+
+    CONFIGS = (
+        (SimulatorNodeConfig, ""),
+        (SimulatorOutputsConfig, ""),
+        (SimulatorConfig, ""),
+    )
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("simulator", **node_arguments)
+        self._config = self.config(SimulatorNodeConfig)
+        self._simulator, scene = self._build()
+        self._outputs = SimulatorOutputs(self, self._simulator, scene)
+        self._inputs = SimulatorInputs(self, self._simulator)
+        self._stopping = False
+        self.start_worker(1).submit(self._run)
+
+    def _build(self) -> tuple[Simulator, str]:
+        """The robot in its world, and the description of the world."""
+        config = self._config
+        size: dict[str, Any] = {"size": config.world_size} if config.world_size else {}
+        scene = describe_scene(
+            config.world, SCENES[config.world].config(seed=config.world_seed, **size)
+        )
+        world = build_scene(scene)
+        description = read_description(find_share(config.description))
+        simulator = Simulator(world, description, self.config(SimulatorConfig))
+        self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
+        return simulator, scene
+
+    def _run(self) -> None:
+        """Simulate until the end; in the worker thread, to which drawing is bound."""
+        self._outputs.begin()
+        pace = _Pace(self._config.pace, lambda: self._simulator.is_moving)
+        try:
+            while not self._stopping:
+                self._inputs.carry_out()
+                self._simulator.step(_TICK)
+                self.guard("simulation", self._outputs.publish_due)
+                self._inputs.tell_problem()
+                time.sleep(pace.wait(_TICK))
+        finally:
+            self._simulator.close()
+
+    def destroy_node(self) -> None:
+        """Stop simulating, then the node."""
+        self._stopping = True
+        super().destroy_node()
+
+
+class _Pace:
+    """How long to wait so that simulated time passes at the wanted pace.
+
+    Args:
+        pace: simulated seconds per second; 0 for as fast as possible while moving.
+        is_moving: whether the robot moves.
+    """
+
+    def __init__(self, pace: float, is_moving: Callable[[], bool]) -> None:
+        self._pace, self._is_moving = pace, is_moving
+        self._due = time.monotonic()
+
+    def wait(self, tick: float) -> float:
+        """Time to wait after a tick of simulated time [s]."""
+        now = time.monotonic()
+        if self._pace == 0.0 and self._is_moving():
+            self._due = now
+            return 0.0
+        self._due = max(self._due + tick / (self._pace or 1.0), now - _LONGEST_LAG)
+        return max(self._due - now, _IDLE)
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(SimulatorNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,49 @@
+"""The parameters of the simulator, gathered from its parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.simulation.base_motion import BaseMotionConfig
+from infomap_ros.simulation.drive_train import DriveTrainConfig
+from infomap_ros.simulation.dynamics import DynamicsConfig
+from infomap_ros.simulation.image_sensor import ImageSensorConfig
+from infomap_ros.simulation.path_following import PathFollowingConfig
+from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.wheel_odometry import WheelOdometryConfig
+
+
+@dataclass(frozen=True)
+class SimulatorConfig:
+    """Parameters of the simulator; the parts have their own."""
+
+    seed: int = parameter(1, "Seed of all noise.", low=0)
+    start_time: float = parameter(
+        1_000_000_000.0, "Stamp of the first moment.", unit="s", low=1.0, high=4e9
+    )
+    joint_noise: float = parameter(
+        0.0005, "Standard deviation of the joint positions.", unit="rad", low=0.0, high=0.1
+    )
+    position_noise: float = parameter(
+        0.003, "Standard deviation of the measured camera pose.", unit="m", low=0.0, high=1.0
+    )
+    rotation_noise: float = parameter(
+        0.0026, "Standard deviation of the measured camera pose.", unit="rad", low=0.0, high=0.5
+    )
+    step_height: float = parameter(
+        0.06, "What a wheel may touch above its lowest point.", unit="m", low=0.0, high=1.0
+    )
+    robot: RobotSetupConfig = field(default_factory=RobotSetupConfig)
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
+    following: PathFollowingConfig = field(default_factory=PathFollowingConfig)
+    base: BaseMotionConfig = field(default_factory=BaseMotionConfig)
+    odometry: WheelOdometryConfig = field(default_factory=WheelOdometryConfig)
+    camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
+    sensor: ImageSensorConfig = field(default_factory=ImageSensorConfig)
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)

@@ -2,36 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from infomap_ros.geometry import ImageRecord, StereoRig
+from infomap_ros.geometry import ImageRecord
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import encode_cloud_fields, encode_disparity, encode_image
-from infomap_ros.stereo import PACKED_FIELDS, RangeCloud
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """A cloud with its origin.
-
-    Attributes:
-        stamp: of the image [ns].
-        frame_id: left optical frame.
-        cloud: what was measured.
-        rig: the stereo rig; None for a depth camera.
-        search: smallest and largest disparity that was searched [px].
-    """
-
-    stamp: int
-    frame_id: str
-    cloud: RangeCloud
-    rig: StereoRig | None = None
-    search: tuple[float, float] = (0.0, 0.0)
+from infomap_ros.replay.range_meters import Measurement
+from infomap_ros.stereo import PACKED_FIELDS
 
 
 class RangeOutputs:

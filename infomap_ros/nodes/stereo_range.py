@@ -24,12 +24,7 @@ from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.clock_jumps import JumpingPairs
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.range_outputs import RangeOutputs
-from infomap_ros.nodes.range_sources import (
-    DepthSource,
-    RangeSource,
-    StereoSource,
-    seconds_to_warm_up,
-)
+from infomap_ros.nodes.range_sources import RangeSource
 from infomap_ros.nodes.run import run_node
 from infomap_ros.replay.messages import decode_camera_info, decode_image
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
@@ -83,8 +78,8 @@ class StereoRangeNode(MonitoredNode):
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("stereo_range", **node_arguments)
         config = self.config(StereoRangeNodeConfig)
-        self._source: RangeSource = self._make_source(config)
-        seconds = seconds_to_warm_up(self._source)
+        self._source = self._make_source(config)
+        seconds = self._source.seconds_to_warm_up()
         self.get_logger().info(f"kernels ready after {seconds:.1f} s")
         tolerance = round(config.pairing_tolerance * 1e9)
         self._pairs = JumpingPairs(tolerance, _CLOCK_JUMP, self.drop)
@@ -98,8 +93,8 @@ class StereoRangeNode(MonitoredNode):
 
     def _make_source(self, config: StereoRangeNodeConfig) -> RangeSource:
         if config.source == "depth":
-            return DepthSource(self.config(DepthCameraConfig), config.color)
-        return StereoSource(self.config(StereoConfig), config.rectify)
+            return RangeSource.of_depth(self.config(DepthCameraConfig), color=config.color)
+        return RangeSource.of_stereo(self.config(StereoConfig), rectify=config.rectify)
 
     def _listen(self) -> None:
         for topic in self._source.info_topics:

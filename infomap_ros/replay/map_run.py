@@ -12,7 +12,8 @@ from infomap_ros.geometry import PoseRecord, WaitingQueue
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.background import in_background
 from infomap_ros.replay.map_inputs import MapInputs, MapOptions, find_inputs
-from infomap_ros.replay.range_sources import Measurement, measure_all
+from infomap_ros.replay.range_meters import Measurement
+from infomap_ros.replay.range_sources import measure_all
 from infomap_ros.replay.reader import BagReader, BagRecord
 
 Progress = Callable[[int, int], None]

@@ -4,39 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Protocol
 
 from infomap_ros.errors import CalibrationError, InfomapError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
 from infomap_ros.geometry.pairing import StampPairing
-from infomap_ros.replay.pixels import intensity_pixels
+from infomap_ros.replay.range_meters import DepthMeter, Measurement, StereoMeter
 from infomap_ros.replay.reader import BagRecord
 from infomap_ros.replay.topics import DepthTopics, StereoTopics
-from infomap_ros.stereo import (
-    DepthCameraConfig,
-    DepthCameraSensor,
-    RangeCloud,
-    StereoConfig,
-    StereoRangeSensor,
-    StereoRectifier,
-    is_rectified,
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """A range cloud with its place in time.
-
-    Attributes:
-        stamp: of the (left) image [ns].
-        frame_id: optical frame of the cloud.
-        cloud: what was measured.
-    """
-
-    stamp: int
-    frame_id: str
-    cloud: RangeCloud
+from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 
 class RangeSource(Protocol):
@@ -80,21 +56,17 @@ class StereoSource:
         """
         self.topics, self.image_topic = topics.names, topics.left_image
         self.dropped: Counter[str] = Counter()
-        self._names, self._config, self._rectify = topics, config, rectify
+        self._names, self._meter = topics, StereoMeter(config, rectify=rectify)
         self._pairing: StampPairing[ImageRecord, ImageRecord] = StampPairing(
             round(pairing_tolerance * 1e9)
         )
         self._calibrations: dict[str, CameraCalibration] = {}
-        self._sensor: StereoRangeSensor | None = None
-        self._rectifier: StereoRectifier | None = None
 
     def add(self, entry: BagRecord) -> Measurement | None:
         """See `RangeSource.add`."""
         record = entry.record
         if isinstance(record, CameraInfoRecord):
-            if self._calibrations.get(entry.topic) != record.calibration:
-                self._calibrations[entry.topic] = record.calibration
-                self._sensor = None
+            self._calibrations[entry.topic] = record.calibration
             return None
         if not isinstance(record, ImageRecord):
             return None
@@ -103,25 +75,12 @@ class StereoSource:
         pair = add(record)
         return None if pair is None else _guarded(self.dropped, lambda: self._measure(*pair))
 
-    def _measure(self, left: ImageRecord, right: ImageRecord) -> Measurement:
-        sensor = self._sensor or self._prepare()
-        pixels = intensity_pixels(left), intensity_pixels(right)
-        if self._rectifier is not None:
-            pixels = self._rectifier.rectify(*pixels)
-        return Measurement(left.stamp, left.frame_id, sensor.measure(*pixels))
-
-    def _prepare(self) -> StereoRangeSensor:
-        """Make sensor and rectifier, now that both camera infos have come."""
+    def _measure(self, *pair: ImageRecord) -> Measurement:
         names = self._names.left_info, self._names.right_info
         missing = [name for name in names if name not in self._calibrations]
         if missing:
             raise CalibrationError(f"no camera info on {', '.join(missing)} yet")
-        left, right = (self._calibrations[name] for name in names)
-        raw = self._rectify and not (is_rectified(left) and is_rectified(right))
-        rectifier = StereoRectifier(left, right)
-        self._rectifier = rectifier if raw else None
-        self._sensor = StereoRangeSensor(rectifier.rig, self._config)
-        return self._sensor
+        return self._meter.measure(pair, [self._calibrations[name] for name in names])
 
     def finish(self) -> None:
         """See `RangeSource.finish`."""
@@ -137,16 +96,14 @@ class DepthSource:
         self.topics: tuple[str, ...] = (topics.depth, topics.info)
         self.image_topic = topics.depth
         self.dropped: Counter[str] = Counter()
-        self._config = config
+        self._meter = DepthMeter(config)
         self._calibration: CameraCalibration | None = None
-        self._sensor: DepthCameraSensor | None = None
 
     def add(self, entry: BagRecord) -> Measurement | None:
         """See `RangeSource.add`."""
         record = entry.record
         if isinstance(record, CameraInfoRecord):
-            if record.calibration != self._calibration:
-                self._calibration, self._sensor = record.calibration, None
+            self._calibration = record.calibration
             return None
         if not isinstance(record, ImageRecord):
             return None
@@ -155,10 +112,7 @@ class DepthSource:
     def _measure(self, depth: ImageRecord) -> Measurement:
         if self._calibration is None:
             raise CalibrationError("no camera info yet")
-        if self._sensor is None:
-            camera = self._calibration.rectified_camera()
-            self._sensor = DepthCameraSensor(camera, self._config)
-        return Measurement(depth.stamp, depth.frame_id, self._sensor.measure(depth.pixels))
+        return self._meter.measure([depth], [self._calibration])
 
     def finish(self) -> None:
         """See `RangeSource.finish`; nothing can be left over."""

@@ -12,7 +12,7 @@ from infomap_ros.geometry import JointStateRecord, Record, TextRecord
 from infomap_ros.geometry.joint_buffer import JointBuffer
 from infomap_ros.mapping.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
-from infomap_ros.replay.range_sources import Measurement
+from infomap_ros.replay.range_meters import Measurement
 
 
 class RobotBody:

@@ -269,7 +269,7 @@ def test_nothing_is_measured_that_nobody_wants(graph: Any) -> None:
     infos = [graph.publisher(CameraInfo, f"{side}/camera_info") for side in ("left", "right")]
     graph.connect(*images, *infos)
     measured: list[Any] = []
-    node._source.measure = lambda *arguments: measured.append(arguments)
+    node._source.meter.measure = lambda *arguments: measured.append(arguments)
     for publisher, info in zip(infos, INFOS, strict=True):
         publisher.publish(encode_camera_info(TYPES, CameraInfoRecord(START, FRAME, info)))
     for publisher, pixels in zip(images, wall(), strict=True):

@@ -58,11 +58,11 @@ for step in range(3):
 
 STEREO_RANGE = """
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
-from infomap_ros.nodes.range_sources import StereoSource
+from infomap_ros.nodes.range_sources import RangeSource
 from infomap_ros.stereo import StereoConfig
 
-source = StereoSource(StereoConfig(), rectify=True)
-source.warm_up()
+source = RangeSource.of_stereo(StereoConfig(), rectify=True)
+source.seconds_to_warm_up()
 before = kernels()
 K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
 for encoding, channels in (("mono8", ()), ("rgb8", (3,))):

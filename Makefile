@@ -21,17 +21,20 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint types bench lock clean
+.PHONY: help setup demo demo-bag test lint types bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## list the commands
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels, tf2_msgs
 	@echo "ready: . $(BIN)/activate"
 
-demo: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo
+demo: $(READY) $(STAMPS)/rendering  ## a simulated rover explores a rough world, results in out/demo
 	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
+
+demo-bag: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo-bag
+	@$(BIN)/python -m infomap_ros.nodes.bag_demo --out out/demo-bag
 
 test: $(READY) $(STAMPS)/rendering $(STAMPS)/browser  ## every test
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)

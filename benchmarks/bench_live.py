@@ -1,7 +1,8 @@
 """Live chain: 640x480 pairs at 10 Hz from bag_player through stereo_range and map_fusion.
 
 Prints one JSON line: dropped pairs and the delay from the arrival of an image to the arrival of the
-last map update of its stamp, both at a listener in a process of its own.
+last map update of its stamp, both at a listener in a process of its own. Whether the machine had
+cores to give is told beside it (`machine.py`).
 
     python benchmarks/bench_live.py [--frames 60] [--rate 1.0] [--voxel-size 0.05]
 """
@@ -16,9 +17,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from machine import Machine, cpu_seconds
 from stereo_bag import write_stereo_bag
 
-from infomap_ros.nodes.live_run import LiveRun, RunState
+from infomap_ros.nodes.live_run import LiveRun
+from infomap_ros.nodes.run_state import RunState
 
 WARM_UP = 5  # pairs that are not counted: discovery and first use of memory
 
@@ -34,18 +37,15 @@ def measure(bag: Path, frames: int, rate: float, voxel_size: float) -> dict[str,
         run.watch_images()
         run.start()
         run.spin_until(lambda: bool(run.state.updates), "the first update", 60.0)
-        cpu_before = {name: cpu_seconds(run.pids[name]) for name in ("stereo_range", "map_fusion")}
-        run.spin_until(lambda: run.played, "the end of the bag", 60.0 + frames / (10.0 * rate))
-        run.spin_until(lambda: run.settled, "the last scan", 30.0)
-        used = {n: 1e3 * (cpu_seconds(run.pids[n]) - cpu_before[n]) / frames for n in cpu_before}
+        nodes = {name: run.pids[name] for name in ("stereo_range", "map_fusion")}
+        before = {name: cpu_seconds(pid) for name, pid in nodes.items()}
+        with Machine(nodes) as machine:
+            run.spin_until(lambda: run.played, "the end of the bag", 60.0 + frames / (10.0 * rate))
+            outside = machine.figures()
+            run.spin_until(lambda: run.settled, "the last scan", 30.0)
+        used = {n: 1e3 * (cpu_seconds(pid) - before[n]) / frames for n, pid in nodes.items()}
         result = figures(run.state, frames, rate, voxel_size)
-        return result | {"cpu_ms_per_pair": used}
-
-
-def cpu_seconds(pid: int) -> float:
-    """Processor time that a process has used so far, all threads [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return result | {"cpu_ms_per_pair": used, "machine": outside}
 
 
 def figures(state: RunState, frames: int, rate: float, voxel_size: float) -> dict[str, object]:

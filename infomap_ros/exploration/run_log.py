@@ -55,6 +55,8 @@ class RunLogFile:
         self._before = last_time(self._path) if append else 0.0
         if not append:
             self._path.write_text("", encoding="utf-8")
+        elif self._path.exists() and not self._path.read_bytes().endswith(b"\n"):
+            self._add("\n")  # the process was killed within a line
         self._clock, self._start = clock, clock()
         self._on_entry = on_entry
 
@@ -66,10 +68,13 @@ class RunLogFile:
         """
         seconds = self._before + self._clock() - self._start
         entry = {"t": round(seconds, 3), "kind": kind, **plain(content)}
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry, allow_nan=False) + "\n")
+        self._add(json.dumps(entry, allow_nan=False) + "\n")
         if self._on_entry:
             self._on_entry(entry)
+
+    def _add(self, text: str) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(text)
 
 
 def last_time(path: Path) -> float:

@@ -1,166 +1,132 @@
-"""``make demo``: map the shipped bag through the live nodes, three processes over DDS.
+"""``make demo``: a simulated rover explores a rough world, five processes over DDS.
 
-Leaves the map file, the map as .ply, pictures, summary.json and report.html in the output folder,
-and the logs of the nodes below ``log/``. Exits with 1 and one clear line when it could not.
+Leaves the map file, the map as .ply, a picture, the log of the run, summary.json and a
+self-contained report.html in the output folder, and the logs of the nodes below ``log/``. Exits
+with 1 and one clear line when it could not.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.status import Status
 
-from infomap_ros.errors import BagError, InfomapError, ProcessError
-from infomap_ros.exploration.report import write_map_report
-from infomap_ros.geometry.resources import find_share
+from infomap_ros.errors import InfomapError, ProcessError
+from infomap_ros.exploration.report import write_report
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import surface_vertices, write_ply
+from infomap_ros.mapping.export import write_ply
 from infomap_ros.mapping.pictures import draw_map_views
-from infomap_ros.nodes.live_run import LEFT, LiveRun
-from infomap_ros.nodes.pictures import LivePictures
+from infomap_ros.nodes.live_exploration import LiveExploration
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.replay.reader import BagReader
 
-BAG = "bags/rover_rocks"
-_START_TIMEOUT = 300.0  # [s]; kernels are compiled the first time
-_PAIR_TIMEOUT = 10.0  # [s]
-_LEAST_SHARE = 0.9  # of the pairs must be in the map
+_TIMEOUT = 3600.0  # [s]
 
 
-def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[str, object]:
-    """Map the bag and write everything.
-
-    Args:
-        bag: with a raw stereo pair, camera infos and camera_pose.
-        out: folder for the results.
-        voxel_size: [m].
-        console: for the progress.
-
-    Returns:
-        Figures of the run, flat.
+def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]:
+    """Explore and write everything; returns figures of the run, flat.
 
     Raises:
         InfomapError: it could not be done; says why.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    pairs = count_pairs(bag)
-    player = {"acknowledged": True, "paced_topic": f"/{LEFT}"}
+    out: Path = options.out
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    task = {"task.max_views": options.max_views}
+    parameters = {
+        "simulator": {"world": options.world, "world_seed": options.seed},
+        "map_fusion": {"voxel_size": options.voxel_size},
+        "next_best_view": {"strategy": options.strategy},
+        "explorer": task,
+    }
     start = time.monotonic()
-    fusion = {"voxel_size": voxel_size}
-    with LiveRun(bag, out, player, fusion=fusion, map_file=out / MAP_FILE) as run:
-        pictures = LivePictures(run)
-        console.print("starting stereo_range and map_fusion")
-        run.start(_START_TIMEOUT)
-        follow(run, pairs, console)
-        console.print(run.call("map_fusion/save"))
-        seconds = time.monotonic() - start
+    status = Status("starting five nodes; kernels are compiled the first time", console=console)
+    with LiveExploration(out, parameters) as run, status:
+        run.start()
+        run.follow(lambda: status.update(status_line(run)), _TIMEOUT)
+        console.print(run.call("map_fusion/save"), highlight=False)
+        figures = dict(run.figures)
         drops = run.state.drops()
-        figures: dict[str, object] = {
-            "pairs": pairs,
-            "frames": run.state.count("map_fusion"),
-            "seconds": round(seconds, 2),
-            "frames_dropped": pairs - run.state.count("map_fusion"),
-        }
-        figures |= {f"dropped: {reason}": count for reason, count in drops.items()}
-        drawn = pictures.write(out)
-    results = write_results(out, bag, figures, drawn)
-    fused = run.state.count("map_fusion")
-    if fused < _LEAST_SHARE * pairs:
-        raise ProcessError(f"only {fused} of {pairs} pairs were mapped; see {out / 'log'}")
+    results: dict[str, object] = {
+        "world": options.world,
+        "seed": options.seed,
+        "end": figures["state"].removeprefix("ended: "),
+        "detail": figures["last reason"],
+        "seconds": round(time.monotonic() - start, 1),
+    }
+    for name in ("views", "distance [m]", "known fraction", "mean sigma [m]"):
+        results[name] = float(figures[name]) if name in figures else None
+    results |= {f"dropped: {reason}": count for reason, count in drops.items()}
+    write_results(out, results)
+    if results["end"] == "failed":
+        raise ProcessError(f"{results['detail']}; see {out / 'log'}")
     return results
 
 
-def count_pairs(bag: Path) -> int:
-    """Number of left images in the bag.
-
-    Raises:
-        BagError: it has none.
-    """
-    with BagReader(bag) as reader:
-        channel = reader.topics.get(f"/{LEFT}")
-        if channel is None or not channel.count:
-            raise BagError(f"{bag} has no images on /{LEFT}; it has {', '.join(reader.topics)}")
-        return channel.count
-
-
-def follow(run: LiveRun, pairs: int, console: Console) -> None:
-    """Show progress until the bag has been played and fused."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("starting bag_player", total=pairs)
-
-        def show() -> None:
-            voxels = run.state.figures.get("map_fusion", {}).get("known voxels", "0")
-            text = f"pairs mapped, {int(voxels):,} voxels"
-            progress.update(task, completed=run.state.count("map_fusion"), description=text)
-
-        run.spin_until(lambda: run.state.count("map_fusion") > 0, "the first scan", _START_TIMEOUT)
-        run.spin_until(lambda: run.settled, "the end", _PAIR_TIMEOUT * pairs, show)
-        show()
+def status_line(run: LiveExploration) -> str:
+    """What the explorer is doing, and how far it is."""
+    figures = run.figures
+    if not figures:
+        return "starting five nodes; kernels are compiled the first time"
+    parts = [figures["state"], f"{figures['views']} views", f"{figures['distance [m]']} m"]
+    if "known fraction" in figures:
+        parts += [
+            f"{100.0 * float(figures['known fraction']):.1f} % known",
+            f"{float(figures['remaining entropy [bits]']):,.0f} bits left",
+            f"mean sigma {1e3 * float(figures['mean sigma [m]']):.1f} mm",
+        ]
+    return ", ".join(parts)
 
 
-def write_results(
-    out: Path, bag: Path, figures: dict[str, object], drawn: Sequence[tuple[Path, str]]
-) -> dict[str, object]:
-    """Write .ply, pictures, summary and report from the saved map."""
+def write_results(out: Path, results: dict[str, object]) -> None:
+    """Write .ply, picture, summary and report from the saved map and the log of the run."""
     voxel_map = VoxelMap.load(out / MAP_FILE)
     write_ply(voxel_map, out / PLY_FILE)
     draw_map_views(voxel_map, out / "map.png")
-    sigmas = surface_vertices(voxel_map)["sigma"]
-    figures |= {
+    results |= {
         "known_voxels": voxel_map.known_voxels,
         "surface_voxels": voxel_map.surface_voxels,
-        "mean_sigma_mm": round(1e3 * float(sigmas.mean()), 2),
         "memory_bytes": voxel_map.memory_bytes(),
         "voxel_size": voxel_map.config.voxel_size,
     }
-    (out / SUMMARY_FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    introduction = (
-        f"The bag {bag.name}, played through stereo_range and map_fusion as separate processes. "
-        f"The map is in {MAP_FILE}, as points with probability and sigma in {PLY_FILE}."
-    )
-    caption = "The map from above and from the side"
-    write_map_report(
+    (out / SUMMARY_FILE).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_report(
         out / "report.html",
+        out / "exploration.jsonl",
         voxel_map,
-        "infomap_ros: a stereo bag becomes a map",
-        introduction,
-        figures,
-        [(out / "map.png", caption), *drawn],
+        f"Exploring {results['world']}, seed {results['seed']}",
+        "A simulated rover with an arm and a stereo pair, each node a process of its own.",
+        results,
     )
-    return figures
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
     parser = argparse.ArgumentParser(prog="infomap demo", description=__doc__.split("\n")[0])
-    parser.add_argument("--bag", type=Path, help=f"default: the shipped {BAG}")
     parser.add_argument("--out", type=Path, default=Path("out/demo"))
+    parser.add_argument("--world", default="mars", help="mars, office or cave")
+    parser.add_argument("--seed", type=int, default=1, help="of the world")
+    parser.add_argument("--strategy", default="largest_information")
+    parser.add_argument("--max-views", type=int, default=60)
     parser.add_argument("--voxel-size", type=float, default=0.05, help="[m]")
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
     try:
-        bag = options.bag or find_share(BAG)
-        figures = run_demo(bag, options.out, options.voxel_size, console)
+        results = run_demo(options, console)
     except (InfomapError, OSError) as error:
         print(f"infomap demo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("infomap demo: interrupted", file=sys.stderr)
         return 130
-    console.print(f"map, pictures and report.html are in {options.out}")
-    print(json.dumps(figures))
+    console.print(f"map, picture, log and report.html are in {options.out}")
+    print(json.dumps(results))
     return 0
 
 

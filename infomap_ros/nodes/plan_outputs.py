@@ -117,7 +117,8 @@ def _colour(share: float) -> ColorRGBA:
 
 def _terms(candidate: Mapping[str, Any]) -> str:
     terms = ", ".join(f"{name} {value:.3g}" for name, value in candidate["terms"].items())
-    return f"rating {candidate['rating']:.3g}: {terms}"
+    rating = candidate["rating"]
+    return terms if rating is None else f"rating {rating:.3g}: {terms}"
 
 
 def _point(place: FloatArray) -> Point:

@@ -20,7 +20,7 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.nodes import demo
+from infomap_ros.nodes import bag_demo
 from infomap_ros.nodes.processes import NodeProcesses, private_graph
 from infomap_ros.replay.writer import BagWriter
 
@@ -63,7 +63,7 @@ def test_the_demo_maps_a_bag_and_leaves_everything(
 ) -> None:
     out = tmp_path / "out"
 
-    assert demo.main(["--bag", str(bag), "--out", str(out)]) == 0
+    assert bag_demo.main(["--bag", str(bag), "--out", str(out)]) == 0
 
     figures = json.loads(capfd.readouterr().out)
     assert (figures["pairs"], figures["frames"], figures["frames_dropped"]) == (PAIRS, PAIRS, 0)
@@ -87,7 +87,7 @@ def test_a_demo_without_images_ends_with_one_line(
     with BagWriter(tmp_path / "empty") as writer:
         writer.write("/camera_pose", PoseRecord(START, "map", np.eye(4), np.eye(6)))
 
-    assert demo.main(["--bag", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 1
+    assert bag_demo.main(["--bag", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 1
 
     assert capfd.readouterr().err.strip().endswith("it has /camera_pose")
 

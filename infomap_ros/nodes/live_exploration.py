@@ -1,0 +1,91 @@
+"""An exploration as five processes over DDS: simulator, range, map, choice, loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.environment import reliable_inputs
+from infomap_ros.nodes.live_graph import LiveGraph
+from infomap_ros.replay.map_files import MAP_FILE
+
+MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
+_IMAGES = tuple(
+    f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
+)
+_AUTOSAVE = 5.0  # [s]
+
+Parameters = Mapping[str, object]
+
+
+class LiveExploration(LiveGraph):
+    """A simulated robot that explores, every node a process of its own.
+
+    Args:
+        out: folder for map, mission, log of the run and logs of the nodes.
+        parameters: further parameters by node name.
+
+    Attributes:
+        figures: what exploration_status says, by name.
+        map_file: where map_fusion saves.
+        log_file: log of the run.
+    """
+
+    def __init__(self, out: Path, parameters: Mapping[str, Parameters] | None = None) -> None:
+        super().__init__(out)
+        out = out.absolute()
+        self.figures: dict[str, str] = {}
+        self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
+        updates = reliable_inputs(("map_updates", "camera_pose", "joint_states"))
+        chain = reliable_inputs(("points2", "camera_pose", "joint_states"))
+        own: dict[str, dict[str, object]] = {
+            "simulator": {"pace": 0.0},
+            "stereo_range": {"rectify": True, **reliable_inputs(_IMAGES)},
+            "map_fusion": {
+                "map_file": self.map_file,
+                "resume": True,
+                "autosave_period": _AUTOSAVE,
+                **chain,
+            },
+            "next_best_view": {**updates},
+            "explorer": {
+                "autostart": True,
+                "resume": True,
+                "mission_file": out / MISSION_FILE,
+                "log_file": self.log_file,
+                **updates,
+            },
+        }
+        given = parameters or {}
+        self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
+
+    def start(self) -> None:
+        """Start all nodes; the explorer begins by itself when the others are there."""
+        self.subscribe(
+            DiagnosticStatus, "exploration_status", self._on_status, qos.latched(depth=1)
+        )
+        for name in self._parameters:
+            self.start_node(name)
+
+    def start_node(self, name: str) -> None:
+        """Start one of the nodes, the first time or again."""
+        self.pids[name] = self._processes.start(name, self._parameters[name])
+
+    @property
+    def ended(self) -> bool:
+        """Whether the exploration has come to its end."""
+        return self.figures.get("state", "").startswith("ended")
+
+    def follow(self, tick: Callable[[], None], timeout: float) -> None:
+        """Watch until the exploration ends.
+
+        Raises:
+            ProcessError: a node failed, or it takes longer than `timeout` [s].
+        """
+        self.spin_until(lambda: self.ended, "the exploration to end", timeout, tick)
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        self.figures = {pair.key: pair.value for pair in message.values}

@@ -43,6 +43,24 @@ def body_columns(solids: Sequence[PlacedSolid], spacing: float, margin: float) -
     return np.column_stack([x, y, lowest[i, j] - _HEIGHT_STEP, highest[i, j] + _HEIGHT_STEP])
 
 
+def off_the_ground(columns: FloatArray, ground: float, step: float, margin: float) -> FloatArray:
+    """Columns of a body whose shapes reach down to the ground on which it stands.
+
+    A shape that encloses wheels or casters, or a skirt, is no body where it touches level ground:
+    it begins as high as the highest step that the vehicle drives over.
+
+    Args:
+        columns: of `body_columns`, shape (B, 4) [m].
+        ground: height of level ground in the base frame [m].
+        step: highest step [m].
+        margin: by which the columns were grown [m].
+    """
+    lowest = columns[:, 2]
+    touching = lowest <= ground + 2.0 * _HEIGHT_STEP
+    lifted = np.where(touching, ground + max(step, margin + 2.0 * _HEIGHT_STEP), lowest)
+    return np.column_stack([columns[:, :2], lifted, columns[:, 3]])[columns[:, 3] > lifted]
+
+
 def _add(
     placed: PlacedSolid, low: FloatArray, high: FloatArray, growth: float,
     first: np.ndarray[tuple[int, ...], np.dtype[np.int_]], spacing: float,

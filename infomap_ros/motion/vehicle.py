@@ -13,13 +13,15 @@ from infomap_ros.geometry import PlacedSolid, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain import Terrain
 from infomap_ros.motion import stance as kernels
-from infomap_ros.motion.body_columns import body_columns
+from infomap_ros.motion.body_columns import body_columns, off_the_ground
 from infomap_ros.motion.mass import mass_of
 from infomap_ros.motion.robot_model import RobotModel
 from infomap_ros.motion.stance import TerrainArrays, VehicleArrays
 from infomap_ros.motion.stance_reasons import outcome_in_words
 from infomap_ros.motion.undercarriage import Undercarriage, footprint_of, wheels_of
 from infomap_ros.motion.vehicle_config import VehicleConfig
+
+_STEP = 2  # of VehicleConfig.limits_for
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,13 @@ class Vehicle:
             carriage = wheels_of(robot, settings.wheel_links, solids)
         wheels = set() if settings.footprint else set(carriage.names)
         body = [solid for solid in solids if solid.name not in wheels]
-        columns = body_columns(body, settings.column_spacing, settings.margin)
+        limits = settings.limits_for(_smallest_radius(carriage))
+        columns = off_the_ground(
+            body_columns(body, settings.column_spacing, settings.margin),
+            float(carriage.contacts[:, :, 2].min()),
+            float(limits[_STEP]),
+            settings.margin,
+        )
         columns = np.concatenate([columns, _wheel_columns(solids, wheels, carriage, settings)])
         mass, centre = mass_of(robot, joints)
         arrays = VehicleArrays(
@@ -129,7 +137,7 @@ class Vehicle:
             carriage.support,
             centre,
             _reach(columns, carriage, settings.max_slope),
-            settings.limits_for(_smallest_radius(carriage)),
+            limits,
         )
         return cls(robot, settings, joints, carriage, mass, arrays)
 

@@ -283,6 +283,26 @@ def test_robot_on_a_footprint_rests_on_its_corners():
     assert below[2] == pytest.approx(0.1 * below[0], abs=1e-6)
 
 
+SKIRT = """<robot name="skirt"><link name="base">
+<inertial><origin xyz="0 0 0.15"/><mass value="10"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.2"/><geometry><box size="0.7 0.4 0.4"/></geometry></collision>
+</link></robot>"""
+
+
+def test_shapes_that_reach_down_to_the_ground_are_no_body_below_the_highest_step():
+    """A box that encloses the wheels stands on level ground, and not beside a higher step."""
+    config = VehicleConfig(footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), max_step=0.04)
+    robot = Vehicle.from_robot(RobotModel.from_urdf(SKIRT), config)
+
+    def step(height):
+        return lambda x, y: np.where(x > 0.3, height, 0.0)
+
+    assert robot.stance(ground(plane(0.0, 0.0)), 0.0, 0.0, 0.0).ok
+    assert robot.stance(ground(step(0.03)), 0.0, 0.0, 0.0).ok
+    assert "touches" in robot.stance(ground(step(0.1)), 0.0, 0.0, 0.0).reason
+
+
 LINK = '<robot name="r"><link name="base">{}</link></robot>'
 BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from infomap_ros.geometry.config import check_config, parameter
@@ -82,7 +83,8 @@ class SimulatorNode(MonitoredNode):
             config.world, SCENES[config.world].config(seed=config.world_seed, **size)
         )
         world = build_scene(scene)
-        description = read_description(find_share(config.description))
+        given = Path(config.description)
+        description = read_description(given if given.is_file() else find_share(given))
         simulator = Simulator(world, description, self.config(SimulatorConfig))
         self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
         return simulator, scene

@@ -18,6 +18,7 @@ from infomap_ros.simulation.trial import TrialModel, Wheel
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
+_WHEEL_DAMPING = 0.02  # [Nm s/rad]
 _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 
 
@@ -72,6 +73,7 @@ def add_dynamics(
     for link in setup.casters:
         for geom in _solids(spec.body(prefix + link)):
             geom.priority, geom.condim = 2, 1
+    _let_hover(spec, prefix, setup)
     for name, inertia in trial.inertia.items():
         _add_servo(spec, prefix + name, inertia, config)
     for first, second in trial.touching:
@@ -101,10 +103,24 @@ def _shape_wheel(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSet
     )
 
 
+def _let_hover(spec: mujoco.MjSpec, prefix: str, setup: RobotSetupConfig) -> None:
+    """Let links that are drawn down to the ground not touch it, by a contact bit of its own."""
+    if not setup.hovering:
+        return
+    hovering = {prefix + name for name in setup.hovering}
+    for body in spec.bodies:
+        if body.name.startswith(prefix):
+            for geom in _solids(body):
+                geom.contype = geom.conaffinity = 1 if body.name in hovering else 3
+    ground = spec.geom("ground")
+    ground.contype = ground.conaffinity = 2
+
+
 def _drive(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSetupConfig) -> None:
     """A position servo, which the drive moves at the wanted speed: it also holds on a slope."""
     joint = spec.joint(prefix + wheel.joint)
     joint.armature = 0.002
+    joint.damping, joint.frictionloss = (_WHEEL_DAMPING, 0.0, 0.0), 0.0
     effort = float(np.ptp(joint.actfrcrange)) / 2.0 or setup.wheel_effort
     actuator = spec.add_actuator(
         name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
@@ -117,6 +133,7 @@ def _add_servo(spec: mujoco.MjSpec, name: str, inertia: float, config: DynamicsC
     """A critically damped position servo for the largest inertia of its joint."""
     joint = spec.joint(name)
     joint.armature = 0.1 * inertia
+    joint.damping, joint.frictionloss = (0.0, 0.0, 0.0), 0.0  # its servo knows them
     actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     moved = 1.1 * inertia
     actuator.set_to_position(

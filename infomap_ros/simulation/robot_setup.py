@@ -25,6 +25,9 @@ class RobotSetupConfig:
         ("front_right_wheel_joint", "rear_right_wheel_joint"), "Joints of the driven right wheels."
     )
     casters: tuple[str, ...] = parameter((), "Links that slide on the ground without friction.")
+    hovering: tuple[str, ...] = parameter(
+        (), "Links that are drawn down to the ground, and in truth are clear of it."
+    )
     arm_joints: tuple[str, ...] = parameter(
         ("arm_pan_joint", "arm_shoulder_joint", "arm_elbow_joint", "arm_wrist_joint"),
         "Joints whose start position `home` gives; the others start as near zero as they can.",

@@ -83,7 +83,7 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
     names = [model.joint(index).name for index in range(model.njnt)]
     links = [model.body(index).name for index in range(model.nbody)]
     _require("joint", (*setup.wheels, *setup.arm_joints), names)
-    _require("link", (setup.base_frame, *setup.casters), links)
+    _require("link", (setup.base_frame, *setup.casters, *setup.hovering), links)
     fixed = _without_range(description)
     locked = tuple(name for name in names if name in fixed)
     servos = [n for n in names if n not in setup.wheels and n not in locked]
@@ -163,7 +163,8 @@ def _wheel(model: mujoco.MjModel, data: mujoco.MjData, name: str, base_frame: st
         raise RobotModelError(f"the wheel of joint '{name}' has no collision solid")
     local = np.concatenate(points) - joint.pos
     along = local @ axis
-    radius = float(np.linalg.norm(local - along[:, None] * axis, axis=1).max())
+    across = local @ np.linalg.svd(axis[None])[2][1:].T  # two directions across the axis
+    radius = float(0.5 * np.ptp(across, axis=0).max())  # some are drawn as the box about them
     center = np.asarray(joint.pos + 0.5 * (along.min() + along.max()) * axis)
     base, link = data.body(base_frame), data.body(body.name)
     world = link.xpos + np.array(link.xmat).reshape(3, 3) @ center

@@ -16,6 +16,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.arm_trail import ArmTrail
 from infomap_ros.motion.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.clear_start import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
@@ -120,6 +121,8 @@ class ViewPlanner:
         self._heights = camera_heights(robot)
         self._start: ClearStart | None = None
         self._goal: FloatArray | None = None
+        self._trail: ArmTrail | None = None
+        self._sent: Route | None = None
         self._failures: list[tuple[FloatArray, str]] = []
         self._past: list[FloatArray] = []
 
@@ -136,6 +139,7 @@ class ViewPlanner:
         self._take_note(voxel_map, state)
         decision = self._select(voxel_map, state, around or Surrounding())
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
+        self._sent = route
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
         return self._choice_of(decision, route, voxel_map, state)
@@ -176,6 +180,7 @@ class ViewPlanner:
         """The way to a base pose (x, y, yaw) and arm posture, or why there is none."""
         result = self._reach(voxel_map, state).way_to(base, joints)
         progress = measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
+        self._sent = result.route
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(progress, pose, result.route, result.reason)
 
@@ -194,14 +199,18 @@ class ViewPlanner:
         self._failures.clear()
 
     def _reach(self, voxel_map: VoxelMap, state: RobotState) -> WholeBodyReach:
-        return WholeBodyReach(
+        reach = WholeBodyReach(
             self.robot,
             voxel_map,
             state.T_map_base,
             state.joints,
             self.config.reaching,
             self._start,
+            trail=self._trail,
+            sent=self._sent,
         )
+        self._trail, self._sent = reach.trail, None
+        return reach
 
     def _situation(
         self, voxel_map: VoxelMap, state: RobotState, reach: WholeBodyReach, around: Surrounding

@@ -38,7 +38,7 @@ class ArmPathConfig:
     """
 
     time_limit: float = parameter(
-        1.0, "Longest time of a search for a way.", unit="s", low=0.001, high=600.0
+        0.5, "Longest time of a search for a way.", unit="s", low=0.001, high=600.0
     )
     max_nodes: int = parameter(
         20000, "Largest number of configurations in each of the two trees.", low=10, high=10**7

@@ -21,7 +21,7 @@ from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain import Terrain, terrain_of
-from infomap_ros.motion.arm_path import plan_arm_path
+from infomap_ros.motion.arm_trail import ArmTrail
 from infomap_ros.motion.base_path import BasePath
 from infomap_ros.motion.base_planner import BasePlanner
 from infomap_ros.motion.clear_start import ClearStart
@@ -29,7 +29,8 @@ from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik, solve_ik_b
 from infomap_ros.motion.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.robot_model import RobotModel
-from infomap_ros.motion.route import ArmPath, ReachResult, Route
+from infomap_ros.motion.route import ReachResult, Route
+from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.whole_body import WholeBody
 
@@ -51,6 +52,8 @@ class WholeBodyReach:
         start: the declared space in which the robot was started.
         standing: further poses in which the robot has stood, shape (P, 4, 4): the ground there is
             known.
+        trail: where the arm had been before, `trail` of the instance before.
+        sent: the route along which the robot was sent since then.
 
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
@@ -65,6 +68,8 @@ class WholeBodyReach:
         config: ReachingConfig | None = None,
         start: ClearStart | None = None,
         standing: ArrayLike | None = None,
+        trail: ArmTrail | None = None,
+        sent: Route | None = None,
     ) -> None:
         self.config = config or ReachingConfig()
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
@@ -80,6 +85,10 @@ class WholeBodyReach:
             () if start is None else (start.space(self._whole.body.robot),),
         )
         self._start = start
+        past = trail or ArmTrail.at(self._base, self._q)
+        self._routes = RoutePlanner(
+            self._whole, self._near, self.config, past.after(self._base, self._q, sent)
+        )
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._ik = IkConfig(
@@ -100,6 +109,11 @@ class WholeBodyReach:
     def terrain(self) -> Terrain:
         """The ground, with that on which the robot stands."""
         return self.planner.terrain
+
+    @property
+    def trail(self) -> ArmTrail:
+        """Where the arm has been since the base stands where it stands."""
+        return self._routes.trail
 
     def may_reach(self, poses: ArrayLike) -> list[str]:
         """Quick test of many views: what speaks against each, or "".
@@ -128,6 +142,8 @@ class WholeBodyReach:
         if here is not None:
             return here
         finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
+        if self._routes.why_not_folded:
+            return ReachResult(f"arm alone: {why_not}; {self._routes.why_not_folded}")
         stances = finder.find(view)
         if len(stances.places):
             return self._with_base(view, stances)
@@ -146,10 +162,11 @@ class WholeBodyReach:
         q = self._whole.chain.positions(named)
         turn = math.remainder(goal[2] - self._xyyaw[2], 2.0 * math.pi)
         if np.hypot(*(goal[:2] - self._xyyaw[:2])) < 0.02 and abs(turn) < 0.05:
-            arm = self._arm(self._q, q, self._base)
-            return self._route_here(arm) if arm.converged else ReachResult(f"arm: {arm.reason}")
-        path = self.planner.plan(self._xyyaw, goal)
-        return self._drive(path, q)
+            arm = self._routes.arm_from_here(q)
+            if not arm.converged:
+                return ReachResult(f"arm: {arm.reason}")
+            return self._routes.with_arm_alone(arm)
+        return self._routes.with_base(self.planner.plan(self._xyyaw, goal), q)
 
     @property
     def _xyyaw(self) -> FloatArray:
@@ -205,36 +222,30 @@ class WholeBodyReach:
         )  # fmt: skip
         if not found.converged:
             return None, f"touches {touched[-1]}" if touched else found.reason
-        arm = self._arm(self._q, found.q, self._base)
+        arm = self._routes.arm_from_here(found.q)
         if not arm.converged:
             return None, arm.reason
-        return self._route_here(arm), ""
-
-    def _route_here(self, arm: ArmPath) -> ReachResult:
-        names, q = self._whole.chain.joint_names, arm.positions[-1]
-        camera = self._base @ self._whole.chain.camera_pose(q)
-        route = Route(
-            ArmPath.staying(names, self._q), np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, camera
-        )
-        return ReachResult("", 0.0, arm.joint_travel, route, False, camera)
+        return self._routes.with_arm_alone(arm), ""
 
     def _with_base(self, view: FloatArray, stances: Stances) -> ReachResult:
         """Drive to one of the places, or as near as can be."""
         path = self.planner.plan(self._xyyaw, stances.places)
         if path.complete:
-            return self._drive(path, stances.q[path.goal])
+            return self._routes.with_base(path, stances.q[path.goal])
         return self._approach(view, stances.places, f"base path: {path.reason}", path)
 
     def _approach(
         self, view: FloatArray, places: FloatArray, reason: str, path: BasePath | None = None
     ) -> ReachResult:
         """The farthest safe approach to places, with the camera as near to the view as can be."""
+        if self._routes.why_not_folded:
+            return ReachResult(reason)
         if path is None and len(places):
             path = self.planner.plan(self._xyyaw, places, time_limit=0.0)
         if path is None or len(path.poses) < 2 or not self._comes_nearer(view, path):
             return ReachResult(reason)
         q = self._nearest_posture(view, path.T_map_base[-1])
-        result = self._drive(path, q)
+        result = self._routes.with_base(path, q)
         if result.route is None:
             return ReachResult(f"{reason}; nor nearer: {result.reason}")
         return replace(
@@ -255,30 +266,3 @@ class WholeBodyReach:
         away = np.linalg.norm(cameras[:, :3, 3] - view[:3, 3], axis=1)
         angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
         return np.asarray(qs[int(np.argmin(away + angles))])
-
-    def _drive(self, path: BasePath, q: FloatArray) -> ReachResult:
-        """Fold the arm, drive, and unfold it to `q`, shape (n,).
-
-        Where the way is partial and the arm cannot unfold at its end, it stays folded.
-        """
-        if len(path.poses) < 2 and not path.complete:
-            return ReachResult(f"base path: {path.reason}")
-        folded, end = self._whole.driving, path.T_map_base[-1]
-        before = self._arm(self._q, folded, self._base)
-        if not before.converged:
-            return ReachResult(f"folding the arm to drive: {before.reason}")
-        after = self._arm(folded, q, end)
-        if not after.converged and path.complete:
-            return ReachResult(f"arm at the end of the base path: {after.reason}")
-        if not after.converged:
-            after = ArmPath.staying(self._whole.chain.joint_names, folded)
-        camera = end @ self._whole.chain.camera_pose(after.positions[-1])
-        route = Route(before, path.poses, path.T_map_base, after, camera, not path.complete)
-        reason = "" if path.complete else f"base path: {path.reason}"
-        travel = before.joint_travel + after.joint_travel
-        return ReachResult(reason, path.length, travel, route, not path.complete, camera)
-
-    def _arm(self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray) -> ArmPath:
-        checker = self._near.checker_at(T_map_base)
-        config = self.config
-        return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)

@@ -1,0 +1,110 @@
+"""Routes of base and arm from where the robot is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.arm_trail import ArmTrail, corners_of
+from infomap_ros.motion.base_path import BasePath
+from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.route import ArmPath, ReachResult, Route
+from infomap_ros.motion.trajectory import time_path
+from infomap_ros.motion.whole_body import WholeBody
+
+_QUICK = ArmPathConfig(time_limit=0.1)
+_BRANCHES = 5  # corners of the trail from which another way is sought
+_THERE = 1e-6  # [rad or m]
+
+
+@dataclass(frozen=True, eq=False)
+class RoutePlanner:
+    """Puts routes together for one state of map and robot.
+
+    Attributes:
+        whole: the robot.
+        near: the map around places.
+        config: effort and speeds.
+        trail: where the arm has been; ends where the robot is.
+    """
+
+    whole: WholeBody
+    near: NearSpace
+    config: ReachingConfig
+    trail: ArmTrail
+
+    @property
+    def q(self) -> FloatArray:
+        """Where the arm is, shape (n,)."""
+        return self.trail.positions[-1]
+
+    def arm_from_here(self, goal: FloatArray) -> ArmPath:
+        """A way of the arm where the base stands: through free space, or back along its trail."""
+        base = self.trail.T_map_base
+        direct = self.arm(self.q, goal, base)
+        return direct if direct.converged else self._back_and_on(goal, direct)
+
+    def arm(self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray) -> ArmPath:
+        """A way of the arm through free space where the base stands at a place, shape (4, 4)."""
+        checker, config = self.near.checker_at(T_map_base), self.config
+        return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)
+
+    def with_arm_alone(self, arm: ArmPath) -> ReachResult:
+        """The route of an arm whose base stays."""
+        names, q = self.whole.chain.joint_names, arm.positions[-1]
+        camera = self.trail.T_map_base @ self.whole.chain.camera_pose(q)
+        staying = ArmPath.staying(names, self.q)
+        route = Route(staying, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, camera)
+        return ReachResult("", 0.0, arm.joint_travel, route, False, camera)
+
+    def with_base(self, path: BasePath, q: FloatArray) -> ReachResult:
+        """Fold the arm, drive, and unfold it to `q`, shape (n,).
+
+        Where the way is partial and the arm cannot unfold at its end, it stays folded.
+        """
+        if len(path.poses) < 2 and not path.complete:
+            return ReachResult(f"base path: {path.reason}")
+        if self.why_not_folded:
+            return ReachResult(self.why_not_folded)
+        end = path.T_map_base[-1]
+        after = self.arm(self.whole.driving, q, end)
+        if not after.converged and path.complete:
+            return ReachResult(f"arm at the end of the base path: {after.reason}")
+        if not after.converged:
+            after = ArmPath.staying(self.whole.chain.joint_names, self.whole.driving)
+        camera = end @ self.whole.chain.camera_pose(after.positions[-1])
+        before, partial = self._folding, not path.complete
+        route = Route(before, path.poses, path.T_map_base, after, camera, partial)
+        reason = "" if path.complete else f"base path: {path.reason}"
+        travel = before.joint_travel + after.joint_travel
+        return ReachResult(reason, path.length, travel, route, partial, camera)
+
+    @property
+    def why_not_folded(self) -> str:
+        """Why the arm cannot be brought to the driving posture, or empty."""
+        folding = self._folding
+        return "" if folding.converged else f"folding the arm to drive: {folding.reason}"
+
+    @cached_property
+    def _folding(self) -> ArmPath:
+        return self.arm_from_here(self.whole.driving)
+
+    def _back_and_on(self, goal: FloatArray, direct: ArmPath) -> ArmPath:
+        """Back along the trail, to the goal if that is on it, else on from one of its corners."""
+        back, chain = self.trail.back(), self.whole.chain
+        on_it = np.flatnonzero(np.abs(back - goal).max(axis=1) <= _THERE)
+        if len(on_it):
+            return time_path(chain, back[: on_it[0] + 1], self.config.trajectory)
+        base = self.trail.T_map_base
+        checker = self.near.checker_at(base)
+        for row in range(1, min(len(back), _BRANCHES + 1)):
+            on = plan_arm_path(checker, back[row], goal, base, _QUICK)
+            if on.converged:
+                way = np.concatenate([back[:row], corners_of(on.positions)])
+                return time_path(chain, way, self.config.trajectory)
+        return direct

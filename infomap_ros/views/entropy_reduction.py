@@ -27,10 +27,11 @@ def expected_entropy_reduction(
 
     The sum over the voxels in view of what one observation of each is expected to tell, see
     `views.observation_value`, times the probability that known obstacles before it do not hide it.
-    An unknown voxel has 1 bit to lose, as `VoxelMap.entropy_bits` counts it. It is 0 if everything
-    in view is known and empty; falls when the view is occluded; grows with every unknown voxel in
-    view; and grows where known voxels are nearer to 0.5: the intent that Sujan and Dubowsky
-    (2005, doi:10.1177/0278364905051774) state for eqs. (7) to (9).
+    An unknown voxel has 1 bit to lose, as `VoxelMap.entropy_bits` counts it; a known one counts
+    with ``known_weight``. It is 0 if everything in view is known and empty; falls when the view is
+    occluded; grows with every unknown voxel in view; and grows where known voxels are nearer to
+    0.5: the intent that Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) state for eqs. (7)
+    to (9). With a ``wanted_sigma`` it also counts what the scan tells about where surfaces lie.
 
     Bits depend on the voxel size, as entropy does; bits times the volume of a voxel is a volume of
     unknown space that does not.

@@ -60,6 +60,7 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
     p = book.probabilities()
     bits = voxel_bits(p, middle[:, None], m.config, config)
     bits[:, (p == 0.0) | (p == 1.0)] = 0.0
+    bits[:, book.known()] *= config.known_weight
     bits += surface_bits(book.sigmas(), middle[:, None], m.config, config)
     bits[middle < config.min_range] = 0.0
     gains = bits * np.diff(edges**3)[:, None] / 3.0

@@ -59,6 +59,14 @@ class InformationConfig:
         low=1e-4,
         high=0.45,
     )
+    known_weight: float = parameter(
+        0.25,
+        "Weight of the bits of known voxels. What one scan told of the voxels along a ray is right "
+        "or wrong together, so that less is left to learn of them than the sum of their entropies. "
+        "1 counts the sum, as `VoxelMap.entropy_bits` does.",
+        low=0.0,
+        high=1.0,
+    )
     least_visibility: float = parameter(
         0.05,
         "Where a place can be seen with a lower probability than this, it counts as hidden.",

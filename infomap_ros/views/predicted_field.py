@@ -16,7 +16,7 @@ from infomap_ros.mapping.window import UNKNOWN_QUANTA
 from infomap_ros.views.codes import UNKNOWN, CodeBook
 from infomap_ros.views.field import VisibleField
 
-_LEAST_PROBABILITY = 1e-9
+_LEAST_PROBABILITY = 1e-7
 
 
 def with_predictions(

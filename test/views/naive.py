@@ -69,7 +69,8 @@ def voxel_gain(m: VoxelMap, known: bool, log_odds: float, config: InformationCon
     p = 1.0 / (1.0 + math.exp(-log_odds)) if known else 0.5
     if known and not config.certain_probability <= p <= 1.0 - config.certain_probability:
         return 0.0
-    return mutual_information(p, 0.25 * m.config.hit_quanta, 0.25 * m.config.miss_quanta)
+    weight = config.known_weight if known else 1.0
+    return weight * mutual_information(p, 0.25 * m.config.hit_quanta, 0.25 * m.config.miss_quanta)
 
 
 def clear_share(known: bool, log_odds: float, way: float, config: InformationConfig) -> float:

@@ -40,7 +40,10 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("occlusion", [0.0, 0.6])
 def test_agrees_with_a_naive_sum(rng: np.random.Generator, occlusion: float) -> None:
-    m, config = random_map(rng), InformationConfig(0.09, unknown_occlusion=occlusion)
+    m, config = (
+        random_map(rng),
+        InformationConfig(0.09, unknown_occlusion=occlusion, known_weight=0.4),
+    )
     poses = np.array([random_pose(rng) for _ in range(4)])
     bits = expected_information(m, poses, CAMERA, 3.1, config=config)
     expected = [naive.view_bits(m, pose, CAMERA, 3.1, config) for pose in poses]

@@ -30,6 +30,7 @@ PYTHON_PACKAGES = {
     "mujoco": ("mujoco", "python3-mujoco-pip"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
+    "ompl": ("ompl", "ompl"),
     "pinocchio": ("pin", "pinocchio"),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),

@@ -16,7 +16,10 @@ from typing import Any
 from infomap_ros.geometry.config import ParameterInfo, all_parameters
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.bag_player import BagPlayerNode
+from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
+from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 
@@ -25,6 +28,9 @@ NODES = {
     "map_fusion": MapFusionNode.CONFIGS,
     "bag_player": BagPlayerNode.CONFIGS,
     "simulator": SimulatorNode.CONFIGS,
+    "next_best_view": NextBestViewNode.CONFIGS,
+    "explorer": ExplorerNode.CONFIGS,
+    "dead_reckoning": DeadReckoningNode.CONFIGS,
 }
 _BEGIN, _END = "<!-- parameters of {} -->", "<!-- end of parameters of {} -->"
 

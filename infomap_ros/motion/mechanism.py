@@ -100,7 +100,10 @@ class Mechanism:
         known = {**self._assumed, **positions}
         missing = [name for name in needed if name not in known]
         if missing:
-            raise RobotModelError(f"no position of joint {', '.join(map(repr, sorted(missing)))}")
+            names = ", ".join(map(repr, sorted(missing)))
+            raise RobotModelError(
+                f"no position of joint {names}; if nobody reports it, name it in assumed_joints"
+            )
         return self._written({name: known[name] for name in needed})
 
     def resting(self, held: Mapping[str, float]) -> FloatArray:

@@ -12,6 +12,7 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.replay.camera_poses import CameraPoses
 from infomap_ros.replay.messages import JOINT_STATE, STRING, TF
 from infomap_ros.replay.range_sources import DepthSource, RangeSource, StereoSource
@@ -81,6 +82,7 @@ class MapOptions:
     assumed: AssumedPoseConfig = field(default_factory=AssumedPoseConfig)
     waiting: WaitingQueueConfig = field(default_factory=WaitingQueueConfig)
     body: BodyFilterConfig = field(default_factory=BodyFilterConfig)
+    description: DescriptionConfig = field(default_factory=DescriptionConfig)
     topics: Mapping[str, str] = field(default_factory=dict)
     robot: str = ""
 
@@ -205,12 +207,12 @@ def _find_body(bag: BagReader, types: Topics, options: MapOptions, has_joints: b
         body.note = "not wanted"
         return body
     if options.robot:
-        return RobotBody.from_description(options.robot, options.body)
+        return RobotBody.from_description(options.robot, options.body, options.description)
     topics = [n for n, kind in types.items() if kind == STRING and n.endswith("robot_description")]
     description = description_among(e.record for e in bag.records(topics)) if topics else ""
     if not description:
         return RobotBody(None)
-    body = RobotBody.from_description(description, options.body)
+    body = RobotBody.from_description(description, options.body, options.description)
     if body.needs_joints and not has_joints:
         body = RobotBody(None)
         body.note = "no joint states"

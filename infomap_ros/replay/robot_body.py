@@ -12,6 +12,7 @@ from infomap_ros.geometry import JointStateRecord, Record, TextRecord
 from infomap_ros.geometry.joint_buffer import JointBuffer
 from infomap_ros.mapping.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.replay.range_meters import Measurement
 
 
@@ -31,14 +32,22 @@ class RobotBody:
 
     @classmethod
     def from_description(
-        cls, description: str | Path, config: BodyFilterConfig | None = None
+        cls,
+        description: str | Path,
+        config: BodyFilterConfig | None = None,
+        reading: DescriptionConfig | None = None,
     ) -> RobotBody:
         """A body by its URDF, a file or the text itself.
+
+        Args:
+            description: path or text.
+            config: how points on it are found.
+            reading: what the description does not say.
 
         Raises:
             RobotModelError: the URDF cannot be used.
         """
-        return cls(RobotModel.from_urdf(description), config)
+        return cls((reading or DescriptionConfig()).read(description), config)
 
     @property
     def needs_joints(self) -> bool:

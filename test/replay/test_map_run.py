@@ -21,6 +21,7 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.reader import BagReader
@@ -186,6 +187,19 @@ def test_robot_body_stays_out_of_the_map(tmp_path):
     assert (run.map.probability(hand) < 0.6).all()
     kept = mapped(path, input=MapInputConfig(remove_body=False))
     assert (kept.map.probability(hand) > 0.6).any()
+
+
+def test_joints_that_the_bag_does_not_hold_can_be_assumed(tmp_path):
+    wheel = (
+        '<joint name="roll" type="continuous"><parent link="base"/><child link="wheel"/></joint>'
+    )
+    shape = '<link name="wheel"><collision><geometry><sphere radius="0.1"/></geometry></collision>'
+    xml = ROBOT.replace("</robot>", f"{shape}</link>{wheel}</robot>")
+    path = write(tmp_path / "bag", with_hand(depth_frames(), 0.8))
+    unaware = mapped(path, robot=xml)
+    assert "'roll'; if nobody reports it, name it in assumed_joints" in unaware.inputs.body.note
+    run = mapped(path, robot=xml, description=DescriptionConfig(assumed_joints=("roll",)))
+    assert run.inputs.body.dropped_points > 1000
 
 
 def test_robot_without_joint_states_is_mapped_with_its_body(tmp_path):

@@ -13,6 +13,7 @@ from infomap_ros.simulation.placing import Places, upright
 from infomap_ros.simulation.terrain import Terrain
 
 _WALL = 0.12  # [m] thickness
+_OVERLAP = 0.002  # [m] of the pieces of a wall
 _GAP = 0.9  # [m] between things, for robots of 0.4 m
 _LAMPS = (0.62, 0.62, 0.60)
 
@@ -110,7 +111,7 @@ def _add_wall(
     yaw = float(np.arctan2(*(end - start)[::-1]))
     for index in range(count):
         x, y = start + (end - start) * (index + 0.5) / count
-        size = (length / count, _WALL, height + 0.1)
+        size = (length / count + _OVERLAP, _WALL, height + 0.1)
         pose = upright(float(x), float(y), 0.5 * height - 0.05, yaw)
         builder.add_box(f"wall_{name}_{index}", size, pose, material)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import transform_points
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.scenes import (
     SCENES,
@@ -14,9 +15,12 @@ from infomap_ros.simulation.scenes import (
     describe_scene,
     make_world,
 )
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.stereo_camera import StereoCameraConfig
+from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 
 WORLDS = ("mars", "office", "cave")
-SMALL = {"texture_size": 64}
+SMALL = {"texture_size": 64, "size": 5.0}
 
 
 def _hits(world: World, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -69,7 +73,7 @@ def test_the_cave_is_closed(rng: np.random.Generator) -> None:
 
 
 def test_mars_has_its_panel_and_passages_between_its_boulders() -> None:
-    world = make_world("mars", 5, **SMALL)
+    world = make_world("mars", 5, texture_size=64)
     names = [world.model.geom(index).name for index in range(world.model.ngeom)]
     assert "panel" in names
     boulders = [n for n in names if n.startswith("boulder_")]
@@ -96,3 +100,31 @@ def test_unknown_worlds_and_parameters_are_refused() -> None:
         make_world("mars", 1, doors=2)
     with pytest.raises(ConfigError, match="ceiling"):
         make_world("cave", 1, ceiling=0.1)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_stereo_matches_the_textures(name: str, description: str) -> None:
+    world = make_world(name, 2, texture_size=1024, size=5.0)
+    camera = StereoCameraConfig(width=320, height=240)
+    robot = Simulator(world, description, SimulatorConfig(camera=camera))
+    robot.follow_arm_trajectory(["arm_pan_joint"], [[0.9]], [0.5])
+    while robot.is_moving:
+        robot.step(0.2)
+    rectifier = StereoRectifier(*robot.calibrations)
+    pair = robot.capture()
+    robot.close()
+    cloud = StereoRangeSensor(rectifier.rig, StereoConfig()).measure(
+        *rectifier.rectify(pair.left, pair.right)
+    )
+    left = rectifier.rig.left
+    pixels = np.stack(np.meshgrid(np.arange(30, 320, 5), np.arange(5, 240, 5)), axis=-1)
+    rays = np.dstack([(pixels - (left.cx, left.cy)) / left.fx, np.ones(pixels.shape[:2])])
+    ends = transform_points(robot.true_camera_pose(), 4.0 * rays.reshape(-1, 3))
+    starts = np.broadcast_to(robot.true_camera_pose()[:3, 3], ends.shape)
+    depth = 4.0 * world.surface.first_hits(starts, ends)
+    measured = cloud.range_image[pixels[..., 1], pixels[..., 0]].ravel()
+    in_range = np.isfinite(depth)
+    assert np.isfinite(measured[in_range]).mean() > 0.8
+    both = in_range & np.isfinite(measured)
+    error = np.abs(measured - depth)[both] / depth[both] ** 2
+    assert np.median(error) < 0.006  # 0.25 px: z^2 / (f b) times that

@@ -32,7 +32,8 @@ class NearSpace:
     that was seen to be occupied: the space that its body fills, and a little around it, is free;
     so is what the user declares to be free; and a way may leave what the body touches at its start
     (`CollisionChecker.departure`). Voxels within the body are free even if something was seen
-    there, as that can only have been the robot itself.
+    there, as that can only have been the robot itself. And where the base is to stand, the planner
+    of the base answers for the space that the foot of the arm fills, which hardly moves.
 
     Args:
         voxel_map: what is known.
@@ -42,6 +43,7 @@ class NearSpace:
         radius: no point of the body is farther from the base's origin [m].
         clear_body: space within this of the present body is free [m].
         known_free: further space that is free although it was never seen [map].
+        foot: solids of the foot of the arm, base frame.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class NearSpace:
         radius: float,
         clear_body: float,
         known_free: Sequence[PlacedSolid] = (),
+        foot: Sequence[PlacedSolid] = (),
     ) -> None:
         self._map, self._body, self._radius = voxel_map, body, radius
         robot = body.robot
@@ -64,6 +67,10 @@ class NearSpace:
             PlacedSolid(_grown(part.solid, by), T_map_base @ part.transform, part.name)
             for part in robot.solids_in(robot.base_frame, positions)
         ]
+        reach = body.config.tolerance + body.config.margin + half_diagonal
+        self._foot = [
+            PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
+        ]
         self._known_free = (*known_free, *own)
         self._own_points = body.spheres(body.chain.positions(positions), T_map_base)[:, :3]
         self._remembered: dict[bytes, CollisionChecker] = {}
@@ -74,23 +81,36 @@ class NearSpace:
         if key not in self._remembered:
             if len(self._remembered) >= _REMEMBERED:
                 self._remembered.pop(next(iter(self._remembered)))
-            middle = T_map_base[:3, 3]
-            self._remembered[key] = self.checker_in(middle - self._radius, middle + self._radius)
+            self._remembered[key] = self.checker_around(T_map_base[None])
         return self._remembered[key]
 
     def checker_around(self, T_map_bases: FloatArray) -> CollisionChecker:
         """For a robot that stands at any of several places, shape (N, 4, 4)."""
         middles = T_map_bases[:, :3, 3]
-        return self.checker_in(
-            middles.min(axis=0) - self._radius, middles.max(axis=0) + self._radius
-        )
+        feet = [
+            PlacedSolid(part.solid, pose @ part.transform, part.name)
+            for pose in T_map_bases
+            for part in self._foot
+        ]
+        low, high = middles.min(axis=0) - self._radius, middles.max(axis=0) + self._radius
+        return self.checker_in(low, high, feet)
 
-    def checker_in(self, low: FloatArray, high: FloatArray) -> CollisionChecker:
-        """For a robot that stays within a box [m, map]; all outside counts as unknown."""
+    def checker_in(
+        self, low: FloatArray, high: FloatArray, free: Sequence[PlacedSolid] = ()
+    ) -> CollisionChecker:
+        """For a robot that stays within a box [m, map]; all outside counts as unknown.
+
+        Args:
+            low: corner of the box, shape (3,).
+            high: its other corner.
+            free: further space that is free although it was never seen [map].
+        """
         field = distance_field(
             self._map.window(low, high),
             unknown_is_free=self._body.config.unknown_is_free,
-            known_free=[solid for solid in self._known_free if _touches_box(solid, low, high)],
+            known_free=[
+                solid for solid in (*self._known_free, *free) if _touches_box(solid, low, high)
+            ],
             own_points=self._own_points,
         )
         return CollisionChecker(self._body, field)

@@ -83,6 +83,7 @@ class WholeBodyReach:
             self._whole.radius,
             self.config.clear_body,
             () if start is None else (start.space(self._whole.body.robot),),
+            self._whole.foot,
         )
         self._start = start
         past = trail or ArmTrail.at(self._base, self._q)

@@ -19,7 +19,8 @@ from infomap_ros.motion.whole_body import WholeBody
 _LEAN = 0.1  # [rad]
 _UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
 _TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
-_QUICK = ArmPathConfig(time_limit=0.05)
+_ASKED = 50
+_QUICK = ArmPathConfig(time_limit=0.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ class StanceFinder:
         if found is None:
             return self._none(reason)
         nearest = found.rows(np.argsort(self._way_to(found.places))[: self.config.goals])
-        good, reason = self._unfolding(nearest, checker)
+        good, reason = self._unfolding(nearest)
         if not good:
             return self._none(reason)
         return Stances(nearest.places[good], nearest.q[good])
@@ -137,11 +138,13 @@ class StanceFinder:
         reached = _Candidates(found.places, solved.q, found.T_map_base).rows(solved.converged)
         free = checker.are_free(reached.q, reached.T_map_base, base=False)
         if not free.any():
-            what = checker.check(reached.q[0], reached.T_map_base[0], base=False).what
-            return None, f"the arm is not free at {len(free)} stances, for example {what}"
+            return (
+                None,
+                f"the arm is free at none of {len(free)} stances: {_mostly(checker, reached)}",
+            )
         return reached.rows(free), ""
 
-    def _unfolding(self, found: _Candidates, checker: CollisionChecker) -> tuple[list[int], str]:
+    def _unfolding(self, found: _Candidates) -> tuple[list[int], str]:
         """Rows of those where the arm gets from the driving posture to the view in balance.
 
         At least one is found, if there is any; further ones while the time lasts.
@@ -158,6 +161,7 @@ class StanceFinder:
             if not stance.ok:
                 reason = f"with the arm at the view: {stance.reason}"
                 continue
+            checker = self.near.checker_at(pose)
             path = plan_arm_path(checker, self.whole.driving, q, pose, _QUICK)
             if path.converged:
                 good.append(row)
@@ -177,3 +181,14 @@ class StanceFinder:
 
     def _none(self, reason: str) -> Stances:
         return Stances(np.zeros((0, 3)), np.zeros((0, len(self.whole.chain))), reason)
+
+
+def _mostly(checker: CollisionChecker, found: _Candidates) -> str:
+    """What the arm touches at most of the first places, with one of them."""
+    reports = [
+        checker.check(q, pose, base=False).what
+        for q, pose in zip(found.q[:_ASKED], found.T_map_base[:_ASKED], strict=True)
+    ]
+    kinds = [what.split(" at ")[0] for what in reports]
+    commonest = max(kinds, key=kinds.count)
+    return f"mostly {reports[kinds.index(commonest)]}"

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm_postures import ArmPostures
 from infomap_ros.motion.chain import KinematicChain
@@ -32,6 +33,8 @@ class WholeBody:
         vehicle: how it stands and drives, the arm in the driving posture.
         postures: of the arm.
         driving: posture while the base drives, shape (n,) [rad or m].
+        foot: solids of the links that the arm's first joints move, in the driving posture, base
+            frame.
         origin_height: of the base's origin above level ground [m].
         radius: no point of the body is farther from the base's origin [m].
         arm_reach: farthest that the camera is from the base's origin [m].
@@ -42,6 +45,7 @@ class WholeBody:
     vehicle: Vehicle
     postures: ArmPostures
     driving: FloatArray
+    foot: tuple[PlacedSolid, ...]
     origin_height: float
     radius: float
     arm_reach: float
@@ -96,10 +100,23 @@ def _whole_body(
         vehicle=vehicle,
         postures=postures,
         driving=driving,
+        foot=_foot(body, {**dict(held), **body.chain.by_name(driving)}),
         origin_height=-float(vehicle.arrays.contacts[..., 2].min()),
         radius=float(distances.max()) + _SPARE,
         arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
     )
+
+
+def _foot(body: CollisionBody, joints: Mapping[str, float]) -> tuple[PlacedSolid, ...]:
+    robot, bodies, parents = body.robot, body.arrays.bodies, body.tree.arrays.parents
+    positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints} | dict(joints)
+    near = {
+        link
+        for link, number in zip(body.links, bodies, strict=True)
+        if number > 0 and parents[number - 1] == 0
+    }
+    solids = robot.solids_in(robot.base_frame, positions)
+    return tuple(solid for solid in solids if solid.name in near)
 
 
 def _driving(body: CollisionBody, config: ReachingConfig) -> FloatArray:

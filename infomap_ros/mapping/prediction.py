@@ -179,9 +179,13 @@ def _list_cells(depth: Any, colour: int, cells: Any, shares: Any, found: int) ->
         for j in range(1, ny - 1):
             for k in range(1 + (i + j + 1 + colour) % 2, nz - 1, 2):
                 if depth[i, j, k] > 1:
-                    near = (depth[i - 1, j, k] > 0) + (depth[i + 1, j, k] > 0)
-                    near += (depth[i, j - 1, k] > 0) + (depth[i, j + 1, k] > 0)
-                    near += (depth[i, j, k - 1] > 0) + (depth[i, j, k + 1] > 0)
+                    near = 0
+                    near += depth[i - 1, j, k] > 0
+                    near += depth[i + 1, j, k] > 0
+                    near += depth[i, j - 1, k] > 0
+                    near += depth[i, j + 1, k] > 0
+                    near += depth[i, j, k - 1] > 0
+                    near += depth[i, j, k + 1] > 0
                     cells[found] = (i * ny + j) * nz + k
                     shares[found] = np.float32(1.0) / np.float32(near)
                     found += 1

@@ -18,12 +18,8 @@ class BasePlannerConfig:
         ConfigError: a value is out of its range.
     """
 
-    time_limit: float = parameter(
-        1.0, "Time after which sampling gives way to complete search.", unit="s", low=0.0,
-        high=600.0,
-    )  # fmt: skip
     sampling_time: float = parameter(
-        0.25, "Time that sampling has before the reachable ground is known.", unit="s", low=0.0,
+        0.25, "Time after which sampling gives way to complete search.", unit="s", low=0.0,
         high=600.0,
     )  # fmt: skip
     headings: int = parameter(32, "Headings of the cells that sampling asks.", low=8, high=256)

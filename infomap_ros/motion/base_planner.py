@@ -59,7 +59,8 @@ class BasePlanner:
         Args:
             start: x, y [m] and yaw [rad] of the base in the map, shape (3,).
             goals: likewise, shape (3,) or (G, 3); yaw NaN for any heading.
-            time_limit: of sampling [s]; None for the configuration's. Complete search follows.
+            time_limit: of sampling [s]; None for the configuration's. Complete search follows;
+                where that was done from this start already, it answers at once.
 
         Raises:
             InvalidInputError: shapes do not fit, or values are not finite.
@@ -67,24 +68,15 @@ class BasePlanner:
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
         self._stand_at(here)
         places, owners, reasons = self._space.standable_goals(targets)
-        known = self._reach is not None and self._reach.starts_at(here)
-        limit = self.config.time_limit if time_limit is None else float(time_limit)
-        way, found = None, None
-        if not known:
-            way = self._sampled(here, places, min(limit, self.config.sampling_time))
-        if way is None:
-            found = self._reached_from(here).way_to_any(places)
-            if found is None:
-                return self._approach(targets, reasons)
-            if known:
-                way = self._sampled(here, places[found[1]][None], limit)
-        method = "sampling" if way is not None else "search"
-        if way is None and found is not None:
-            way = self._shorter(found[0])
-        assert way is not None
-        goal = _owner(way[-1], places, owners)
-        way = self._free_arrival(way) if np.isnan(targets[goal, 2]) else way
-        return self._space.finished(way, goal, method)
+        limit = self.config.sampling_time if time_limit is None else float(time_limit)
+        if self._reach is None or not self._reach.starts_at(here):
+            way = self._sampled(here, places, limit)
+            if way is not None:
+                return self._arrived(way, places, owners, targets, "sampling")
+        found = self._reached_from(here).way_to_any(places)
+        if found is None:
+            return self._approach(targets, reasons)
+        return self._arrived(self._shorter(found[0]), places, owners, targets, "search")
 
     def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Cells of the terrain in whose middle the base can stand and to which it can drive.
@@ -140,6 +132,20 @@ class BasePlanner:
         """A way of the graph, shortened where that holds."""
         shorter = self._checked(self._space.shortened(way))
         return way if shorter is None else shorter
+
+    def _arrived(
+        self,
+        way: FloatArray,
+        places: FloatArray,
+        owners: NDArray[np.int64],
+        targets: FloatArray,
+        method: str,
+    ) -> BasePath:
+        """A way that leads to one of the places, as the caller gets it."""
+        goal = _owner(way[-1], places, owners)
+        if np.isnan(targets[goal, 2]):
+            way = self._free_arrival(way)
+        return self._space.finished(way, goal, method)
 
     def _free_arrival(self, way: FloatArray) -> FloatArray:
         """A way to a goal of any heading without its last turn, where that may be left out."""

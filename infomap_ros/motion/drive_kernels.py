@@ -100,6 +100,21 @@ def known_drive(lattice: Any, grid: Any, a: Any, b: Any, reverse: bool) -> int:
 
 
 @njit(cache=True, nogil=True)
+def known_drive_in_cells(
+    lattice: Any,
+    ax: float,
+    ay: float,
+    ayaw: float,
+    bx: float,
+    by: float,
+    byaw: float,
+    reverse: bool,
+) -> int:
+    """As `known_drive`, in cells from the grid's corner; with the fewest arguments to unpack."""
+    return known_drive(lattice, (0.0, 0.0, 1.0), (ax, ay, ayaw), (bx, by, byaw), reverse)
+
+
+@njit(cache=True, nogil=True)
 def ask_cell(
     lattice: Any, grid: Any, i: int, j: int, k: int, ground: Any,
 ) -> int:  # fmt: skip

@@ -52,7 +52,7 @@ def _start(time: float, fields: Fields) -> Start:
         _text(fields, "robot", ""),
         _text(fields, "world", ""),
         _text(fields, "strategy", ""),
-        _number(fields, "voxel_size"),
+        _number(fields, "voxel_size", math.nan),
         _camera(fields.get("camera")),
         _number(fields, "max_range", math.nan),
     )

@@ -25,9 +25,9 @@ class Start:
         robot: name of the robot.
         world: name of the simulated world, empty for a real one.
         strategy: name of the strategy that chooses the views.
-        voxel_size: [m].
+        voxel_size: [m]; NaN where the log does not tell.
         camera: the rectified camera; None where the log does not tell.
-        max_range: of the sensor [m].
+        max_range: of the sensor [m]; NaN where the log does not tell.
     """
 
     time: float

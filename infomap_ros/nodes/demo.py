@@ -20,11 +20,14 @@ from rich.status import Status
 
 from infomap_ros.errors import InfomapError, ProcessError
 from infomap_ros.exploration.report import write_report
+from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.export import write_ply
 from infomap_ros.mapping.pictures import draw_map_views
 from infomap_ros.nodes.live_exploration import LiveExploration
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.exploration_run import task_in
+from infomap_ros.simulation.scenes import make_world
 
 _TIMEOUT = 3600.0  # [s]
 
@@ -38,11 +41,16 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     out: Path = options.out
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    task = {"task.max_views": options.max_views}
+    world = task_in(make_world(options.world, options.seed), TaskConfig())
+    task = {
+        "task.max_views": options.max_views,
+        "task.region_low": list(world.region_low),
+        "task.region_high": list(world.region_high),
+    }
     parameters = {
         "simulator": {"world": options.world, "world_seed": options.seed},
         "map_fusion": {"voxel_size": options.voxel_size},
-        "next_best_view": {"strategy": options.strategy},
+        "next_best_view": {"strategy": options.strategy, **task},
         "explorer": task,
     }
     start = time.monotonic()

@@ -130,7 +130,7 @@ class ExplorerNode(MonitoredNode):
         goes_on = self._config.resume and self._mission_file.exists()
         mission = Mission.load(self._mission_file) if goes_on else Mission()
         log = RunLogFile(Path(self._config.log_file).absolute(), append=goes_on)
-        log.write("start", task=asdict(self.config(TaskConfig)), robot=self.get_namespace())
+        self._log = log
         self._exploration = Exploration(
             self._robot,
             self._planner,
@@ -149,8 +149,22 @@ class ExplorerNode(MonitoredNode):
         """The thread of the loop."""
         assert self._exploration is not None
         self._tracker.wait_until(self._tracker.is_complete, math.inf, self._stopped)
+        self._write_start()
         ending = self._exploration.run()
         self.get_logger().info(f"exploration ended: {ending.reason.value}: {ending.detail}")
+
+    def _write_start(self) -> None:
+        """Begin the log of the run, now that the robot is known."""
+        if self._stopped():
+            return
+        camera = self._tracker.calibrations[0].rectified_camera()
+        names = ("width", "height", "fx", "fy", "cx", "cy")
+        self._log.write(
+            "start",
+            task=asdict(self.config(TaskConfig)),
+            robot=self._tracker.robot.name,
+            camera={name: getattr(camera, name) for name in names},
+        )
 
     def _stopped(self) -> bool:
         assert self._exploration is not None

@@ -37,6 +37,10 @@ def outcome(run: RecordedRun) -> str:
     )
 
 
+def _known(name: str, length: float) -> str:
+    return f"{name} {quantity(length, 'm', 2)}" if math.isfinite(length) else ""
+
+
 def subtitle(run: RecordedRun) -> str:
     """Which robot explored what, and how."""
     start = run.start
@@ -44,8 +48,8 @@ def subtitle(run: RecordedRun) -> str:
         f"robot {start.robot}" if start.robot else "",
         f"world {start.world}" if start.world else "",
         f"strategy {start.strategy.replace('_', ' ')}" if start.strategy else "",
-        f"voxels of {quantity(start.voxel_size, 'm', 2)}",
-        f"range {quantity(start.max_range, 'm', 2)}" if math.isfinite(start.max_range) else "",
+        _known("voxels of", start.voxel_size),
+        _known("range", start.max_range),
     ]
     return html.escape(" · ".join(part for part in parts if part))
 

@@ -49,7 +49,6 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     has_gaussian = np.empty(found, np.bool_)
     means, covariances = np.full((found, 3), np.nan), np.full((found, 3, 3), np.nan)
     queries.describe_surface(
-        blocks,
         storage.gaussians,
         size,
         indices,

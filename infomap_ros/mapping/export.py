@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.mapping.voxel_map import VoxelMap
@@ -73,7 +76,31 @@ def surface_sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
 
     The normal is where a surface voxel's Gaussian is thinnest.
     """
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, 0], 0.0)))
+    sigmas = np.empty(len(covariances))
+    _thinnest(np.ascontiguousarray(covariances, dtype=np.float64), sigmas)
+    return sigmas
+
+
+@njit(cache=True, nogil=True)
+def _thinnest(covariances: Any, sigmas: Any) -> None:
+    """Roots of the smallest eigenvalues, by the closed form for symmetric 3x3 matrices.
+
+    O. K. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", Communications of the ACM 4(4), 1961,
+    https://doi.org/10.1145/355578.366316.
+    """
+    for row in range(len(covariances)):
+        c = covariances[row]
+        middle = (c[0, 0] + c[1, 1] + c[2, 2]) / 3.0
+        x, y, z = c[0, 0] - middle, c[1, 1] - middle, c[2, 2] - middle
+        a, b, d = c[1, 0], c[2, 0], c[2, 1]
+        spread = math.sqrt((x * x + y * y + z * z + 2.0 * (a * a + b * b + d * d)) / 6.0)
+        smallest = middle
+        if spread > 0.0:
+            determinant = x * (y * z - d * d) - a * (a * z - d * b) + b * (a * d - y * b)
+            half = 0.5 * determinant / (spread * spread * spread)
+            angle = math.acos(min(max(half, -1.0), 1.0)) / 3.0
+            smallest += 2.0 * spread * math.cos(angle + 2.0 * math.pi / 3.0)
+        sigmas[row] = math.sqrt(max(smallest, 0.0))
 
 
 def height_colors(heights: NDArray[np.float64]) -> NDArray[np.uint8]:

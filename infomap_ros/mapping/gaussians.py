@@ -156,7 +156,11 @@ def invert_symmetric(a: Any, out: Any) -> bool:
     Returns:
         False, with `out` undefined, when the matrix is not positive definite.
     """
-    xx, xy, xz, yy, yz, zz = a[0], a[1], a[2], a[3], a[4], a[5]
+    return _invert(a[0], a[1], a[2], a[3], a[4], a[5], out)
+
+
+@njit(cache=True, nogil=True)
+def _invert(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, out: Any) -> bool:
     minor = xx * yy - xy * xy
     c0 = yy * zz - yz * yz
     c1 = xz * yz - xy * zz
@@ -181,10 +185,9 @@ def solve_mean(information: Any, covariance: Any, mean: Any) -> bool:
     Returns:
         False when the information is not positive definite.
     """
-    matrix = np.empty(6)
-    for i in range(6):
-        matrix[i] = information[i]
-    if not invert_symmetric(matrix, covariance):
+    xx, xy, xz = np.float64(information[0]), np.float64(information[1]), np.float64(information[2])
+    yy, yz, zz = np.float64(information[3]), np.float64(information[4]), np.float64(information[5])
+    if not _invert(xx, xy, xz, yy, yz, zz, covariance):
         return False
     x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
     mean[0] = covariance[0] * x + covariance[1] * y + covariance[2] * z

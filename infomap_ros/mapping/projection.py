@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping.block_kernels import quanta_of
+from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
+from infomap_ros.mapping.keys import BLOCK_SIDE, local_index, unpack
 from infomap_ros.mapping.voxel_map import VoxelMap
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 """Values of a cell, as in ``nav_msgs/OccupancyGrid``."""
+
+_NOTHING = -(2**31)
 
 
 @dataclass(frozen=True)
@@ -69,20 +77,56 @@ def project_map(voxel_map: VoxelMap, config: ProjectionConfig | None = None) -> 
     """
     band = config or ProjectionConfig()
     size = voxel_map.config.voxel_size
-    indices, log_odds = voxel_map.voxels()
-    heights = (indices[:, 2] + 0.5) * size
-    chosen = (heights >= band.low) & (heights <= band.high)
-    columns = indices[chosen, :2]
-    if not len(columns):
-        return ProjectedGrid(np.full((1, 1), UNKNOWN, dtype=np.int8), (0.0, 0.0), size)
-    first = columns.min(axis=0)
-    across, along = columns.max(axis=0) - first + 1
-    highest = np.full((along, across), np.nan, dtype=np.float32)
-    np.fmax.at(highest, (columns[:, 1] - first[1], columns[:, 0] - first[0]), log_odds[chosen])
-    cells = np.full((along, across), UNKNOWN, dtype=np.int8)
-    cells[highest >= _log_odds(band.occupied_probability)] = OCCUPIED
-    cells[highest <= _log_odds(band.free_probability)] = FREE
-    return ProjectedGrid(cells, (float(first[0] * size), float(first[1] * size)), size)
+    highest, first = _highest_in_band(voxel_map, band)
+    cells = np.full(highest.shape, UNKNOWN, dtype=np.int8)
+    known, log_odds = highest > _NOTHING, highest * LOG_ODDS_QUANTUM
+    cells[known & (log_odds >= _log_odds(band.occupied_probability))] = OCCUPIED
+    cells[known & (log_odds <= _log_odds(band.free_probability))] = FREE
+    return ProjectedGrid(cells, (first[0] * size, first[1] * size), size)
+
+
+def _highest_in_band(
+    voxel_map: VoxelMap, band: ProjectionConfig
+) -> tuple[NDArray[np.int32], tuple[int, int]]:
+    """Most evidence in each column [quanta], rows along y, and x and y index of the first one."""
+    bounds = voxel_map.bounds()
+    if bounds is None:
+        return np.full((1, 1), _NOTHING, np.int32), (0, 0)
+    low, high = bounds
+    size = voxel_map.config.voxel_size
+    levels = np.arange(low[2], high[2] + 1)
+    heights = (levels + 0.5) * size
+    levels = levels[(heights >= band.low) & (heights <= band.high)]
+    highest = np.full((high[1] - low[1] + 1, high[0] - low[0] + 1), _NOTHING, np.int32)
+    if len(levels):
+        blocks = voxel_map._storage.blocks
+        _project(blocks, low[0], low[1], levels[0], levels[-1], highest)
+    rows, columns = (np.flatnonzero((highest > _NOTHING).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return highest[:1, :1], (0, 0)
+    trimmed = highest[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return trimmed, (int(low[0] + columns[0]), int(low[1] + rows[0]))
+
+
+@njit(cache=True, nogil=True)
+def _project(
+    blocks: Any, first_x: int, first_y: int, lowest: int, topmost: int, highest: Any
+) -> None:
+    """Raise the columns to the evidence of the known voxels from level `lowest` to `topmost`."""
+    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
+    keys, narrow, wide = blocks.keys, blocks.narrow, blocks.wide
+    for slot in range(blocks.counts[BLOCK_COUNT]):
+        x, y, z = unpack(keys[slot])
+        x, y, z = x * BLOCK_SIDE - first_x, y * BLOCK_SIDE - first_y, z * BLOCK_SIDE
+        for level in range(max(z, lowest), min(z + BLOCK_SIDE, topmost + 1)):
+            for row in range(BLOCK_SIDE):
+                for column in range(BLOCK_SIDE):
+                    local = local_index(column, row, level)
+                    known, quanta = quanta_of(
+                        kinds[slot], bases[slot], planes[slot], narrow, wide, local
+                    )
+                    if known and quanta > highest[y + row, x + column]:
+                        highest[y + row, x + column] = quanta
 
 
 def _log_odds(probability: float) -> float:

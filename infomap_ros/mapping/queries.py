@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.block_kernels import clipped, find_block, quanta_at
+from infomap_ros.mapping.block_kernels import clipped, find_block, quanta_at, quanta_of
 from infomap_ros.mapping.blocks import (
     BLOCK_COUNT,
     NARROW,
@@ -17,7 +17,7 @@ from infomap_ros.mapping.blocks import (
     WIDE,
     WIDE_UNKNOWN,
 )
-from infomap_ros.mapping.gaussians import find_gaussian, solve_mean
+from infomap_ros.mapping.gaussians import find_row, solve_mean
 from infomap_ros.mapping.keys import (
     BLOCK_BITS,
     BLOCK_SIDE,
@@ -109,7 +109,13 @@ def is_surface(blocks: Any, gaussians: Any, row: int, half: float, work: Any, me
     owner = np.int64(gaussians.owner[row])
     if quanta_at(blocks, owner >> 9, owner & 511)[1] <= 0:
         return False
-    if not solve_mean(gaussians.information[row], work, mean):
+    return _lies_in_voxel(gaussians.information[row], half, work, mean)
+
+
+@njit(cache=True, nogil=True)
+def _lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
+    """The second half of `is_surface`, for a row of the information."""
+    if not solve_mean(information, work, mean):
         return False
     return max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= 1.2 * half
 
@@ -123,13 +129,19 @@ def list_surface(
     Returns:
         Number of surface voxels.
     """
+    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
+    narrow, wide = blocks.narrow, blocks.wide
+    owners, information = gaussians.owner, gaussians.information
     work, mean = np.empty(6), np.empty(3)
     found = 0
     for row in range(gaussians.counts[0]):
-        if not is_surface(blocks, gaussians, row, 0.5 * size, work, mean):
+        slot, local = np.int64(owners[row]) >> 9, np.int64(owners[row]) & 511
+        if quanta_of(kinds[slot], bases[slot], planes[slot], narrow, wide, local)[1] <= 0:
+            continue
+        if not _lies_in_voxel(information[row], 0.5 * size, work, mean):
             continue
         if found < len(indices):
-            x, y, z = voxel_of(blocks, np.int64(gaussians.owner[row]))
+            x, y, z = voxel_of(blocks, np.int64(owners[row]))
             indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
             for i in range(3):
                 means[found, i] = (indices[found, i] + 0.5) * size + mean[i]
@@ -220,7 +232,6 @@ def list_dirty(blocks: Any, limit: int, indices: Any, quanta: Any, owners: Any) 
 
 @njit(cache=True, nogil=True)
 def describe_surface(
-    blocks: Any,
     gaussians: Any,
     size: float,
     indices: Any,
@@ -231,13 +242,14 @@ def describe_surface(
     covariances: Any,
 ) -> None:
     """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
+    table, owner, information = gaussians.table, gaussians.owner, gaussians.information
     work, mean = np.empty(6), np.empty(3)
     for voxel in range(len(quanta)):
         has_gaussian[voxel] = False
         if quanta[voxel] <= 0:
             continue
-        row = find_gaussian(gaussians, owners[voxel])
-        if row >= 0 and is_surface(blocks, gaussians, row, 0.5 * size, work, mean):
+        row = find_row(table, owner, owners[voxel])
+        if row >= 0 and _lies_in_voxel(information[row], 0.5 * size, work, mean):
             has_gaussian[voxel] = True
             for i in range(3):
                 means[voxel, i] = (indices[voxel, i] + 0.5) * size + mean[i]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.export import height_colors, surface_sigmas, write_ply
 from infomap_ros.mapping.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.voxel_states import put_states, unknown_states
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +60,13 @@ def test_sigma_is_that_of_the_thinnest_direction(rng):
     np.testing.assert_allclose(surface_sigmas(covariances), 0.03)
 
 
+@pytest.mark.parametrize("widths", [(0.001, 0.03, 0.03), (0.001, 0.001, 0.03), (0.02, 0.02, 0.02)])
+def test_sigma_is_the_smallest_of_any_direction(rng, widths):
+    turns = Rotation.random(200, random_state=rng).as_matrix()
+    covariances = turns @ np.diag(np.square(widths)) @ turns.transpose(0, 2, 1)
+    np.testing.assert_allclose(surface_sigmas(covariances), min(widths), rtol=1e-5)
+
+
 def test_colors_rise_in_lightness_with_height():
     colors = height_colors(np.linspace(-1.0, 3.0, 50)).astype(float)
     lightness = colors @ [0.2126, 0.7152, 0.0722]
@@ -67,12 +75,14 @@ def test_colors_rise_in_lightness_with_height():
     assert len(height_colors(np.full(4, 2.0))) == 4
 
 
-def column_map(columns: dict[tuple[int, int, int], float]) -> SimpleNamespace:
+def column_map(columns: dict[tuple[int, int, int], float]) -> VoxelMap:
+    """A map of these voxels with this evidence [nats]."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1))
     indices = np.array(list(columns), dtype=np.int32).reshape(-1, 3)
-    return SimpleNamespace(
-        config=SimpleNamespace(voxel_size=0.1),
-        voxels=lambda: (indices, np.array(list(columns.values()), dtype=np.float32)),
-    )
+    quanta = np.rint(np.array(list(columns.values())) / LOG_ODDS_QUANTUM).astype(np.int32)
+    known = np.full(len(indices), True)
+    put_states(voxel_map._storage, unknown_states(indices)._replace(known=known, quanta=quanta))
+    return voxel_map
 
 
 BAND = ProjectionConfig(low=0.2, high=0.5)  # voxels 2, 3 and 4 of 0.1 m
@@ -100,8 +110,8 @@ def test_projection_of_single_columns():
 def test_projection_agrees_with_one_voxel_at_a_time(rng):
     indices = np.unique(rng.integers(-9, 9, size=(800, 3)), axis=0)
     columns = {
-        tuple(i): float(v)
-        for i, v in zip(indices.tolist(), rng.normal(0, 2, len(indices)), strict=True)
+        tuple(i): v * LOG_ODDS_QUANTUM
+        for i, v in zip(indices.tolist(), rng.integers(-16, 17, len(indices)).tolist(), strict=True)
     }
     grid = project_map(column_map(columns), BAND)
     for row, col in np.ndindex(grid.cells.shape):

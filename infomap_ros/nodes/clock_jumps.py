@@ -60,9 +60,9 @@ class JumpingBuffer(Generic[Kept, Found]):
 
     def others_have_jumped(self, stamp: int) -> None:
         """Those who ask have jumped back to `stamp` [ns]: forget what was before."""
-        self._before = None
-        if self._newest is not None and self._newest > stamp + self._jump:
-            self._now = self._make()  # this stream has not jumped yet
+        has_jumped, self._before = self._before is not None, None
+        if not has_jumped and self._newest is not None and self._newest > stamp + self._jump:
+            self._now = self._make()
             self._newest = None
 
 

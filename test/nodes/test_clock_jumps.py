@@ -40,6 +40,15 @@ def test_data_from_before_a_jump_are_found_until_the_others_jump() -> None:
     assert buffer.at(10).transform[0, 3] == 2.0
 
 
+def test_who_is_far_ahead_after_a_jump_keeps_what_came_since() -> None:
+    buffer = buffer_of(pose(1000, 1.0), pose(10, 2.0), pose(10 + 3 * JUMP, 3.0))
+
+    buffer.others_have_jumped(10)
+
+    assert buffer.at(10).transform[0, 3] == 2.0
+    assert buffer.at(10 + 3 * JUMP).transform[0, 3] == 3.0
+
+
 def test_who_jumps_first_gets_nothing_from_before() -> None:
     buffer = buffer_of(pose(10, 1.0), pose(1000, 1.0))
 

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.gains import field_around, gain_table, workers_of
+from infomap_ros.views.field import workers_of
+from infomap_ros.views.gains import field_around, gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import view_bits
 from infomap_ros.views.rays import camera_rays, checked_region
@@ -38,7 +39,7 @@ def expected_entropy_reduction(
     """
     if len(poses) == 0:
         return np.zeros(0)
-    field = field_around(m, poses[:, :3, 3], max_range, config)
+    field = field_around(m, poses[:, :3, 3], max_range, config, threads)
     table = gain_table(m, max_range, config)
     rays, angles = camera_rays(camera, config.ray_spacing)
     scaled = poses.copy()

@@ -10,6 +10,7 @@ one step.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.block_kernels import find_block
 from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
+from infomap_ros.mapping.workers import Workers
 from infomap_ros.views.codes import EMPTY, SOLID, UNCERTAIN, UNKNOWN, CodeBook
 
 _TABLE_QUANTA = 64
@@ -51,7 +53,15 @@ class VisibleField:
         return np.asarray(np.asarray(points) / self.voxel_size - self.first * BLOCK_SIDE)
 
 
-def visible_field(m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook) -> VisibleField:
+@cache
+def workers_of(threads: int) -> Workers:
+    """Threads that share the work; kept, because starting them costs more than many a view."""
+    return Workers(threads)
+
+
+def visible_field(
+    m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook, threads: int = 1
+) -> VisibleField:
     """Prepare the part of a map that lies in a box.
 
     Args:
@@ -59,6 +69,7 @@ def visible_field(m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook) 
         low: corner of the box, shape (3,), map frame [m].
         high: opposite corner.
         book: of codes.
+        threads: that share the blocks.
 
     Raises:
         InvalidInputError: the box is none, or too large for a dense directory of blocks.
@@ -78,7 +89,12 @@ def visible_field(m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook) 
     blocks, table = m._storage.blocks, _evidence_codes(book)
     rows = _enter_blocks(blocks, first, table, directory)
     codes = np.empty((rows, BLOCK_VOXELS), np.uint8)
-    _fill_codes(blocks, first, table, directory, codes)
+
+    def fill(_: int, start: int, end: int) -> None:
+        corner = first + np.array([start, 0, 0])
+        _fill_codes(blocks, corner, table, directory[start:end], codes)
+
+    workers_of(threads).run(fill, len(directory))
     return VisibleField(directory, first, codes, size)
 
 

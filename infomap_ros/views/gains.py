@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.workers import Workers
 from infomap_ros.views.codes import CodeBook
 from infomap_ros.views.field import VisibleField, visible_field
 from infomap_ros.views.information_config import InformationConfig
@@ -72,18 +70,16 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
 
 
 def field_around(
-    m: VoxelMap, positions: FloatArray, max_range: float, config: InformationConfig
+    m: VoxelMap,
+    positions: FloatArray,
+    max_range: float,
+    config: InformationConfig,
+    threads: int = 1,
 ) -> VisibleField:
     """The part of a map that can be seen from positions, shape (M, 3) [m], within `max_range`."""
     low, high = positions.min(axis=0) - max_range, positions.max(axis=0) + max_range
     book = code_book(config)
-    field = visible_field(m, low, high, book)
+    field = visible_field(m, low, high, book, threads)
     if config.predict_unknown:
         field = with_predictions(field, m, book)
     return with_surfaces(field, m, book) if config.wanted_sigma > 0.0 else field
-
-
-@cache
-def workers_of(threads: int) -> Workers:
-    """Threads that share the rays; kept, because starting them costs more than many a view."""
-    return Workers(threads)

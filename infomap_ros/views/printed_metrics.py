@@ -28,8 +28,8 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.codes import CodeBook
-from infomap_ros.views.field import code_at, visible_field
-from infomap_ros.views.gains import gain_table, workers_of
+from infomap_ros.views.field import code_at, visible_field, workers_of
+from infomap_ros.views.gains import gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import entropy_of
 from infomap_ros.views.predicted_field import with_predictions

@@ -23,8 +23,7 @@ from infomap_ros.mapping import OCCUPIED, VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE
 from infomap_ros.views import crossing_kernels as sums_of
 from infomap_ros.views.codes import CodeBook
-from infomap_ros.views.field import VisibleField, visible_field
-from infomap_ros.views.gains import workers_of
+from infomap_ros.views.field import VisibleField, visible_field, workers_of
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import entropy_of
 from infomap_ros.views.rays import camera_rays, checked_region

@@ -17,7 +17,8 @@ from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.entropy_reduction import expected_entropy_reduction
-from infomap_ros.views.gains import field_around, gain_table, workers_of
+from infomap_ros.views.field import workers_of
+from infomap_ros.views.gains import field_around, gain_table
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import ray_bits, turned
 from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach, checked_region
@@ -65,7 +66,7 @@ def information_of_views(
     bits = np.zeros(rotations.shape[:2])
     if bits.size == 0:
         return bits
-    field, table = field_around(m, places, reach, settings), gain_table(m, reach, settings)
+    field, table = field_around(m, places, reach, settings, threads), gain_table(m, reach, settings)
     rays, angles = camera_rays(camera, 0.5 * settings.shared_spacing)
     middles = cell_middles(cells_per_edge(settings.shared_spacing))
     origins, box = field.relative(places), field.relative(checked_region(region))

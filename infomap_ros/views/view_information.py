@@ -11,7 +11,8 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.views.expected_information import METRICS, expected_information
-from infomap_ros.views.gains import field_around, workers_of
+from infomap_ros.views.field import workers_of
+from infomap_ros.views.gains import field_around
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.shared_rays import information_of_views
 from infomap_ros.views.situation import Situation

@@ -127,6 +127,7 @@ class Exploration:
             state = self._robot.state()
             self.mission.home_base = list(planar_pose(state.T_map_base))
             self.mission.home_joints = dict(state.joints)
+            self.mission.home_pose = state.T_map_base.tolist()
 
     def _look(self) -> Ending | None:
         """Acquire a view and have it fused."""

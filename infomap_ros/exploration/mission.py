@@ -9,7 +9,10 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from infomap_ros.errors import MissionFileError
+import numpy as np
+
+from infomap_ros.errors import InvalidInputError, MissionFileError
+from infomap_ros.geometry import check_transform
 
 
 @dataclass
@@ -22,6 +25,7 @@ class Mission:
         seconds: spent so far [s].
         home_base: base pose at the start (x, y, yaw) [m, rad]; empty before the start.
         home_joints: joint positions at the start [rad or m].
+        home_pose: ``T_map_base`` at the start, shape (4, 4); empty where not known.
     """
 
     views: int = 0
@@ -29,6 +33,7 @@ class Mission:
     seconds: float = 0.0
     home_base: list[float] = field(default_factory=list)
     home_joints: dict[str, float] = field(default_factory=dict)
+    home_pose: list[list[float]] = field(default_factory=list)
 
     def save(self, path: Path) -> None:
         """Write the account, atomically.
@@ -58,8 +63,16 @@ class Mission:
                 float(content["seconds"]),
                 [float(number) for number in content["home_base"]],
                 {str(name): float(q) for name, q in content["home_joints"].items()},
+                _pose_rows(content.get("home_pose", [])),
             )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            InvalidInputError,
+        ) as error:
             raise MissionFileError(f"mission file {path}: {error!r}") from error
         numbers = (
             mission.views,
@@ -73,3 +86,15 @@ class Mission:
         if len(mission.home_base) not in (0, 3):
             raise MissionFileError(f"mission file {path}: home_base is not (x, y, yaw)")
         return mission
+
+
+def _pose_rows(rows: object) -> list[list[float]]:
+    """A pose as lists, shape (4, 4), or none, as an empty list.
+
+    Raises:
+        InvalidInputError: it is not a pose.
+    """
+    if rows == []:
+        return []
+    poses: list[list[float]] = check_transform(np.array(rows, dtype=np.float64)).tolist()
+    return poses

@@ -85,10 +85,13 @@ class Surrounding:
     Attributes:
         interests: places that matter more or less.
         teammates: other robots.
+        T_map_start: pose of the base where the mission began, shape (4, 4); that of the first
+            choice where not given.
     """
 
     interests: Sequence[Interest] = ()
     teammates: Sequence[Teammate] = ()
+    T_map_start: FloatArray | None = None
 
 
 class ViewPlanner:
@@ -136,8 +139,9 @@ class ViewPlanner:
             state: where the robot is.
             around: interests and teammates.
         """
-        self._take_note(voxel_map, state)
-        decision = self._select(voxel_map, state, around or Surrounding())
+        around = around or Surrounding()
+        self._take_note(voxel_map, state, around.T_map_start)
+        decision = self._select(voxel_map, state, around)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
         self._sent = route
         partial = route is not None and route.partial
@@ -189,11 +193,14 @@ class ViewPlanner:
         self._failures.append((pose, reason))
         self._goal = None
 
-    def _take_note(self, voxel_map: VoxelMap, state: RobotState) -> None:
+    def _take_note(
+        self, voxel_map: VoxelMap, state: RobotState, T_map_start: FloatArray | None
+    ) -> None:
         """Remember where views were taken, and which ones could not be."""
         self._past.append(state.T_map_camera)
         if self._start is None and self.config.start_clearance > 0.0:
-            self._start = ClearStart(state.T_map_base, self.config.start_clearance)
+            first = state.T_map_base if T_map_start is None else T_map_start
+            self._start = ClearStart(first, self.config.start_clearance)
         for pose, reason in self._failures:
             self._memory.remember(pose, reason, voxel_map)
         self._failures.clear()

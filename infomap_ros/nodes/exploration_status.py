@@ -27,6 +27,7 @@ class ExplorationNews:
         views: taken so far.
         home_base: base pose of the beginning (x, y, yaw) [m, rad]; empty where not yet known.
         home_joints: joint positions of the beginning [rad or m].
+        home_pose: ``T_map_base`` of the beginning, shape (4, 4); None where not yet known.
         failed_view: ``T_map_camera`` of the last view that could not be reached, shape (4, 4).
         failure: why.
         failures: number of views that could not be reached so far.
@@ -35,6 +36,7 @@ class ExplorationNews:
     views: int = 0
     home_base: tuple[float, ...] = ()
     home_joints: dict[str, float] = field(default_factory=dict)
+    home_pose: FloatArray | None = None
     failed_view: FloatArray | None = None
     failure: str = ""
     failures: int = 0
@@ -52,6 +54,7 @@ def status_message(
         "distance [m]": round(mission.distance, 2),
         "home base": json.dumps(mission.home_base),
         "home joints": json.dumps(mission.home_joints),
+        "home pose": json.dumps(mission.home_pose),
     }
     if progress is not None:
         figures |= {
@@ -83,11 +86,18 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
     try:
         home = tuple(float(number) for number in json.loads(values["home base"]))
         joints = {str(k): float(q) for k, q in json.loads(values["home joints"]).items()}
-        failed = values.get("failed view")
-        view = None if failed is None else check_transform(np.array(json.loads(failed)))
+        pose = _pose(values.get("home pose", "[]"))
+        view = _pose(values.get("failed view", "[]"))
         if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
             raise ValueError("home is not a finite pose")
         views, failures = int(values["views"]), int(values["failures"])
-        return ExplorationNews(views, home, joints, view, values.get("failure", ""), failures)
+        failure = values.get("failure", "")
+        return ExplorationNews(views, home, joints, pose, view, failure, failures)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error
+
+
+def _pose(text: str) -> FloatArray | None:
+    """A pose, shape (4, 4), from its JSON; None from that of an empty list."""
+    rows = json.loads(text)
+    return None if rows == [] else check_transform(np.array(rows, dtype=np.float64))

@@ -17,10 +17,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.task import Future
-from std_srvs.srv import Trigger
 
-from infomap_ros.errors import InfomapError
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -33,6 +30,7 @@ from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.map_outputs import MapOutputsConfig
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
+from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
@@ -98,7 +96,7 @@ class MapFusionNode(MonitoredNode):
         keeper.team.listen(self._worker)
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
-            self.create_service(Trigger, f"~/{name}", self._service(order))
+            offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)
         self.create_timer(_REPEAT_PERIOD, self._publish_more, clock=steady)
@@ -133,25 +131,11 @@ class MapFusionNode(MonitoredNode):
     def _autosave(self) -> None:
         self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save))
 
-    def _service(self, order: Callable[[], str]) -> Callable[[Any, Any], Any]:
-        """A service that has the worker carry out an order and answers when it is done."""
-
-        async def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            done: Future = Future(executor=self.executor)
-
-            def work() -> None:
-                try:
-                    done.set_result((True, order()))
-                except InfomapError as error:
-                    done.set_result((False, str(error)))
-                self.executor.wake()
-
-            self._worker.submit_always(work)
-            response.success, response.message = await done
-            self.get_logger().info(response.message)
-            return response
-
-        return serve
+    def _carry_out(self, order: Callable[[], str]) -> str:
+        """Carry out an order of the user, and say so."""
+        answer = order()
+        self.get_logger().info(answer)
+        return answer
 
     def destroy_node(self) -> None:
         """Stop the worker, save once more if it is wanted, and end."""

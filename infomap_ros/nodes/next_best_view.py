@@ -8,12 +8,10 @@ must not move anything.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError
@@ -23,46 +21,24 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
-from infomap_ros.mapping import VoxelMapConfig
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.exploration_status import ExplorationNews, read_status
 from infomap_ros.nodes.interests import Interests
+from infomap_ros.nodes.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.plan_outputs import PlanOutputs
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
-from infomap_ros.replay.messages.rows import decode_rows
-from infomap_ros.team import MapReplica, MapUpdate, decode_update
-
-
-@dataclass(frozen=True)
-class NextBestViewNodeConfig:
-    """What the node listens to.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    memory_limit: float = parameter(
-        8.0,
-        "An update that would make the map larger is dropped.",
-        unit="GB",
-        low=0.001,
-        high=1024.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 class NextBestViewNode(MonitoredNode):
     """See the module."""
 
     CONFIGS = (
-        (NextBestViewNodeConfig, ""),
+        (MapListenerConfig, ""),
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),
@@ -76,35 +52,15 @@ class NextBestViewNode(MonitoredNode):
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
         self._outputs = PlanOutputs(self)
         self._news = ExplorationNews()
-        self._replica: MapReplica | None = None
         self._planner: ViewPlanner | None = None
         self._worker = self.start_worker(1)
-        for topic in ("map_updates", "team/map_updates"):
-            required = topic == "map_updates"
-            profile = qos.stream(depth=200)
-            self.listen(PointCloud2, topic, self._on_update, profile, required=required)
+        self._map = MapListener(self, self._worker)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
         self.listen(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(), required=False
         )
         offer_order(self, "~/plan", self._worker, self._plan)
         offer_order(self, "~/plan_home", self._worker, self._plan_home)
-
-    def _on_update(self, message: PointCloud2) -> None:
-        self._worker.submit_always(lambda: self.guard("map_updates", partial(self._apply, message)))
-
-    def _apply(self, message: PointCloud2) -> None:
-        """Learn what a robot has seen; the first update tells the size of the voxels."""
-        _, _, rows = decode_rows(message)
-        if not len(rows):
-            return
-        update: MapUpdate = decode_update(rows)
-        if self._replica is None:
-            limit = self.config(NextBestViewNodeConfig).memory_limit
-            size = round(update.voxel_size, 7)
-            self._replica = MapReplica(VoxelMapConfig(voxel_size=size, memory_limit=limit))
-        self._replica.apply(update)
-        self.health.produced()
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)
@@ -122,10 +78,9 @@ class NextBestViewNode(MonitoredNode):
         Raises:
             InfomapError: something that is needed has not arrived.
         """
-        planner, replica, state = self._ready()
-        around = Surrounding(self._interests.current())
-        choice = planner.choose(replica.voxel_map, state, around)
-        return self._publish(choice)
+        planner, voxel_map, state = self._ready()
+        around = Surrounding(self._interests.current(), T_map_start=self._news.home_pose)
+        return self._publish(planner.choose(voxel_map, state, around))
 
     def _plan_home(self) -> str:
         """Plan the way to where the mission began, which exploration_status tells.
@@ -133,31 +88,30 @@ class NextBestViewNode(MonitoredNode):
         Raises:
             InfomapError: something that is needed has not arrived.
         """
-        planner, replica, state = self._ready()
+        planner, voxel_map, state = self._ready()
         if not self._news.home_base:
             raise ExplorationError("exploration_status has not told where the mission began")
         home = self._news.home_base, self._news.home_joints
-        return self._publish(planner.way_home(replica.voxel_map, state, *home))
+        return self._publish(planner.way_home(voxel_map, state, *home))
 
     def _publish(self, choice: Choice) -> str:
         self._outputs.publish(choice)
         self.get_logger().info(choice.reason)
         return choice_to_text(choice)
 
-    def _ready(self) -> tuple[ViewPlanner, MapReplica, RobotState]:
+    def _ready(self) -> tuple[ViewPlanner, VoxelMap, RobotState]:
         """What a plan needs.
 
         Raises:
             InfomapError: it is not there yet; names it.
         """
-        if self._replica is None or not self._replica.voxel_map.known_voxels:
-            raise ExplorationError("no map_updates have arrived yet")
+        voxel_map = self._map.voxel_map()
         robot, state = self._tracker.robot, self._tracker.state()
         if self._planner is None or self._planner.robot is not robot:
             rig = rig_from_calibrations(*self._tracker.calibrations)
             task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
             self._planner = ViewPlanner(robot, rig, task, config)
-        return self._planner, self._replica, state
+        return self._planner, voxel_map, state
 
 
 def main() -> int:

@@ -23,6 +23,7 @@ def offer_order(node: Node, name: str, worker: Worker, order: Callable[[], str])
         order: what to do; returns the answer, or raises an error of the library, which becomes
             the answer of a call without success.
     """
+    log = node.get_logger()
 
     async def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         done: Future = Future(executor=node.executor)
@@ -32,6 +33,7 @@ def offer_order(node: Node, name: str, worker: Worker, order: Callable[[], str])
                 done.set_result((True, order()))
             except InfomapError as error:
                 done.set_result((False, str(error)))
+                log.warning(f"{name}: {error}", throttle_duration_sec=5.0)
             node.executor.wake()
 
         worker.submit_always(work)

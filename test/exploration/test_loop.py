@@ -200,10 +200,20 @@ def test_mission_survives_the_process(tmp_path: Path) -> None:
     second.exploration.run()
     assert second.exploration.mission.views == 4
     assert second.exploration.mission.home_base == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(second.exploration.mission.home_pose, np.eye(4))
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", '{"views": 1}', '{"views": -1, "distance": 0, "seconds": 0}', "[1, 2]"]
+    "text",
+    [
+        "",
+        "{",
+        '{"views": 1}',
+        '{"views": -1, "distance": 0, "seconds": 0, "home_base": [], "home_joints": {}}',
+        '{"views": 1, "distance": 0, "seconds": 0, "home_base": [], "home_joints": {}, '
+        '"home_pose": [[1, 2], [3, 4]]}',
+        "[1, 2]",
+    ],
 )
 def test_bad_mission_file_is_refused_by_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mission.json"

@@ -17,6 +17,7 @@ from infomap_ros.views.wishes import Wishes, wishes_of
 
 _RAYS = (9, 7)  # of a glance, across and down
 _STEP = 0.1  # [m] of the march along them
+_RECENT = 24  # views of the past that count
 _FADE = 0.5  # [m] of unknown space behind which a glance expects little
 
 
@@ -112,6 +113,16 @@ class Options:
         """What a few rays of each view meet."""
         return _glances(self)
 
+    @property
+    def recent_views(self) -> FloatArray:
+        """The last views that were taken, shape (V, 4, 4)."""
+        return self.situation.past_views[-_RECENT:]
+
+    @cached_property
+    def left_over(self) -> FloatArray:
+        """What each of them is still expected to tell, shape (V,)."""
+        return self.source.exact(self.situation, self.recent_views)
+
     def refined(self, chosen: IntArray, information: FloatArray) -> Options:
         """The few views `chosen`, (N,), with their exact information, (N,)."""
         previous = None
@@ -129,6 +140,7 @@ class Options:
             fine=True,
         )
         options.__dict__["wishes"] = self.wishes
+        options.__dict__["left_over"] = self.left_over
         return options
 
 

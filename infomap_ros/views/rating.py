@@ -23,6 +23,8 @@ from infomap_ros.views.terms import (
     TeammatesTerm,
 )
 
+_COUNTED = 4  # the first terms say what of the information counts
+
 
 @dataclass(frozen=True)
 class RatingConfig:
@@ -65,18 +67,20 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
-    repetition: float = parameter(
-        0.5,
-        "Share of the information that is no longer believed for each view taken before from the "
-        "same pose: what it has not told then, it will not tell now.",
+    repetition_weight: float = parameter(
+        1.0,
+        "Weight of what views like it have promised before and not told, against w_NI.",
         low=0.0,
-        high=1.0,
+        high=1e6,
     )
     repetition_distance: float = parameter(
-        0.4, "Distance over which that falls off.", unit="m", low=0.001, high=100.0
+        1.5, "Distance over which views become unlike.", unit="m", low=0.001, high=1000.0
     )
-    repetition_angle: float = parameter(
-        0.3, "Turn over which that falls off.", unit="rad", low=0.001, high=10.0
+    repetition_azimuth: float = parameter(
+        0.6, "Turn over which views become unlike.", unit="rad", low=0.001, high=10.0
+    )
+    repetition_elevation: float = parameter(
+        0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
     )
     teammate_sigma: float = parameter(
         0.5,
@@ -138,13 +142,15 @@ class Rating:
         weight = self.config.information_weight
         distance = Distance(self.config.position_weights, self.config.rotation_weights)
         repetition = Repetition(
-            self.config.repetition, self.config.repetition_distance, self.config.repetition_angle
+            self.config.repetition_distance,
+            self.config.repetition_azimuth,
+            self.config.repetition_elevation,
         )
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
-            (repetition, weight),
+            (repetition, weight * self.config.repetition_weight),
             (distance, -self.config.distance_weight),
             (LocalisationErrorTerm(localisation_error), -self.config.localisation_weight),
             *more_terms,
@@ -160,6 +166,8 @@ class Rating:
             total += weight * values[term.name] / unit
         risk = self._risk(options)
         values[self._risk.name] = risk
-        counted = sum(values[term.name] for term, _ in self._terms[:4])
-        shares = np.asarray(counted / options.full_view)
+        shares = np.zeros(len(options))
+        for term, weight in self._terms[:_COUNTED]:
+            share = weight / max(self.config.information_weight, 1e-12)
+            shares += share * values[term.name] / options.full_view
         return Ratings(values, total - risk * np.abs(total), shares, self.config)

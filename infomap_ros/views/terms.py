@@ -73,29 +73,39 @@ class TeammatesTerm:
 
 
 class Repetition:
-    """What is no longer believed of the information, because a view like this was taken before.
+    """What views like it have promised before, and not told.
 
-    A view takes out of the map's unknown space what it sees. Where much is still expected of the
-    same view, the sensor measures nothing there (sky, mirrors, walls without texture), and would
-    not the next time. Each past view takes a share of the information that falls off like a
-    Gaussian with its distance in position and rotation.
+    A view takes out of the map's unknown space what it sees. What the very same view is still
+    expected to tell, the sensor did not measure: sky, mirrors, walls without texture, or voxels
+    that no scan makes certain. A view like it will not tell that either, so it is taken off, the
+    less the more the two differ in position and direction (a Gaussian). Elevation counts most, as
+    the sky is in every azimuth.
     """
 
     name, unit = "repetition", "bits"
 
-    def __init__(self, share: float, distance: float, angle: float) -> None:
-        """Share that a past view from the same pose takes, and widths [m] and [rad]."""
-        self._share, self._distance, self._angle = share, distance, angle
+    def __init__(self, distance: float, azimuth: float, elevation: float) -> None:
+        """Widths of the Gaussian [m], [rad], [rad]."""
+        self._distance, self._azimuth, self._elevation = distance, azimuth, elevation
 
     def __call__(self, options: Options) -> FloatArray:
         """Lost information of each view, shape (M,), at most 0."""
-        past, believed = options.situation.past_views, np.ones(len(options))
-        for pose in past:
+        lost = np.zeros(len(options))
+        azimuths, elevations = _directions(options.poses)
+        for pose, left in zip(options.recent_views, options.left_over, strict=True):
+            azimuth, elevation = _directions(pose[None])
             gaps = np.linalg.norm(options.positions - pose[:3, 3], axis=1) / self._distance
-            traces = np.einsum("mij,ij->m", options.poses[:, :3, :3], pose[:3, :3])
-            angles = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)) / self._angle
-            believed *= 1.0 - self._share * np.exp(-0.5 * (gaps**2 + angles**2))
-        return np.asarray(options.information * (believed - 1.0))
+            turn = np.remainder(azimuths - azimuth + np.pi, 2.0 * np.pi) - np.pi
+            turn *= np.cos(0.5 * (elevations + elevation)) / self._azimuth
+            tilt = (elevations - elevation) / self._elevation
+            lost = np.maximum(lost, left * np.exp(-0.5 * (gaps**2 + turn**2 + tilt**2)))
+        return np.asarray(-np.minimum(lost, options.information))
+
+
+def _directions(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth and elevation of the optical axes of poses, (M, 4, 4) -> (M,) each [rad]."""
+    axes = poses[:, :3, 2]
+    return np.arctan2(axes[:, 1], axes[:, 0]), np.arcsin(np.clip(axes[:, 2], -1.0, 1.0))
 
 
 class Distance:

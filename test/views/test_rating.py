@@ -17,7 +17,7 @@ from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teamm
 from infomap_ros.views.survey import survey
 from infomap_ros.views.view_information import ExpectedInformation
 
-from .choices import options_of
+from .choices import Prescribed, options_of
 from .rooms import CAMERA, facing, seen_room, turning
 
 ROOM = (6.0, 4.0, 2.5)
@@ -103,15 +103,18 @@ def test_what_a_teammate_is_about_to_see_counts_less(situation: Situation) -> No
     assert terms.shares[0] == pytest.approx((50.0 + loss[0]) / 100.0)
 
 
-def test_view_that_has_told_nothing_is_believed_less(situation: Situation) -> None:
-    same, beside = facing(0.0, (2.5, 2.0, 1.2)), facing(0.3, (2.5, 2.0, 1.2))
-    other = facing(np.pi, (2.5, 2.0, 1.2))
-    past = with_fields(situation, past_views=np.stack([same, same]))
-    rated = Rating().rate(options_of(past, [same, beside, other], [50.0] * 3))
-    left = 1.0 + rated.terms["repetition"] / 50.0
-    share = np.exp(-0.5)
-    np.testing.assert_allclose(left, [0.25, (1.0 - 0.5 * share) ** 2, 1.0], atol=1e-6)
-    np.testing.assert_allclose(rated.shares, 0.5 * left)
+def test_what_a_like_view_has_not_told_is_taken_off(situation: Situation) -> None:
+    """The past view from x = 2.5 still promises 40 bits."""
+    past, other = facing(0.0, (2.5, 2.0, 1.2)), facing(np.pi, (2.5, 2.0, 1.2))
+    raised, beside = facing(0.0, (2.5, 2.0, 1.2), 0.3), facing(0.6, (2.5, 3.5, 1.2))
+    source = Prescribed({2.5: {1: 40.0}})
+    now = with_fields(situation, past_views=past[None])
+    poses, information = [past, past, other, raised, beside], [40.0, 30.0, 50.0, 50.0, 50.0]
+    rated = Rating().rate(options_of(now, poses, information, source=source))
+    expected = [-40.0, -30.0, 0.0, -40.0 * np.exp(-2.0), -40.0 * np.exp(-1.0)]
+    np.testing.assert_allclose(rated.terms["repetition"], expected, atol=1e-3)
+    left = np.array(information) + rated.terms["repetition"]
+    np.testing.assert_allclose(rated.shares, left / 100.0)
 
 
 def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:

@@ -91,7 +91,7 @@ def test_an_interrupted_run_that_was_continued_has_its_last_start(tmp_path: Path
         (b"[1, 2]\n", "line 1: is not a JSON object"),
         (b'{"frames": 3}\n', "line 1: kind None is not one of start,"),
         (b'{"t": 0, "kind": "message", "text": "hello"}\n', "line 1: its kind is not 'start'"),
-        (b'{"t": 0, "kind": "start"}\n', "line 1: lacks 'task'"),
+        (b'{"t": 0, "kind": "start", "task": 3}\n', "line 1: 'task'"),
     ],
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:

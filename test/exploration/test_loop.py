@@ -14,6 +14,7 @@ from infomap_ros.exploration.loop import EndReason, Exploration, planar_pose, wa
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import make_transform
+
 from .fakes import FakePlanner, FakeRobot, Notes, nothing, view
 
 

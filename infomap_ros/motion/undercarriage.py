@@ -41,7 +41,7 @@ class Undercarriage:
 
 
 def wheels_of(robot: RobotModel, patterns: str, solids: Sequence[PlacedSolid]) -> Undercarriage:
-    """Wheels are the links whose names match one of the patterns (comma-separated).
+    """Wheels are the links with a shape whose names match one of the patterns (comma-separated).
 
     Args:
         robot: the robot.
@@ -49,23 +49,24 @@ def wheels_of(robot: RobotModel, patterns: str, solids: Sequence[PlacedSolid]) -
         solids: of all links, in the base frame.
 
     Raises:
-        RobotModelError: fewer than three links match, one has no collision shape, or all are in
+        RobotModelError: fewer than three links that match have a collision shape, or all are in
             one line.
     """
     globs = [pattern.strip() for pattern in patterns.split(",")]
+    solid_links = {solid.name for solid in solids}
     names = tuple(
-        name for name in robot.frames if any(fnmatch.fnmatchcase(name, glob) for glob in globs)
+        name
+        for name in robot.frames
+        if name in solid_links and any(fnmatch.fnmatchcase(name, glob) for glob in globs)
     )
     if len(names) < 3:
         raise RobotModelError(
-            f"robot '{robot.name}' has {len(names)} links that match '{patterns}', expected at "
-            "least 3 wheels: give another pattern or a footprint"
+            f"robot '{robot.name}' has {len(names)} links with a collision shape that match "
+            f"'{patterns}', expected at least 3 wheels: give another pattern or a footprint"
         )
     centres, treads = [], []
     for name in names:
         own = [solid for solid in solids if solid.name == name]
-        if not own:
-            raise RobotModelError(f"wheel '{name}' has no collision shape")
         low, high = (np.array(x) for x in zip(*(solid_extent(solid) for solid in own), strict=True))
         low, high = low.min(axis=0), high.max(axis=0)
         centres.append(0.5 * (low + high))

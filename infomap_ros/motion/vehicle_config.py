@@ -22,7 +22,9 @@ class VehicleConfig:
     """
 
     wheel_links: str = parameter(
-        "*_wheel", "Links that are wheels or casters: file-name patterns, separated by commas."
+        "*_wheel,wheel_*,*caster*",
+        "Links that are wheels or casters: file-name patterns, separated by commas. Links without "
+        "a collision shape are left out.",
     )
     footprint: tuple[float, ...] = parameter(
         (),

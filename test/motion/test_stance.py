@@ -17,6 +17,7 @@ from infomap_ros.motion.stance import STANDS, tip_margin
 from infomap_ros.motion.vehicle import terrain_arrays
 
 from .grounds import FOLDED, ground, plane, rough, rover, rover_model
+from .known_robots import KNOWN_ROBOTS
 
 RADIUS = 0.0762
 HALF_TRACK = 0.1591
@@ -303,6 +304,18 @@ def test_shapes_that_reach_down_to_the_ground_are_no_body_below_the_highest_step
     assert "touches" in robot.stance(ground(step(0.1)), 0.0, 0.0, 0.0).reason
 
 
+@pytest.mark.parametrize(("name", "wheels"), [("stretch", 3), ("tiago", 6)])
+def test_robots_of_others_stand_level_without_settings(name, wheels):
+    robot = Vehicle.from_robot(KNOWN_ROBOTS[name]())
+    assert len(robot.undercarriage.names) == wheels
+    stance = robot.stance(ground(plane(0.0, 0.0)), 0.1, 0.2, 0.5)
+    assert stance.ok, stance.reason
+    assert stance.slope < 1e-3
+    lowest = robot.arrays.support @ stance.T_map_base[:3, :3].T + stance.T_map_base[:3, 3]
+    np.testing.assert_allclose(lowest[:, 2], 0.0, atol=1e-3)
+    assert 0.2 < stance.tip_margin < 0.8
+
+
 LINK = '<robot name="r"><link name="base">{}</link></robot>'
 BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 
@@ -310,7 +323,7 @@ BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 @pytest.mark.parametrize(
     ("config", "xml", "match"),
     [
-        ({}, LINK.format(BOX), "0 links that match"),
+        ({}, LINK.format(BOX), "0 links with a collision shape that match"),
         ({"max_step": 0.1, "footprint": (0.0, 0.0, 1.0, 1.0)}, LINK.format(BOX), "3 or more"),
         (
             {"max_step": 0.1, "footprint": (0.0, 0.0, 1.0, 1.0, 2.0, 2.0)},

@@ -33,6 +33,8 @@ class BasePlanner:
         standing: poses T_map_base in which the robot stands or has stood, shape (4, 4) or
             (P, 4, 4): the ground there is known. Without it the ground under the first start is
             taken for known, in the plane of the wheels at the terrain's `near`.
+        previous: a planner for an earlier state of the ground: what it found out is kept where
+            the ground has not changed and the vehicle is the same.
     """
 
     def __init__(
@@ -41,12 +43,18 @@ class BasePlanner:
         vehicle: Vehicle,
         config: BasePlannerConfig | None = None,
         standing: ArrayLike | None = None,
+        previous: BasePlanner | None = None,
     ) -> None:
         self.config = config or BasePlannerConfig()
         self.vehicle = vehicle
         self._declared = standing is not None
         self._reach: DriveReach | None = None
-        self._space = DriveSpace(self._with_ground(terrain, standing), vehicle, self.config)
+        self._space = DriveSpace(
+            self._with_ground(terrain, standing),
+            vehicle,
+            self.config,
+            None if previous is None else previous._space,
+        )
 
     @property
     def terrain(self) -> Terrain:
@@ -101,7 +109,7 @@ class BasePlanner:
     def _reached_from(self, start: FloatArray) -> DriveReach:
         """All ground that can be reached from a start, remembered for the last one."""
         if self._reach is None or not self._reach.starts_at(start):
-            self._reach = DriveReach(self._space, start, self._reach)
+            self._reach = DriveReach(self._space, start)
         return self._reach
 
     def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
@@ -186,7 +194,7 @@ class BasePlanner:
             self._declared = True
             pose = standing_pose(self._space.terrain, self.vehicle, start)
             terrain = self._with_ground(self._space.terrain, pose)
-            self._space = DriveSpace(terrain, self.vehicle, self.config)
+            self._space = DriveSpace(terrain, self.vehicle, self.config, self._space)
             self._reach = None
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import drive_graph, drive_shortcut
-from infomap_ros.motion.drive_graph import HEADINGS, DriveGraph
+from infomap_ros.motion.drive_graph import HEADINGS
 from infomap_ros.motion.drive_space import DriveSpace
 
 _ATTACH = 1  # cells around a place by which it joins the graph
@@ -23,16 +23,12 @@ class DriveReach:
         space: where the vehicle can stand.
         start: x, y, yaw, shape (3,). A robot that stands where it should not may leave from
             there over the configured distance.
-        asked: of an earlier search in the same space, so that no stance is asked twice.
+
+    Only the last one made of a space holds: the next search overwrites it.
     """
 
-    def __init__(
-        self, space: DriveSpace, start: FloatArray, asked: DriveReach | None = None
-    ) -> None:
-        self._space, self.start = space, start.copy()
-        self._graph: DriveGraph = (
-            drive_graph.empty_graph(space.easy) if asked is None else asked._graph
-        )
+    def __init__(self, space: DriveSpace, start: FloatArray) -> None:
+        self._space, self.start, self._graph = space, start.copy(), space.graph
         nodes = self._joins(start, True)
         if not len(nodes) and not space.stands(start):
             nodes = self._escapes(start)

@@ -9,7 +9,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain import Terrain
 from infomap_ros.motion import drive_kernels, drive_shortcut
 from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
-from infomap_ros.motion.drive_graph import HEADINGS
+from infomap_ros.motion.drive_graph import HEADINGS, empty_graph
+from infomap_ros.motion.drive_memory import carry_over
 from infomap_ros.motion.easy_ground import easy_cells
 from infomap_ros.motion.quick_stance import ground_of
 from infomap_ros.motion.vehicle import Vehicle, terrain_arrays
@@ -25,15 +26,25 @@ class DriveSpace:
         terrain: the ground.
         vehicle: the robot.
         config: of the planner.
+        known: what was found out before; where the ground is the same it still holds.
     """
 
-    def __init__(self, terrain: Terrain, vehicle: Vehicle, config: BasePlannerConfig) -> None:
+    def __init__(
+        self,
+        terrain: Terrain,
+        vehicle: Vehicle,
+        config: BasePlannerConfig,
+        known: DriveSpace | None = None,
+    ) -> None:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
         self.grid = np.array([*terrain.origin, terrain.resolution])
         arrays = terrain_arrays(terrain, vehicle.config)
         self.easy = easy_cells(arrays, vehicle.arrays)
         self.lattice = drive_kernels.empty_lattice(self.easy, config.headings)
         self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
+        self.graph = empty_graph(self.easy)
+        if known is not None:
+            carry_over(known.graph, self.graph, known.ground, self.ground)
 
     def stands(self, place: FloatArray) -> bool:
         """Whether the robot may stand at x, y, yaw."""

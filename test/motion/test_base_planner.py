@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -218,6 +219,43 @@ def test_reachable_area_needs_a_start_once(vehicle):
     area = planner.reachable_area((0.0, 0.0, 0.0))
     np.testing.assert_array_equal(planner.reachable_area(), area)
     assert not area[:, planner.terrain.cells_of((0.0, 1.2))[1] :].any()
+
+
+def test_what_was_found_out_is_kept_where_the_ground_is_the_same(vehicle):
+    """The answer is that of a planner that knows nothing, for fewer questions."""
+    before, after = cluttered(1), cluttered(1)
+    after.heights[50:55, 12:20] += 0.4
+    after.step[49:56, 11:21] = 0.4
+    wider = dataclasses.replace(
+        after,
+        origin=(after.origin[0] - 3 * CELL, after.origin[1] + 2 * CELL),
+        **{
+            name: np.pad(getattr(after, name), ((3, 0), (0, 0)), mode="edge")[:, 2:]
+            for name in ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
+        },
+    )
+    nothing = np.zeros((0, 4, 4))
+    first = BasePlanner(before, vehicle, standing=nothing)
+    first.reachable_area((0.0, 0.0, 0.0))
+    second = BasePlanner(wider, vehicle, standing=nothing, previous=first)
+    kept = (second._space.graph.nodes != 0).sum()
+    fresh = BasePlanner(wider, vehicle, standing=nothing)
+    assert kept > 0.2 * (first._space.graph.nodes != 0).sum()
+    area = fresh.reachable_area((0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(second.reachable_area((0.0, 0.0, 0.0)), area)
+    both = (second._space.graph.nodes != 0) & (fresh._space.graph.nodes != 0)
+    np.testing.assert_array_equal(second._space.graph.nodes[both], fresh._space.graph.nodes[both])
+    assert not np.array_equal(area[3:, :], first.reachable_area()[:, 2:])
+
+
+def test_other_vehicle_keeps_nothing(vehicle):
+    terrain = cluttered(1)
+    first = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    first.reachable_area((0.0, 0.0, 0.0))
+    higher = rover(margin=0.05)
+    second = BasePlanner(terrain, higher, standing=np.zeros((0, 4, 4)), previous=first)
+    fresh = BasePlanner(terrain, higher, standing=np.zeros((0, 4, 4)))
+    np.testing.assert_array_equal(second._space.graph.nodes, fresh._space.graph.nodes)
 
 
 def test_nonsense_is_refused_by_name(vehicle):

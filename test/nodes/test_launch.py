@@ -82,9 +82,11 @@ def test_a_bag_brings_its_player_and_its_clock(launch_file: ModuleType) -> None:
 
 def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleType) -> None:
     nodes = nodes_of(launch_file, bag="bags/rover_rocks")
+    del nodes["rviz2"]
 
-    for name, configs in NODES.items():
-        known = node_parameters(configs)
+    assert set(nodes) <= set(NODES)
+    for name in nodes:
+        known = node_parameters(NODES[name])
         for key, value in settings_of(nodes[name]).items():
             if key != "use_sim_time" and not key.startswith("qos_overrides"):
                 kind = type(known[key][0])

@@ -49,12 +49,9 @@ class BasePlanner:
         self.vehicle = vehicle
         self._declared = standing is not None
         self._reach: DriveReach | None = None
-        self._space = DriveSpace(
-            self._with_ground(terrain, standing),
-            vehicle,
-            self.config,
-            None if previous is None else previous._space,
-        )
+        known: DriveSpace | None = None if previous is None else previous._space
+        ground = self._with_ground(terrain, standing)
+        self._space: DriveSpace = DriveSpace(ground, vehicle, self.config, known)
 
     @property
     def terrain(self) -> Terrain:

@@ -50,7 +50,7 @@ def _shift_between(before: TerrainArrays, now: TerrainArrays) -> tuple[int, int]
 
 
 def _same_vehicle(one: VehicleArrays, other: VehicleArrays) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in one._fields)
 
 
 Part = tuple[slice, slice]

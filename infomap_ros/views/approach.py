@@ -39,6 +39,15 @@ class ApproachConfig:
         high=100.0,
     )
 
+    least_progress: float = parameter(
+        0.2,
+        "A partial approach counts only if it leads at least so far; a shorter one would be chosen "
+        "again and again.",
+        unit="m",
+        low=0.0,
+        high=100.0,
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
 
@@ -111,7 +120,8 @@ class Approach:
         """Note why a view is not reached; the first partial approach is second best."""
         reason = result.reason or "the way does not lead all the way"
         views[index] = views[index].rejected(reason)
-        if result.partial and self.index is None:
+        leads_on = result.partial and result.travel >= self._config.least_progress
+        if leads_on and self.index is None:
             self.index, self.result = index, result
 
     def _elsewhere_first(self, failed: int, waiting: list[int]) -> list[int]:

@@ -96,7 +96,7 @@ class NextBestView:
         Returns:
             The choice with every candidate, its terms, and every reason.
         """
-        watch = Stopwatch()
+        watch, considered = Stopwatch(), list[RatedView]()
         if memory is not None:
             known_unreachable = _with_memory(known_unreachable, memory, situation.voxel_map)
         for settings in horizons(situation, self.config.surroundings):
@@ -109,9 +109,10 @@ class NextBestView:
             selected = self._select(options, reachability, known_unreachable, watch)
             if memory is not None:
                 _remember(selected, memory, situation.voxel_map)
-            if selected.index is not None or surroundings.is_whole:
+            considered = [*selected.views, *_ruled_out(candidates), *considered]
+            if selected.index is not None or surroundings.is_whole or self._gives_up(selected):
                 break
-        return self._explain(selected, options, candidates, watch)
+        return self._explain(selected, options, considered, watch)
 
     def _select(
         self,
@@ -174,33 +175,40 @@ class NextBestView:
             previous=_place_of(previous_goal, candidates),
         )
 
+    def _gives_up(self, selected: Selected) -> bool:
+        """Whether as many motions were planned as may be."""
+        return len(selected.tried) >= self.config.selection.approach.attempts
+
     def _explain(
-        self, selected: Selected, options: Options, candidates: Candidates, watch: Stopwatch
+        self, selected: Selected, options: Options, considered: list[RatedView], watch: Stopwatch
     ) -> ViewDecision:
         """The decision with every candidate and the reason in words."""
-        everything = list(selected.views)
-        for pose, reason in zip(candidates.rejected, candidates.reasons, strict=True):
-            everything.append(RatedView(pose, rejection=reason))
         chosen = None if selected.index is None else selected.views[selected.index]
         if chosen is None:
-            reason = why_none(everything)
-            if len(selected.tried) >= self.config.selection.approach.attempts:
+            reason = why_none(considered)
+            if self._gives_up(selected):
                 reason += " As many motions failed as are tried at most; other views were not."
             if not options.surroundings.is_whole:
                 reason += " What lies farther away was not searched."
         else:
             source = options.source
             full_view = source.full_view(options.situation)
-            reason = why_this(chosen, everything, selected.kept, full_view, source.unit)
+            reason = why_this(chosen, considered, selected.kept, full_view, source.unit)
         return ViewDecision(
             chosen,
             selected.reach,
-            tuple(everything),
+            tuple(considered),
             f"{self.strategy_name}: {reason}",
             watch.seconds,
             selected.plan,
             self.strategy_name,
         )
+
+
+def _ruled_out(candidates: Candidates) -> list[RatedView]:
+    """The positions that a cheap test has ruled out, with the reason."""
+    pairs = zip(candidates.rejected, candidates.reasons, strict=True)
+    return [RatedView(pose, rejection=reason) for pose, reason in pairs]
 
 
 def _place_of(goal: FloatArray | None, candidates: Candidates) -> int | None:

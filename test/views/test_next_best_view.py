@@ -42,8 +42,10 @@ def half_seen() -> Situation:
 class Robot:
     """Reaches what a rule allows, and counts the questions."""
 
-    def __init__(self, cheap: str = "", far: str = "", partial: bool = False) -> None:
-        self.cheap, self.far, self.partial = cheap, far, partial
+    def __init__(
+        self, cheap: str = "", far: str = "", partial: bool = False, travel: float = 0.0
+    ) -> None:
+        self.cheap, self.far, self.partial, self.travel = cheap, far, partial, travel
         self.asked, self.planned = 0, 0
 
     def may_reach(self, poses: np.ndarray) -> Sequence[str]:
@@ -52,7 +54,7 @@ class Robot:
 
     def reach(self, T_map_camera: np.ndarray) -> Flight:
         self.planned += 1
-        return Flight(reason=self.far, partial=self.partial)
+        return Flight(reason=self.far, partial=self.partial, travel=self.travel)
 
 
 def choose(situation: Situation, robot: object = None, config: object = FEW, **more: object):
@@ -128,10 +130,15 @@ def test_next_best_are_refined_when_the_best_all_fail(half_seen: Situation) -> N
 
 
 def test_partial_approach_is_second_best(half_seen: Situation) -> None:
-    robot = Robot(far="base path: ends early", partial=True)
+    robot = Robot(far="base path: ends early", partial=True, travel=1.0)
     decision = choose(half_seen, robot)
     assert decision.chosen is not None and decision.reach is not None and decision.reach.partial
     assert decision.chosen.rejection == "base path: ends early"
+
+
+def test_partial_approach_that_leads_nowhere_is_none(half_seen: Situation) -> None:
+    robot = Robot(far="base path: ends early", partial=True, travel=0.05)
+    assert choose(half_seen, robot).chosen is None
 
 
 def test_nothing_is_chosen_in_a_known_room() -> None:
@@ -274,6 +281,8 @@ def test_search_widens_where_nothing_near_is_worth_it() -> None:
     decision = choose(now, config=near)
     assert decision.chosen is not None
     assert decision.chosen.pose[0, 3] > START[0] + 2.0
+    gaps = [np.linalg.norm(view.pose[:3, 3] - START) for view in decision.candidates]
+    assert sum(gap < 2.0 for gap in gaps) > 10  # those considered first are not forgotten
     short = SurroundingsConfig(horizon=2.0, largest_window=1000)
     limited = choose(now, config=dataclasses.replace(FEW, surroundings=short))
     assert limited.chosen is None and "farther away" in limited.reason

@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
-from infomap_ros.errors import ExplorationError, InfomapError
+from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Exploration
 from infomap_ros.exploration.mission import Mission
@@ -157,14 +157,14 @@ class ExplorerNode(MonitoredNode):
         """Begin the log of the run, now that the robot is known."""
         if self._stopped():
             return
-        camera = self._tracker.calibrations[0].rectified_camera()
         names = ("width", "height", "fx", "fy", "cx", "cy")
-        self._log.write(
-            "start",
-            task=asdict(self.config(TaskConfig)),
-            robot=self._tracker.robot.name,
-            camera={name: getattr(camera, name) for name in names},
-        )
+        try:
+            camera = self._tracker.calibrations[0].rectified_camera()
+            known = {"camera": {name: getattr(camera, name) for name in names}}
+        except CalibrationError:
+            known = {}  # next_best_view will say so
+        task = asdict(self.config(TaskConfig))
+        self._log.write("start", task=task, robot=self._tracker.robot.name, **known)
 
     def _stopped(self) -> bool:
         assert self._exploration is not None
@@ -196,8 +196,11 @@ class ExplorerNode(MonitoredNode):
 
     def _publish_status(self) -> None:
         """Say what is being done; next_best_view learns from it what failed and where home is."""
-        if self._exploration is not None:
-            self._status.publish(status_message(self._exploration, self._failed_views))
+        if self._exploration is None:
+            return
+        if not self._running and not self._exploration.state.startswith("ended"):
+            raise RuntimeError("the thread of the exploration has ended by an error, see above")
+        self._status.publish(status_message(self._exploration, self._failed_views))
 
     def destroy_node(self) -> None:
         """Stop the robot, then the node."""

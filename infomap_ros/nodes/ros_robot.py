@@ -10,7 +10,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.exploration.loop import planar_pose, way_length
+from infomap_ros.exploration.loop import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
@@ -44,12 +44,10 @@ class RosRobotConfig:
     joint_tolerance: float = parameter(
         0.03, "The arm has arrived when every joint is so near its goal.", unit="rad or m", low=1e-4
     )
-    slowest_speed: float = parameter(
-        0.03, "A base that needs longer than at this speed has failed.", unit="m/s", low=1e-3
-    )
     patience: float = parameter(
         15.0,
-        "Time added to what a motion should take, and longest wait for a view to be fused.",
+        "A motion has failed when nothing has moved for so long, and a look when no scan has been "
+        "fused for so long. A motion may take as long as it likes while it goes on.",
         unit="s",
         low=0.5,
         high=600.0,
@@ -63,6 +61,9 @@ class RosRobotConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+
+
+_STILL = 0.02  # [m or rad]; what moves less stands: poses are noisy
 
 
 class RosRobot:
@@ -99,30 +100,29 @@ class RosRobot:
         """Send the trajectory and wait until the joints are where it ends."""
         goal = dict(zip(path.joint_names, path.positions[-1], strict=True))
         self._trajectories.publish(encode_arm_trajectory(self._types, self._now(), path))
-        patience = path.duration + self._config.patience
-        if self._wait(lambda: self._farthest(goal)[1] <= self._tolerance, patience, interrupted):
+        if self._finish(lambda: self._farthest(goal)[1] <= self._tolerance, interrupted):
             return Motion("")
         name, error = self._farthest(goal)
         self._hold_arm(path)
-        return Motion(_broken_off(interrupted, f"{name} is {error:.3f} off after {patience:.0f} s"))
+        return Motion(_broken_off(interrupted, f"{name} has stopped {error:.3f} off its goal"))
 
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Send the path and wait until the base rests at its end."""
         self._send_path(poses)
         travelled = [self._base()]
-        patience = way_length(poses[:, :2]) / self._config.slowest_speed + self._config.patience
 
         def arrived() -> bool:
             travelled.append(self._base())
             return self._at(poses[-1])
 
-        done = self._wait(arrived, patience, interrupted)
+        done = self._finish(arrived, interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
         if done:
             return Motion("", path)
         self._send_path(np.array([self._base()]))  # stay
-        left = float(np.linalg.norm(poses[-1, :2] - np.array(self._base()[:2])))
-        return Motion(_broken_off(interrupted, f"{left:.2f} m left after {patience:.0f} s"), path)
+        left, turn = self._away(poses[-1])
+        stopped = f"the base has stopped {left:.2f} m and {turn:.2f} rad from its goal"
+        return Motion(_broken_off(interrupted, stopped), path)
 
     @property
     def _tolerance(self) -> float:
@@ -130,6 +130,27 @@ class RosRobot:
 
     def _wait(self, condition: Callable[[], bool], time: float, interrupted: Interrupted) -> bool:
         return self._tracker.wait_until(condition, time, interrupted)
+
+    def _finish(self, done: Callable[[], bool], interrupted: Interrupted) -> bool:
+        """Wait for a motion to be done for as long as something moves."""
+        places = [self._whereabouts()]
+
+        def stands() -> bool:
+            place = self._whereabouts()
+            moved = bool(np.abs(place - places[0]).max() > _STILL)
+            places[0] = place if moved else places[0]
+            return not moved
+
+        while not done():
+            still = self._wait(lambda: done() or not stands(), self._config.patience, interrupted)
+            if not still or interrupted():
+                return done()
+        return True
+
+    def _whereabouts(self) -> FloatArray:
+        """Base pose and joint positions, to see whether anything moves [m, rad]."""
+        joints = self._tracker.joint_positions()
+        return np.array([*self._base(), *(joints[name] for name in sorted(joints))])
 
     def _on_update(self, message: PointCloud2) -> None:
         stamp, _ = MessageFields(message, POINT_CLOUD).header()
@@ -145,10 +166,15 @@ class RosRobot:
         return planar_pose(self._tracker.state().T_map_base)
 
     def _at(self, goal: FloatArray) -> bool:
+        left, turn = self._away(goal)
+        near = left <= self._config.position_tolerance
+        return near and turn <= self._config.heading_tolerance
+
+    def _away(self, goal: FloatArray) -> tuple[float, float]:
+        """How far the base is from a pose (x, y, yaw) [m, rad]."""
         x, y, yaw = self._base()
         turn = abs(float(np.angle(np.exp(1j * (goal[2] - yaw)))))
-        near = float(np.hypot(goal[0] - x, goal[1] - y)) <= self._config.position_tolerance
-        return near and turn <= self._config.heading_tolerance
+        return float(np.hypot(goal[0] - x, goal[1] - y)), turn
 
     def _farthest(self, goal: dict[str, float]) -> tuple[str, float]:
         """The joint that is farthest from its goal, and how far [rad or m]."""

@@ -48,53 +48,6 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TYPES = RclpyMessageTypes()
 
 
-class PaperRover:
-    """Obeys at once: jumps to the end of each path and trajectory, and publishes its state."""
-
-    def __init__(self, graph: Any) -> None:
-        from geometry_msgs.msg import PoseWithCovarianceStamped
-        from sensor_msgs.msg import CameraInfo
-
-        self.graph = graph
-        self.text = find_share("config/rover.urdf").read_text()
-        self.model = RobotModel.from_urdf(self.text, CAMERA, "base_link")
-        self.joints = {joint.name: 0.1 for joint in self.model.joints}
-        self.base, self.obeys = np.eye(4), True
-        self.paths: list[PathMessage] = []
-        self.stamp = 1_000_000_000
-        self.poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose")
-        self.states = graph.publisher(JointState, "joint_states")
-        self.infos = graph.publisher(CameraInfo, "left/camera_info")
-        self.updates = graph.publisher(PointCloud2, "map_updates", 50)
-        description = graph.tester.create_publisher(String, "robot_description", LATCHED)
-        description.publish(encode_text(TYPES, TextRecord(0, "", self.text)))
-        graph.tester.create_subscription(PathMessage, "base_path", self.on_path, 10)
-        graph.tester.create_subscription(JointTrajectory, "arm_trajectory", self.on_arm, 10)
-        graph.tester.create_timer(0.05, self.publish)
-
-    def publish(self) -> None:
-        self.stamp += 50_000_000
-        camera = self.base @ self.model.forward_kinematics(self.joints, CAMERA)
-        pose = PoseRecord(self.stamp, "map", camera, 1e-6 * np.eye(6))
-        self.poses.publish(encode_pose(TYPES, pose))
-        names = tuple(self.joints)
-        positions = np.array(list(self.joints.values()))
-        state = JointStateRecord(self.stamp, "", names, positions)
-        self.states.publish(encode_joint_state(TYPES, state))
-        info = CameraInfoRecord(self.stamp, CAMERA, CameraCalibration(width=64, height=48))
-        self.infos.publish(encode_camera_info(TYPES, info))
-        self.updates.publish(encode_rows(TYPES, self.stamp, "map", np.zeros(0, OCCUPANCY_ROW)))
-
-    def on_path(self, message: PathMessage) -> None:
-        self.paths.append(message)
-        if self.obeys and message.poses:
-            place = message.poses[-1].pose.position
-            self.base = make_transform(np.eye(3), (place.x, place.y, 0.0))
-
-    def on_arm(self, message: JointTrajectory) -> None:
-        self.joints |= dict(zip(message.joint_names, message.points[-1].positions, strict=True))
-
-
 class OneView:
     """A next_best_view that always wants to go 1 m on, until the map is good enough."""
 
@@ -177,12 +130,11 @@ def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Pat
         views=9,
         autostart=True,
         patience=0.5,
-        slowest_speed=5.0,
         task__max_failures=2,
     )
     stage.rover.obeys = False
     stage.spin_to("ended: failed")
-    assert "1.00 m left" in stage.said[-1].values[1].value
+    assert "stopped 1.00 m" in stage.said[-1].values[1].value
     graph.spin_until(lambda: read_status(stage.said[-1]).failed_view is not None, "failed view")
     assert read_status(stage.said[-1]).failure.startswith("drive")
 

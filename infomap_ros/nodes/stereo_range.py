@@ -77,6 +77,8 @@ class StereoRangeNode(MonitoredNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("stereo_range", **node_arguments)
+        use_shared_memory()  # at once: later the memory of other processes would be found too
+        reserve_heap(self.config(MemoryConfig))
         config = self.config(StereoRangeNodeConfig)
         self._source = self._make_source(config)
         seconds = self._source.seconds_to_warm_up()
@@ -86,8 +88,6 @@ class StereoRangeNode(MonitoredNode):
         self._infos: dict[str, CameraInfoRecord] = {}
         self._uncalibrated: deque[Images] = deque(maxlen=config.queue_size)
         self._outputs = RangeOutputs(self)
-        reserve_heap(self.config(MemoryConfig))
-        use_shared_memory()
         self._worker = self.start_worker(config.queue_size)
         self._listen()
 

@@ -53,7 +53,7 @@ def cave(config: CaveConfig | None = None, description: str = "") -> World:
         description: URDF text of a robot to put in; empty for none.
     """
     config = config or CaveConfig()
-    rng = np.random.default_rng(config.seed)
+    rng, look = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     half = 0.62 * config.size + _MARGIN
     n = round(2.0 * half / config.spacing) + 1
@@ -63,7 +63,7 @@ def cave(config: CaveConfig | None = None, description: str = "") -> World:
     builder.sun, builder.ambient = False, _LAMP
     radius = 0.62 * config.size
     builder.region = np.array([(-radius, -radius, -0.3), (radius, radius, config.ceiling + 0.1)])
-    _add_materials(builder, config.texture_size, rng)
+    _add_materials(builder, config.texture_size, look)
     builder.add_terrain("ground")
     _add_walls(builder, config, phases, rng)
     _add_ceiling(builder, config, rng)

@@ -56,12 +56,12 @@ def mars(config: MarsConfig | None = None, description: str = "") -> World:
         description: URDF text of a robot to put in; empty for none.
     """
     config = config or MarsConfig()
-    rng = np.random.default_rng(config.seed)
+    rng, look = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
     builder = SceneBuilder(_crater(config, rng))
     radius = 0.5 * config.size
     low, high = (-radius, -radius, -0.5), (radius, radius, 1.3)
     builder.region = np.array([low, high])
-    _add_materials(builder, config.texture_size, rng)
+    _add_materials(builder, config.texture_size, look)
     builder.add_terrain("ground")
     places = Places(rng, _GAP)
     places.take(0.0, 0.0, 0.15)

@@ -43,14 +43,14 @@ def office(config: OfficeConfig | None = None, description: str = "") -> World:
         description: URDF text of a robot to put in; empty for none.
     """
     config = config or OfficeConfig()
-    rng = np.random.default_rng(config.seed)
+    rng, look = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
     x, y = 0.5 * config.size, 0.5 * config.depth
     nodes = 2 * round(4.0 * (max(x, y) + 0.5)) + 1
     builder = SceneBuilder(Terrain(np.zeros((nodes, nodes)), max(x, y) + 0.5))
     builder.region = np.array([(-x, -y, -0.1), (x, y, config.wall)])
     builder.start = (-0.5 * x, 0.0, 0.0)
     builder.ambient = _LAMPS
-    _add_materials(builder, config.texture_size, rng)
+    _add_materials(builder, config.texture_size, look)
     builder.add_terrain("ground")
     places = Places(rng, _GAP)
     places.take(*builder.start[:2], 0.2)

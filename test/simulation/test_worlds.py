@@ -93,6 +93,16 @@ def test_same_seed_same_world(name: str) -> None:
     assert not np.array_equal(first, make_world(name, 4, **SMALL).surface_distance(points))
 
 
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_size_of_textures_does_not_move_anything(name: str) -> None:
+    points = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 3))
+    small, large = (
+        make_world(name, 3, size=5.0, texture_size=size).surface_distance(points)
+        for size in (64, 128)
+    )
+    assert np.array_equal(small, large)
+
+
 def test_unknown_worlds_and_parameters_are_refused() -> None:
     with pytest.raises(InvalidInputError, match=r"nowhere.*mars"):
         make_world("nowhere", 1)

@@ -28,7 +28,8 @@ from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
 from infomap_ros.motion.collision import CollisionBody, CollisionChecker
-from infomap_ros.motion.collision_kernels import first_on_way, is_free
+from infomap_ros.motion.collision_kernels import is_free
+from infomap_ros.motion.way_kernels import first_on_way
 
 SIZE = 0.05
 FIRST = np.array((-40, -40, -10))

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.motion.collision_kernels import first_on_way
+from infomap_ros.motion.way_kernels import first_on_way
 
 
 class Trees(NamedTuple):

@@ -2,7 +2,7 @@
 
 The straight line in joint space if that is free, else a way found by two random trees that grow
 towards each other (RRT-Connect), then shortened. All of a way is known to be free, not only the
-configurations that were looked at (`collision_kernels.steps_between`).
+configurations that were looked at (`way_kernels`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm_kernels import Trees, distance, grow
 from infomap_ros.motion.chain import KinematicChain
 from infomap_ros.motion.collision import CollisionChecker
-from infomap_ros.motion.collision_kernels import MotionSpace, first_on_way
+from infomap_ros.motion.collision_kernels import MotionSpace
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.motion.trajectory import TrajectoryConfig, time_path
+from infomap_ros.motion.way_kernels import first_on_way
 
 __all__ = ["ArmPath", "ArmPathConfig", "plan_arm_path"]
 

@@ -25,6 +25,7 @@ from infomap_ros.motion import collision_kernels as kernels
 from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig
 from infomap_ros.motion.collision_kernels import CLEAR, MotionSpace
 from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.way_kernels import first_on_way
 
 _SLACK = 1e-6  # [m]
 
@@ -139,6 +140,7 @@ class CollisionChecker:
             links=self._all_links if base else body.moving_links,
             radii=self._radii,
             gaps=self.body.gaps,
+            pair_reach=self.body.pair_reach,
             margin=float(body.config.margin),
             T_map_base=np.ascontiguousarray(pose[:3]),
         )
@@ -172,7 +174,7 @@ class CollisionChecker:
             InvalidInputError: malformed positions or pose.
         """
         first, second = (self.body.chain.check(q) for q in (q_start, q_goal))
-        share = kernels.first_on_way(self.space(T_map_base), first, second, self.body.scratch())
+        share = first_on_way(self.space(T_map_base), first, second, self.body.scratch())
         if share < 0.0:
             return CollisionReport(True)
         return self.check(first + share * (second - first), T_map_base, base=False)

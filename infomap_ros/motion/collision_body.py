@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +160,21 @@ class CollisionBody:
     def compared_pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of the links that are compared with each other."""
         return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
+
+    @cached_property
+    def pair_reach(self) -> FloatArray:
+        """Bound of the way of any point of one link of a pair against the other.
+
+        Per unit of each of the arm's positions, shape (P, n) [m/rad or 1]; joints that move both
+        links alike do not count.
+        """
+        arrays, tree = self.arrays, self.tree
+        reach = np.zeros((len(arrays.pairs), len(self.chain)))
+        for row, (a, b) in enumerate(arrays.pairs):
+            up, down = (set(tree.bodies_up_from(int(arrays.bodies[link]))) for link in (a, b))
+            columns = np.unique(tree.arrays.columns[[body - 1 for body in up ^ down]])
+            reach[row, columns] = arrays.reach[a, columns] + arrays.reach[b, columns]
+        return reach
 
     def scratch(self) -> FloatArray:
         """Room for the poses of all bodies, as the kernels need it."""

@@ -51,6 +51,8 @@ class MotionSpace(NamedTuple):
         links: links that are checked against the map, shape (M,).
         radii: radii of the spheres against the map, at most those of `body`, shape (S,) [m].
         gaps: distance that the links of each pair keep from each other, shape (P,) [m].
+        pair_reach: bound of the way of any point of one link of a pair against the other, per unit
+            of each of the arm's positions, shape (P, n) [m/rad or 1].
         margin: what the spheres are grown by against the map [m].
         T_map_base: shape (3, 4).
     """
@@ -61,6 +63,7 @@ class MotionSpace(NamedTuple):
     links: NDArray[np.int64]
     radii: NDArray[np.float64]
     gaps: NDArray[np.float64]
+    pair_reach: NDArray[np.float64]
     margin: float
     T_map_base: NDArray[np.float64]
 
@@ -76,7 +79,8 @@ def place_bodies(tree: Any, q: Any, T_map_base: Any, places: Any) -> None:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _placed(place: Any, ball: Any) -> tuple[float, float, float]:
+def placed(place: Any, ball: Any) -> tuple[float, float, float]:
+    """Centre of a sphere, given in the frame of a body that is placed at `place`."""
     x, y, z = ball[0], ball[1], ball[2]
     return (
         place[0, 0] * x + place[0, 1] * y + place[0, 2] * z + place[0, 3],
@@ -92,12 +96,12 @@ def map_contact(body: Any, field: Any, links: Any, radii: Any, margin: float, pl
     bodies, balls, starts, spheres = body.bodies, body.balls, body.starts, body.spheres
     for link in links:
         place, ball = places[bodies[link]], balls[link]
-        x, y, z = _placed(place, ball)
+        x, y, z = placed(place, ball)
         low, _ = clearance_bounds(distances, first, size, outside_is_free, x, y, z)
         if low > ball[3] + margin:
             continue
         for s in range(starts[link], starts[link + 1]):
-            x, y, z = _placed(place, spheres[s])
+            x, y, z = placed(place, spheres[s])
             radius = radii[s] + margin
             if not sphere_clear(distances, first, size, outside_is_free, x, y, z, radius):
                 return s
@@ -111,19 +115,19 @@ def pair_gap(body: Any, pair: int, limit: float, places: Any) -> float:
     a, b = body.pairs[pair, 0], body.pairs[pair, 1]
     here, there = places[body.bodies[a]], places[body.bodies[b]]
     ball_a, ball_b = body.balls[a], body.balls[b]
-    bx, by, bz = _placed(there, ball_b)
-    x, y, z = _placed(here, ball_a)
+    bx, by, bz = placed(there, ball_b)
+    x, y, z = placed(here, ball_a)
     reach = ball_a[3] + ball_b[3] + limit
     if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
         return limit
     best = limit
     for s in range(starts[a], starts[a + 1]):
-        x, y, z = _placed(here, spheres[s])
+        x, y, z = placed(here, spheres[s])
         reach = spheres[s, 3] + ball_b[3] + best
         if reach <= 0.0 or (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
             continue
         for t in range(starts[b], starts[b + 1]):
-            u, v, w = _placed(there, spheres[t])
+            u, v, w = placed(there, spheres[t])
             sizes = spheres[s, 3] + spheres[t, 3]
             square, reach = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2, sizes + best
             if reach > 0.0 and square < reach * reach:
@@ -138,18 +142,18 @@ def _pair_touches(body: Any, pair: int, gap: float, places: Any) -> bool:
     a, b = body.pairs[pair, 0], body.pairs[pair, 1]
     here, there = places[body.bodies[a]], places[body.bodies[b]]
     ball_a, ball_b = body.balls[a], body.balls[b]
-    bx, by, bz = _placed(there, ball_b)
-    x, y, z = _placed(here, ball_a)
+    bx, by, bz = placed(there, ball_b)
+    x, y, z = placed(here, ball_a)
     reach = ball_a[3] + ball_b[3] + gap
     if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
         return False
     for s in range(starts[a], starts[a + 1]):
-        x, y, z = _placed(here, spheres[s])
+        x, y, z = placed(here, spheres[s])
         reach = spheres[s, 3] + ball_b[3] + gap
         if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
             continue
         for t in range(starts[b], starts[b + 1]):
-            u, v, w = _placed(there, spheres[t])
+            u, v, w = placed(there, spheres[t])
             reach = spheres[s, 3] + spheres[t, 3] + gap
             if reach > 0.0 and (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 <= reach * reach:
                 return True
@@ -173,47 +177,6 @@ def is_free(space: Any, q: Any, places: Any) -> bool:
         return False
     touched = map_contact(space.body, space.field, space.links, space.radii, space.margin, places)
     return touched == CLEAR
-
-
-@njit(cache=True, nogil=True)
-def steps_between(reach: Any, margin: float, first: Any, second: Any) -> int:
-    """Number of steps in which no point of the body goes farther than twice the margin.
-
-    Every point is then always within the margin of where it was checked.
-    """
-    longest = 0.0
-    for link in range(len(reach)):
-        way = 0.0
-        for j in range(len(first)):
-            way += abs(second[j] - first[j]) * reach[link, j]
-        longest = max(longest, way)
-    return max(1, math.ceil(longest / (2.0 * margin)))
-
-
-@njit(cache=True, nogil=True)
-def first_on_way(space: Any, first: Any, second: Any, places: Any) -> float:
-    """Share of the straight way between two configurations at which something is touched, or -1.
-
-    Checks the ends, then coarse before fine: of a way that is not free, a step near its middle
-    mostly tells.
-    """
-    if not is_free(space, first, places):
-        return 0.0
-    if not is_free(space, second, places):
-        return 1.0
-    steps = steps_between(space.body.reach, space.margin, first, second)
-    q, stride = np.empty(len(first)), 1
-    while stride < steps:
-        stride *= 2
-    while stride > 1:
-        for step in range(stride // 2, steps, stride):
-            share = step / steps
-            for j in range(len(q)):
-                q[j] = first[j] + share * (second[j] - first[j])
-            if not is_free(space, q, places):
-                return share
-        stride //= 2
-    return -1.0
 
 
 @njit(cache=True, nogil=True)
@@ -245,7 +208,7 @@ def first_contact(space: Any, q: Any) -> tuple[int, int, float, float, float]:
     x, y, z = 0.0, 0.0, 0.0
     if sphere != CLEAR:
         link = np.searchsorted(space.body.starts, sphere, side="right") - 1
-        x, y, z = _placed(places[space.body.bodies[link]], space.body.spheres[sphere])
+        x, y, z = placed(places[space.body.bodies[link]], space.body.spheres[sphere])
     return pair, sphere, x, y, z
 
 
@@ -258,7 +221,7 @@ def sphere_clearances(space: Any, q: Any, limits: Any, found: Any) -> None:
     body = space.body
     for link in range(len(body.bodies)):
         for s in range(body.starts[link], body.starts[link + 1]):
-            x, y, z = _placed(places[body.bodies[link]], body.spheres[s])
+            x, y, z = placed(places[body.bodies[link]], body.spheres[s])
             low, _ = clearance_bounds(distances, first, size, outside_is_free, x, y, z)
             found[s] = limits[s]
             if low < limits[s]:
@@ -277,11 +240,11 @@ def pair_gaps(space: Any, q: Any, limits: Any, found: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def place_spheres(tree: Any, body: Any, q: Any, T_map_base: Any, placed: Any) -> None:
+def place_spheres(tree: Any, body: Any, q: Any, T_map_base: Any, out: Any) -> None:
     """Centres and radii of all spheres in the map, shape (S, 4)."""
     places = np.empty((len(tree.parents) + 1, 3, 4))
     place_bodies(tree, q, T_map_base, places)
     for link in range(len(body.bodies)):
         for s in range(body.starts[link], body.starts[link + 1]):
-            x, y, z = _placed(places[body.bodies[link]], body.spheres[s])
-            placed[s, 0], placed[s, 1], placed[s, 2], placed[s, 3] = x, y, z, body.spheres[s, 3]
+            x, y, z = placed(places[body.bodies[link]], body.spheres[s])
+            out[s, 0], out[s, 1], out[s, 2], out[s, 3] = x, y, z, body.spheres[s, 3]

@@ -6,6 +6,7 @@ space (all that 150 random scans find) that is known after so many views, the me
 Nothing but the metric decides: no way, no arm, no rating.
 
     python benchmarks/compare_metrics.py [--seeds 3] [--views 24] [--metrics NAME ...]
+        [--known-weight W] [--unknown-occlusion P]
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import room
@@ -75,14 +76,16 @@ def true_room() -> Truth:
     return Truth(centres[log_odds > 1.0], centres[log_odds < -2.0])
 
 
-def explored(metric: str, seed: int, views: int, truth: Truth) -> np.ndarray:
+def explored(
+    metric: str, seed: int, views: int, truth: Truth, config: InformationConfig
+) -> np.ndarray:
     """Known share of surface and free space after every few views, shape (n, 2)."""
     voxel_map, rng, shares = VoxelMap(GRID), np.random.default_rng(seed), []
     scan(voxel_map, random_views(rng, 1, None)[0])
     for view in range(1, views + 1):
         poses, chosen = random_views(rng, CANDIDATES, voxel_map), 0
         if metric != "random":
-            bits = expected_information(voxel_map, poses, CAMERA, 4.0, metric, CONFIG, REGION)
+            bits = expected_information(voxel_map, poses, CAMERA, 4.0, metric, config, REGION)
             chosen = int(bits.argmax())
         scan(voxel_map, poses[chosen])
         if view % REPORT_EVERY == 0:
@@ -96,15 +99,25 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--views", type=int, default=24)
     parser.add_argument("--metrics", nargs="+", default=[*METRICS, "random"])
+    parser.add_argument("--known-weight", type=float, default=CONFIG.known_weight)
+    parser.add_argument("--unknown-occlusion", type=float, default=CONFIG.unknown_occlusion)
     arguments, truth = parser.parse_args(), true_room()
+    config = replace(
+        CONFIG,
+        known_weight=arguments.known_weight,
+        unknown_occlusion=arguments.unknown_occlusion,
+    )
     for metric in arguments.metrics:
         start = time.process_time()
         seeds = range(arguments.seeds)
-        mean = np.mean([explored(metric, n, arguments.views, truth) for n in seeds], axis=0)
+        runs = [explored(metric, seed, arguments.views, truth, config) for seed in seeds]
+        mean = np.mean(runs, axis=0)
         figures = {
             "benchmark": "compare_metrics",
             "metric": metric,
             "seeds": arguments.seeds,
+            "known_weight": config.known_weight,
+            "unknown_occlusion": config.unknown_occlusion,
             "after_views": list(range(REPORT_EVERY, arguments.views + 1, REPORT_EVERY)),
             "surface": mean[:, 0].round(3).tolist(),
             "free_space": mean[:, 1].round(3).tolist(),

@@ -59,7 +59,7 @@ class Interests:
         sides = (marker.scale.x, marker.scale.y, marker.scale.z)
         try:
             pose = transform_from_quaternion(
-                (position.x, position.y, position.z), (q.x, q.y, q.z, q.w)
+                (q.x, q.y, q.z, q.w), (position.x, position.y, position.z)
             )
             solid = _solid(marker.type, sides)
             weight = float(marker.text)

@@ -9,43 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Path as PathMessage
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.exploration.choice_text import choice_to_text
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.robot import Choice
-from infomap_ros.geometry import (
-    CameraCalibration,
-    CameraInfoRecord,
-    JointStateRecord,
-    PoseRecord,
-    TextRecord,
-    make_transform,
-)
-from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
+from infomap_ros.geometry import make_transform
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.nodes.exploration_status import read_status
 from infomap_ros.nodes.explorer import ExplorerNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.replay.messages import (
-    encode_camera_info,
-    encode_joint_state,
-    encode_pose,
-    encode_text,
-)
-from infomap_ros.replay.messages.rows import encode_rows
-from infomap_ros.team import OCCUPANCY_ROW
 
-CAMERA = "left_camera_optical_frame"
+from .rovers import PaperRover
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TYPES = RclpyMessageTypes()
 
 
 class OneView:

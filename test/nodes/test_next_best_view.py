@@ -1,0 +1,252 @@
+"""next_best_view across DDS: what it answers, publishes, refuses and learns."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
+
+from infomap_ros.exploration.choice_text import choice_from_text
+from infomap_ros.exploration.robot import Choice
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.next_best_view import NextBestViewNode
+
+from .rovers import PaperRover, update_messages
+
+QUICK = {
+    "choice__candidates__candidates": 200,
+    "arm_views": 50,
+    "reaching__postures": 3000,
+    "choice__selection__refined": 10,
+    "reaching__collision__tolerance": 0.03,
+    "threads": 1,
+    "arrival_pause": 0.0,
+}
+OUTPUTS = {
+    "next_view": PoseStamped,
+    "next_best_view/base_path": Path,
+    "next_best_view/arm_trajectory": JointTrajectory,
+    "view_candidates": MarkerArray,
+}
+
+
+class Stage:
+    """The node, a rover on paper, and what the node says."""
+
+    def __init__(self, graph: Any, **parameters: Any) -> None:
+        self.graph = graph
+        self.rover = PaperRover(graph, tells_updates=False)
+        self.team = graph.publisher(PointCloud2, "team/map_updates", 200)
+        latched, create = qos.latched(), graph.tester.create_publisher
+        self.interest = create(MarkerArray, "interest", latched)
+        self.status = create(DiagnosticStatus, "exploration_status", latched)
+        self.said = {name: graph.collect(kind, name) for name, kind in OUTPUTS.items()}
+        self.node = graph.add(NextBestViewNode, **{**QUICK, **parameters})
+        publishers = (self.rover.updates, self.team, self.interest, self.status)
+        graph.connect(*publishers, *self.rover.infos.values())
+
+    def call(self, name: str = "plan") -> Trigger.Response:
+        client = self.graph.tester.create_client(Trigger, f"next_best_view/{name}")
+        self.graph.spin_until(client.service_is_ready, name)
+        future = client.call_async(Trigger.Request())
+        self.graph.spin_until(future.done, name)
+        return future.result()
+
+    def plan(self) -> Choice:
+        answers = [self.call()]
+
+        def answered() -> bool:
+            if not answers[-1].success:
+                answers.append(self.call())
+            return bool(answers[-1].success)
+
+        self.graph.spin_until(answered, "a plan")
+        return choice_from_text(answers[-1].message)
+
+    def tell(self, publisher: Any, *pans: float, **labels: Any) -> None:
+        """Have a robot tell what the rover sees in these directions; waits until it is heard."""
+        results = self.node.health.results()
+        messages = update_messages(self.rover.looks(*pans), **labels)
+        for message in messages:
+            publisher.publish(message)
+        wanted = results + len(messages)
+        self.graph.spin_until(lambda: self.node.health.results() >= wanted, "updates")
+
+    def wait_for_drops(self, reason: str, count: int) -> None:
+        drops = self.node.health.drops
+        self.graph.spin_until(lambda: drops().get(reason, 0) >= count, f"{count} x {reason}")
+
+
+@pytest.fixture
+def stage(graph: Any) -> Stage:
+    return Stage(graph)
+
+
+def status(**values: object) -> DiagnosticStatus:
+    given = {"views": 1, "home base": [], "home joints": {}, "failures": 0}
+    content = given | {name.replace("_", " "): value for name, value in values.items()}
+    pairs = {k: v if isinstance(v, str) else json.dumps(v) for k, v in content.items()}
+    return DiagnosticStatus(values=[KeyValue(key=k, value=v) for k, v in pairs.items()])
+
+
+def places_of_interest(stage: Stage) -> list[float]:
+    return [each.place.transform[1, 3] for each in stage.node._interests.current()]
+
+
+def test_a_plan_is_answered_and_published_but_moves_nothing(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    before = stage.rover.T_map_camera()
+
+    choice = stage.plan()
+
+    assert choice.pose is not None
+    assert choice.route is not None
+    assert 0.0 < choice.progress.known_fraction < 1.0
+    stage.graph.spin_until(lambda: all(stage.said.values()), "all outputs")
+    view, path, arm, markers = (messages[-1] for messages in stage.said.values())
+    stamps = [each.header.stamp for each in (view, path, arm, *markers.markers[1:])]
+    assert stamps == [view.header.stamp] * len(stamps)
+    assert view.header.stamp.sec > 0
+    frames = {each.header.frame_id for each in (view, path, *markers.markers[1:])}
+    assert frames == {"map"}
+    position = view.pose.position
+    np.testing.assert_allclose((position.x, position.y, position.z), choice.pose[:3, 3])
+    assert len(path.poses) == len(choice.route.base_path)
+    np.testing.assert_allclose(
+        arm.points[-1].positions, choice.route.arm_after.positions[-1], atol=1e-9
+    )
+    assert stage.rover.paths == []
+    assert stage.rover.trajectories == []
+    np.testing.assert_array_equal(stage.rover.T_map_camera(), before)
+
+
+def test_candidates_show_their_terms_and_their_rejections(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    choice = stage.plan()
+    stage.graph.spin_until(lambda: stage.said["view_candidates"], "candidates")
+    markers = stage.said["view_candidates"][-1].markers
+    assert markers[0].action == Marker.DELETEALL
+    kinds = {kind: [m for m in markers if m.ns == kind] for kind in ("candidates", "rejected")}
+    assert all("information" in marker.text for marker in kinds["candidates"])
+    assert all(marker.text for marker in kinds["rejected"])
+    listed = len(kinds["candidates"]) + len(kinds["rejected"])
+    assert listed == len(choice.explanation["candidates"])
+    assert [marker.id for marker in markers if marker.ns == "chosen"] == [0]
+
+
+def test_what_is_missing_is_said(graph: Any) -> None:
+    stage = Stage(graph)
+    for name in ("plan", "plan_home"):
+        answer = stage.call(name)
+        assert (answer.success, answer.message) == (False, "no map_updates have arrived yet")
+    stage.tell(stage.rover.updates, 0.0)
+    stage.plan()
+    assert "where the mission began" in stage.call("plan_home").message
+
+
+def test_a_map_that_still_arrives_is_waited_for(graph: Any) -> None:
+    stage = Stage(graph, arrival_pause=60.0)
+    stage.tell(stage.rover.updates, 0.0)
+    answer = stage.call()
+    assert not answer.success
+    assert "still arriving" in answer.message
+
+
+def test_what_another_robot_saw_counts(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, 0.0)
+    alone = stage.plan().progress
+    stage.tell(stage.team, -0.8, 0.8, robot=7)
+    together = stage.plan().progress
+    assert together.known_voxels > alone.known_voxels
+    assert together.known_fraction > alone.known_fraction
+
+
+def test_updates_that_cannot_be_used_are_counted(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, 0.0)
+    known = stage.plan().progress.known_voxels
+    (message, *_) = update_messages(stage.rover.looks(0.8), robot=3)
+    broken = PointCloud2(header=message.header, height=1, width=5, point_step=27, row_step=1)
+    stage.team.publish(broken)
+    stage.wait_for_drops("malformed message", 1)
+    stage.team.publish(update_messages(stage.rover.looks(0.8), robot=3, frame="odom")[0])
+    stage.wait_for_drops("wrong frame", 1)
+    assert stage.plan().progress.known_voxels == known
+
+
+def test_a_place_of_interest_draws_the_view(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    looks = {}
+    for side in (-1.0, 1.0):
+        box = Marker(ns="site", id=1, type=Marker.CUBE, text="200")
+        box.header.frame_id = "map"
+        box.pose.position.y = side * 2.0
+        box.pose.orientation.w = 1.0
+        box.scale.x, box.scale.y, box.scale.z = 8.0, 2.0, 4.0
+        stage.interest.publish(MarkerArray(markers=[box]))
+        stage.graph.spin_until(lambda y=2.0 * side: places_of_interest(stage) == [y], "interest")
+        pose = stage.plan().pose
+        assert pose is not None
+        looks[side] = pose[1, 3] + 1.5 * pose[1, 2]
+    assert looks[-1.0] < 0.0 < looks[1.0]
+
+
+def test_a_view_that_failed_is_not_chosen_again(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    poses = []
+    for failures in range(1, 4):
+        pose = stage.plan().pose
+        assert pose is not None
+        for earlier in poses:
+            apart = np.linalg.norm(pose[:3, 3] - earlier[:3, 3])
+            turned = np.arccos(np.clip(pose[:3, 2] @ earlier[:3, 2], -1.0, 1.0))
+            assert apart > 0.2 or turned > 0.35
+        poses.append(pose)
+        failed = status(failures=failures, failed_view=pose.tolist(), failure="arm: stuck")
+        stage.status.publish(failed)
+        stage.graph.spin_until(
+            lambda n=failures: stage.node._news.failures == n, "the failure to be heard"
+        )
+
+
+def test_foreign_statuses_are_counted(stage: Stage) -> None:
+    stage.status.publish(DiagnosticStatus(name="motor"))
+    stage.wait_for_drops("malformed message", 1)
+
+
+def test_the_way_home_is_planned(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    joints = {**stage.rover.joints, "arm_pan_joint": 0.3}
+    home = status(home_base=[0.0, 0.0, 0.0], home_joints=joints, home_pose=np.eye(4).tolist())
+    stage.status.publish(home)
+    stage.graph.spin_until(lambda: stage.node._news.home_base, "home to be heard")
+    stage.plan()
+    answer = stage.call("plan_home")
+    assert answer.success, answer.message
+    route = choice_from_text(answer.message).route
+    assert route is not None
+    names = route.arm_after.joint_names
+    np.testing.assert_allclose(
+        route.arm_after.positions[-1], [joints[name] for name in names], atol=1e-6
+    )
+
+
+def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -> None:
+    """Where the mission began is clear, not the place where the planner was started again."""
+    stage = Stage(graph)
+    began = np.eye(4)
+    began[0, 3] = -50.0
+    stage.status.publish(status(home_base=[-50.0, 0.0, 0.0], home_pose=began.tolist()))
+    stage.graph.spin_until(lambda: stage.node._news.home_pose is not None, "home to be heard")
+    stage.tell(stage.rover.updates, 0.0)
+    stage.plan()
+    assert stage.node._planner is not None
+    np.testing.assert_array_equal(stage.node._planner._start.T_map_base, began)

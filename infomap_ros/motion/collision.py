@@ -140,6 +140,7 @@ class CollisionChecker:
             links=self._all_links if base else body.moving_links,
             radii=self._radii,
             gaps=self.body.gaps,
+            kept=self.body.kept,
             pair_reach=self.body.pair_reach,
             margin=float(body.config.margin),
             T_map_base=np.ascontiguousarray(pose[:3]),

@@ -25,6 +25,9 @@ from infomap_ros.motion.sphere_cover import cover_by_spheres
 _REFINEMENTS = 2
 
 
+_LOST = 0.002  # [m]
+
+
 @dataclass(frozen=True)
 class CollisionConfig:
     """How the body is modelled and what counts as in its way.
@@ -160,6 +163,15 @@ class CollisionBody:
     def compared_pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of the links that are compared with each other."""
         return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
+
+    @cached_property
+    def kept(self) -> FloatArray:
+        """Part of each pair's gap that may be lost between two checks of a way, shape (P,) [m].
+
+        All of the margin, but little where the gap was adapted to what the true shapes allow.
+        """
+        wanted = _wanted_gaps(self.arrays, self.config.margin)
+        return np.where(self.gaps < wanted, np.minimum(wanted, _LOST), wanted)
 
     @cached_property
     def pair_reach(self) -> FloatArray:

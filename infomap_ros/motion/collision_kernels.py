@@ -51,6 +51,7 @@ class MotionSpace(NamedTuple):
         links: links that are checked against the map, shape (M,).
         radii: radii of the spheres against the map, at most those of `body`, shape (S,) [m].
         gaps: distance that the links of each pair keep from each other, shape (P,) [m].
+        kept: part of these gaps that may be lost between two checks of a way, shape (P,) [m].
         pair_reach: bound of the way of any point of one link of a pair against the other, per unit
             of each of the arm's positions, shape (P, n) [m/rad or 1].
         margin: what the spheres are grown by against the map [m].
@@ -63,6 +64,7 @@ class MotionSpace(NamedTuple):
     links: NDArray[np.int64]
     radii: NDArray[np.float64]
     gaps: NDArray[np.float64]
+    kept: NDArray[np.float64]
     pair_reach: NDArray[np.float64]
     margin: float
     T_map_base: NDArray[np.float64]

@@ -85,12 +85,11 @@ def _free_share(space: Any, rates: Any, q: Any, wanted: float, places: Any) -> f
 @njit(cache=True, nogil=True)
 def _free_of_itself(space: Any, rates: Any, share: float, places: Any) -> float:
     """Share by which links may approach each other, or -1 where two are within their gap."""
-    body, gaps, margin = space.body, space.gaps, space.margin
+    body, gaps, kept = space.body, space.gaps, space.kept
     for pair in range(len(gaps)):
         a, b = body.pairs[pair, 0], body.pairs[pair, 1]
         rate = rates[pair]
-        kept = margin * ((body.bodies[a] > 0) + (body.bodies[b] > 0))
-        lowest = gaps[pair] - kept
+        lowest = gaps[pair] - kept[pair]
         x, y, z = placed(places[body.bodies[a]], body.balls[a])
         u, v, w = placed(places[body.bodies[b]], body.balls[b])
         away = math.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2)

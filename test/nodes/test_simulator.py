@@ -153,6 +153,8 @@ def test_velocity_and_trajectory_move_base_and_arm(graph: Any) -> None:
 def test_bad_commands_are_counted_and_move_nothing(graph: Any) -> None:
     bench = Bench(graph, publish_tf=False)
     graph.spin_until(lambda: not bench.moving, "standing still")
+    seen = len(bench.truth)
+    graph.spin_until(lambda: len(bench.truth) > seen + 2, "news from where it stands")
     before = bench.base()
     there = np.array([np.add(before, (1.0, 0.0, 0.0))])
     bench.commands["base_path"].publish(encode_base_path(TYPES, 0, "mars", there))

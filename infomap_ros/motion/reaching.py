@@ -144,11 +144,11 @@ class WholeBodyReach:
             return here
         finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
         if self._routes.why_not_folded:
-            return ReachResult(f"arm alone: {why_not}; {self._routes.why_not_folded}")
+            return ReachResult(f"{self._routes.why_not_folded}; the arm alone: {why_not}")
         stances = finder.find(view)
         if len(stances.places):
             return self._with_base(view, stances)
-        reason = f"arm alone: {why_not}; with the base: {stances.reason}"
+        reason = f"{stances.reason}; the arm alone: {why_not}"
         return self._approach(view, finder.wishes(view), reason)
 
     def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:

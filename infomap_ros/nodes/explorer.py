@@ -166,6 +166,21 @@ class ExplorerNode(MonitoredNode):
         task = asdict(self.config(TaskConfig))
         self._log.write("start", task=task, robot=self._tracker.robot.name, **known)
 
+    def _is_complete(self) -> bool:
+        """Whether everything is there that a mission needs; says what is not."""
+        assert self._exploration is not None
+        missing = ""
+        if not self._tracker.is_complete():
+            missing = "camera_pose, joint_states, robot_description and left/camera_info"
+        elif not self._robot.sees:
+            missing = "map_updates"
+        elif not self._planner.is_there:
+            missing = "next_best_view"
+        if missing:
+            self._exploration.last_reason = f"waiting for {missing}"
+            self.get_logger().info(f"waiting for {missing}", throttle_duration_sec=5.0)
+        return not missing
+
     def _stopped(self) -> bool:
         assert self._exploration is not None
         return self._exploration.control.request is Request.STOP

@@ -8,6 +8,7 @@ must not move anything.
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from typing import Any
 
@@ -30,6 +31,7 @@ from infomap_ros.nodes.interests import Interests
 from infomap_ros.nodes.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.plan_outputs import PlanOutputs
+from infomap_ros.nodes.plan_warm_up import warm_up
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
 
@@ -48,6 +50,9 @@ class NextBestViewNode(MonitoredNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("next_best_view", **node_arguments)
+        start = time.monotonic()
+        warm_up(self.config(ViewPlannerConfig))
+        self.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
         self._tracker = RobotTracker(self)
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
         self._outputs = PlanOutputs(self)

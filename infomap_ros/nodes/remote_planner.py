@@ -61,6 +61,11 @@ class RemotePlanner:
         self._plan = node.create_client(Trigger, f"{planner}/plan")
         self._plan_home = node.create_client(Trigger, f"{planner}/plan_home")
 
+    @property
+    def is_there(self) -> bool:
+        """Whether somebody offers plans."""
+        return bool(self._plan.service_is_ready())
+
     def choose(self, state: RobotState) -> Choice:
         """Ask for the next best view; next_best_view knows the state from its own topics.
 

@@ -88,6 +88,11 @@ class RosRobot:
         """Where it is now; see `RobotTracker.state`."""
         return self._tracker.state()
 
+    @property
+    def sees(self) -> bool:
+        """Whether a scan has been fused since this object was made."""
+        return self._fused > 0
+
     def look(self, interrupted: Interrupted) -> str:
         """Wait until scans taken from here have been fused."""
         before, wanted = self._fused, self._config.scans_per_view + 1  # one may be from before

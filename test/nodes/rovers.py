@@ -38,7 +38,7 @@ FRAMES = {side: f"{side}_camera_optical_frame" for side in ("left", "right")}
 CAMERA = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
 BASELINE = 0.1  # [m]
 # The room's floor is under the wheels of a rover whose base is at the origin.
-ROOM = np.array([[-2.0, -2.0, -0.18], [3.0, 2.0, 1.5]])
+ROOM = np.array([[-2.0, -2.0, -0.08], [3.0, 2.0, 1.5]])
 TYPES = RclpyMessageTypes()
 
 

@@ -60,9 +60,11 @@ class OneView:
 class Stage:
     """Explorer, rover, planner and what is said of them."""
 
-    def __init__(self, graph: Any, folder: Path, views: int, **parameters: Any) -> None:
+    def __init__(
+        self, graph: Any, folder: Path, views: int, sees: bool = True, **parameters: Any
+    ) -> None:
         self.graph = graph
-        self.rover = PaperRover(graph)
+        self.rover = PaperRover(graph, tells_updates=sees)
         self.planner = OneView(graph, self.rover, views)
         self.said: list[DiagnosticStatus] = graph.collect(
             DiagnosticStatus, "exploration_status", LATCHED
@@ -147,6 +149,20 @@ def test_plan_only_moves_nothing(graph: Any, tmp_path: Path) -> None:
     stage = Stage(graph, tmp_path, views=2, autostart=True, plan_only=True)
     stage.spin_to("ended: done")
     assert stage.rover.paths == []
+
+
+def test_a_mission_waits_for_what_it_needs(graph: Any, tmp_path: Path) -> None:
+    """While the others still compile their kernels, nothing has failed."""
+    stage = Stage(graph, tmp_path, views=0, sees=False, autostart=True, patience=0.5)
+    graph.spin_until(lambda: "waiting for map_updates" in said_last(stage), "the wait to be said")
+    assert stage.state() == "starting"
+    stage.rover.tells_updates = True
+    stage.spin_to("ended: done")
+
+
+def said_last(stage: Stage) -> str:
+    values = {pair.key: pair.value for pair in stage.said[-1].values} if stage.said else {}
+    return str(values.get("last reason", ""))
 
 
 @pytest.mark.parametrize(

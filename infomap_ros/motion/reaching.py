@@ -34,6 +34,7 @@ from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.whole_body import WholeBody
 
+_NO_PLACE = "no place to stand from which the arm reaches it"
 _POSTURES_TRIED = 400
 _UNEVEN = (-0.2, -0.1, 0.0, 0.1, 0.2)  # [m]; heights of the ground against the nearest
 
@@ -126,7 +127,11 @@ class WholeBodyReach:
         possible = self._arm_may_reach(views)
         if not possible.all():
             possible[~possible] = self._base_may_reach(views[~possible])
-        return ["" if ok else "no place to stand from which the arm reaches it" for ok in possible]
+        if possible.all():
+            return [""] * len(views)
+        stuck = self._why_stuck
+        reason = f"the base cannot drive: {stuck}" if stuck else _NO_PLACE
+        return ["" if ok else reason for ok in possible]
 
     def reach(self, T_map_camera: ArrayLike) -> ReachResult:
         """Plan the motion to one view.
@@ -168,6 +173,15 @@ class WholeBodyReach:
                 return ReachResult(f"arm: {arm.reason}")
             return self._routes.with_arm_alone(arm)
         return self._routes.with_base(self.planner.plan(self._xyyaw, goal), q)
+
+    @cached_property
+    def _why_stuck(self) -> str:
+        """Why the base can drive nowhere, or empty."""
+        x, y, yaw = (float(value) for value in self._xyyaw)
+        if self.planner.reachable_area(self._xyyaw).any():
+            return ""
+        reason = self._whole.vehicle.stance(self.terrain, x, y, yaw).reason
+        return reason or "no pose next to it is safe"
 
     @property
     def _xyyaw(self) -> FloatArray:

@@ -50,6 +50,11 @@ class SimulatorOutputsConfig:
     images_while_moving: bool = parameter(
         True, "Take pairs while the robot moves; drawing them is what takes most of the time."
     )
+    range_source: str = parameter(
+        "stereo",
+        "What the robot sees with: a raw stereo pair, or a depth camera on depth/image_rect.",
+        choices=("stereo", "depth", "both"),
+    )
     publish_camera_pose: bool = parameter(
         True,
         "Publish camera_pose: the true pose with the noise of position_noise and rotation_noise, "
@@ -92,6 +97,12 @@ class SimulatorOutputs:
         self._infos = [
             node.advertise(CameraInfo, f"{s}/camera_info", stream(depth=5)) for s in _SIDES
         ]
+        self._depth = None
+        if self._config.range_source != "stereo":
+            self._depth = (
+                node.advertise(Image, "depth/image_rect", stream(depth=5)),
+                node.advertise(CameraInfo, "depth/camera_info", stream(depth=5)),
+            )
         self._latched = {
             topic: node.advertise(String, topic, qos.latched())
             for topic in ("robot_description", "ground_truth/scene", "ground_truth/contacts")
@@ -119,6 +130,7 @@ class SimulatorOutputs:
             self._publish_state()
         if image:
             self._publish_pair()
+            self._publish_depth()
         self._publish_contacts()
 
     def _is_due(self, name: str, rate: float, wait: bool = False) -> bool:
@@ -158,13 +170,27 @@ class SimulatorOutputs:
         ):
             info = CameraInfoRecord(stamp, frame, calibration)
             publisher.publish(encode_camera_info(types, info))
-        if any(publisher.get_subscription_count() for publisher in self._images):
+        wanted = self._config.range_source != "depth"
+        if wanted and any(publisher.get_subscription_count() for publisher in self._images):
             pair = simulator.capture()
             for publisher, frame, pixels in zip(
                 self._images, frames, (pair.left, pair.right), strict=True
             ):
                 image = ImageRecord(stamp, frame, pixels, "mono8")
                 publisher.publish(encode_image(types, image))
+            self._node.health.produced()
+
+    def _publish_depth(self) -> None:
+        if self._depth is None:
+            return
+        images, infos = self._depth
+        simulator, frame = self._simulator, self._simulator.camera_frames[0]
+        info = CameraInfoRecord(simulator.stamp, frame, simulator.depth_calibration)
+        infos.publish(encode_camera_info(self._types, info))
+        if images.get_subscription_count():
+            taken = simulator.capture_depth()
+            record = ImageRecord(taken.stamp, frame, taken.depth, "32FC1")
+            images.publish(encode_image(self._types, record))
             self._node.health.produced()
 
     def _publish_contacts(self) -> None:

@@ -17,6 +17,7 @@ from infomap_ros.simulation.arm_motion import ArmMotion
 from infomap_ros.simulation.base_motion import BaseMotion
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.contacts import ContactEvent, ContactMonitor
+from infomap_ros.simulation.depth_eye import DepthEye, DepthImage
 from infomap_ros.simulation.drive_train import DriveTrain
 from infomap_ros.simulation.eyes import Eyes, StereoPair
 from infomap_ros.simulation.robot_body import PREFIX, RobotBody
@@ -60,8 +61,8 @@ class Simulator(RobotSensors):
         config = config or SimulatorConfig()
         setup = config.robot
         body = RobotBody(world, description, setup, config.dynamics)
-        seeds = np.random.SeedSequence(config.seed).spawn(4)
-        joints, odometry, images, poses = (np.random.default_rng(seed) for seed in seeds)
+        seeds = np.random.SeedSequence(config.seed).spawn(5)
+        joints, odometry, images, poses, depths = (np.random.default_rng(seed) for seed in seeds)
         self._drive = DriveTrain(body, config.drive, config.following)
         self._settle(body, config.dynamics.steps * config.dynamics.timestep)
         super().__init__(body, config, (joints, odometry, poses))
@@ -72,6 +73,7 @@ class Simulator(RobotSensors):
             body.model, PREFIX, body.trial, setup.casters, config.step_height
         )
         self._eyes = Eyes(body, config.camera, config.sensor, images)
+        self._depth_eye = DepthEye(body, self._eyes.camera.rig.left, config.depth, depths)
 
     def _settle(self, body: RobotBody, period: float) -> None:
         """Let the robot come to rest on its wheels."""
@@ -194,6 +196,11 @@ class Simulator(RobotSensors):
         """Of the left and the right camera."""
         return self._eyes.camera.left, self._eyes.camera.right
 
+    @property
+    def depth_calibration(self) -> CameraCalibration:
+        """Of the depth image, which has no distortion."""
+        return self._depth_eye.calibration
+
     def capture(self) -> StereoPair:
         """Take a raw stereo pair now.
 
@@ -202,9 +209,18 @@ class Simulator(RobotSensors):
         """
         return self._eyes.look(self.stamp)
 
+    def capture_depth(self) -> DepthImage:
+        """Take a depth image now, from the place of the left camera, undistorted.
+
+        Raises:
+            SimulationError: this machine cannot draw images.
+        """
+        return self._depth_eye.look(self.stamp)
+
     def close(self) -> None:
         """Free what drawing needs."""
         self._eyes.close()
+        self._depth_eye.close()
 
 
 def _joints_of(description: str, setup: RobotSetupConfig) -> tuple[RobotModel, dict[str, Follower]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.simulation.base_motion import BaseMotionConfig
+from infomap_ros.simulation.depth_eye import DepthEyeConfig
 from infomap_ros.simulation.drive_train import DriveTrainConfig
 from infomap_ros.simulation.dynamics import DynamicsConfig
 from infomap_ros.simulation.image_sensor import ImageSensorConfig
@@ -43,6 +44,7 @@ class SimulatorConfig:
     odometry: WheelOdometryConfig = field(default_factory=WheelOdometryConfig)
     camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
     sensor: ImageSensorConfig = field(default_factory=ImageSensorConfig)
+    depth: DepthEyeConfig = field(default_factory=DepthEyeConfig)
 
     def __post_init__(self) -> None:
         """Validate all fields."""

@@ -109,6 +109,19 @@ def test_state_images_and_truth_fit_together(graph: Any) -> None:
     assert np.array_equal(world.start, bench.node._simulator.world.start)
 
 
+def test_a_depth_camera_takes_the_place_of_the_pair(graph: Any) -> None:
+    Bench(graph, range_source="depth")
+    depths = graph.collect(Image, "depth/image_rect")
+    infos = graph.collect(CameraInfo, "depth/camera_info")
+    pairs = graph.collect(Image, "left/image_raw")
+    graph.spin_until(lambda: len(depths) > 1 and infos, "depth images")
+    image = decode_image(depths[0])
+    assert (image.encoding, image.frame_id) == ("32FC1", "left_camera_optical_frame")
+    assert np.nanmedian(image.pixels) == pytest.approx(1.5, abs=1.2)
+    assert not pairs
+    assert decode_camera_info(infos[0]).calibration.rectified_camera().width == 64
+
+
 def test_a_path_in_the_map_is_driven(graph: Any) -> None:
     bench = Bench(graph)
     start = bench.base()

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError, RobotModelError, SimulationError
-from infomap_ros.geometry import invert_transform, make_transform
+from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.builder import SceneBuilder, World
+from infomap_ros.simulation.depth_eye import DepthEye, DepthEyeConfig
 from infomap_ros.simulation.drive_train import planar
 from infomap_ros.simulation.placing import upright
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
@@ -281,3 +282,34 @@ def test_the_measured_camera_pose_is_as_good_as_it_says(rover: Simulator) -> Non
     assert records[0].covariance is not None
     declared = np.sqrt(np.diag(records[0].covariance)[:3])
     np.testing.assert_allclose(errors.std(axis=0), declared, rtol=0.2)
+
+
+def test_depth_is_true_but_for_its_noise(description: str) -> None:
+    wall = ("wall", (0.1, 6.0, 6.0), make_transform(np.eye(3), (2.05, 0.0, 0.0)))
+    config = dataclasses.replace(
+        CONFIG, robot=RobotSetupConfig(home=(0.0, 0.0, 0.0, 0.0), suspension_sag=0.0)
+    )
+    robot = Simulator(flat_world(wall), description, config)
+    images = np.array([robot.capture_depth().depth for _ in range(40)])
+    robot.close()
+    camera = robot.depth_calibration.rectified_camera()
+    near_axis = images[:, 20:28, 28:36]
+    truth = 2.0 - robot.true_camera_pose()[0, 3]
+    assert camera.width == images.shape[2]
+    assert near_axis.mean() == pytest.approx(truth, abs=0.004)
+    sigma = 0.0012 + 0.0019 * (truth - 0.4) ** 2
+    assert near_axis.std(axis=0).mean() == pytest.approx(sigma, rel=0.2)
+    neighbours = np.corrcoef(near_axis[:, 3, 3], near_axis[:, 3, 4])[0, 1]
+    assert neighbours > 0.0
+
+
+def test_depth_out_of_range_is_no_measurement(rover: Simulator) -> None:
+    config = DepthEyeConfig(nearest=0.5, farthest=2.0, pixel_sigma=0.0)
+    eye = DepthEye(
+        rover._body, PinholeCamera(4, 4, 3.0, 3.0, 1.5, 1.5), config, np.random.default_rng(0)
+    )
+    depth = np.full((4, 4), 1.0, np.float32)
+    depth[0], depth[1], depth[2] = 0.3, 3.0, np.nan
+    measured = eye.measure(depth)
+    assert np.isnan(measured[:3]).all()
+    np.testing.assert_allclose(measured[3], 1.0, atol=0.01)

@@ -148,7 +148,7 @@ class ExplorerNode(MonitoredNode):
     def _explore(self) -> None:
         """The thread of the loop."""
         assert self._exploration is not None
-        self._tracker.wait_until(self._tracker.is_complete, math.inf, self._stopped)
+        self._tracker.wait_until(self._is_complete, math.inf, self._stopped)
         self._write_start()
         ending = self._exploration.run()
         self.get_logger().info(f"exploration ended: {ending.reason.value}: {ending.detail}")

@@ -6,6 +6,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.solid_extent import solid_extent
 
 _POSTURES = 2000
 _LEAST_HEIGHT = 0.15  # [m]; nearer to rough ground the arm would touch it
@@ -33,8 +34,5 @@ def random_postures(robot: RobotModel, count: int, rng: np.random.Generator) -> 
 def robot_bottom(robot: RobotModel) -> float:
     """Height of the robot's lowest point in the base frame [m], the joints near zero."""
     joints = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
-    lowest = 0.0
-    for placed in robot.solids_in(robot.base_frame, joints):
-        low = placed.transform[2, 3] - placed.solid.bounding_radius
-        lowest = min(lowest, float(low))
-    return lowest
+    solids = robot.solids_in(robot.base_frame, joints)
+    return min((float(solid_extent(placed)[0][2]) for placed in solids), default=0.0)

@@ -1,6 +1,6 @@
-"""The launch file asks for executables and parameters that exist.
+"""The launch files ask for executables and parameters that exist.
 
-ROS's launch has no wheel, so a recorder of what the file asks for stands in for it.
+ROS's launch has no wheel, so a recorder of what a file asks for stands in for it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import pytest
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.parameter_docs import NODES, node_parameters
 
+EXPLORING = ("stereo_range", "map_fusion", "next_best_view", "explorer")
+
 
 class Recorder(SimpleNamespace):
     """Remembers the arguments of its construction."""
@@ -29,6 +31,15 @@ class Recorder(SimpleNamespace):
 
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return load("mapping", monkeypatch)
+
+
+@pytest.fixture
+def exploration(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return load("exploration", monkeypatch)
+
+
+def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     names = {
         "launch": ("LaunchDescription",),
         "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "Shutdown"),
@@ -37,13 +48,13 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         "launch_ros": (),
         "launch_ros.actions": ("Node",),
     }
-    for name, members in names.items():
-        module = ModuleType(name)
+    for module_name, members in names.items():
+        module = ModuleType(module_name)
         for member in members:
             setattr(module, member, Recorder)
-        monkeypatch.setitem(sys.modules, name, module)
-    path = find_share("launch/mapping.launch.py")
-    spec = importlib.util.spec_from_file_location("mapping_launch", path)
+        monkeypatch.setitem(sys.modules, module_name, module)
+    path = find_share(f"launch/{name}.launch.py")
+    spec = importlib.util.spec_from_file_location(f"{name}_launch", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -80,18 +91,71 @@ def test_a_bag_brings_its_player_and_its_clock(launch_file: ModuleType) -> None:
     assert fusion["qos_overrides./robot1/points2.subscription.reliability"] == "reliable"
 
 
-def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleType) -> None:
-    nodes = nodes_of(launch_file, bag="bags/rover_rocks")
-    del nodes["rviz2"]
-
+def check_settings(nodes: dict[str, Recorder]) -> None:
+    """Every parameter that is set exists, with that type."""
+    nodes = {name: node for name, node in nodes.items() if name != "rviz2"}
     assert set(nodes) <= set(NODES)
-    for name in nodes:
+    for name, node in nodes.items():
         known = node_parameters(NODES[name])
-        for key, value in settings_of(nodes[name]).items():
+        for key, value in settings_of(node).items():
             if key != "use_sim_time" and not key.startswith("qos_overrides"):
                 kind = type(known[key][0])
                 assert isinstance(value, list if kind is tuple else kind), key
-        assert nodes[name].parameters[0] == str(find_share(f"config/{name}.yaml"))
+        assert node.parameters[0] == str(find_share(f"config/{name}.yaml"))
+
+
+def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleType) -> None:
+    check_settings(nodes_of(launch_file, bag="bags/rover_rocks"))
+
+
+@pytest.mark.parametrize("simulator", ["true", "false"])
+def test_exploring_sets_parameters_that_exist(exploration: ModuleType, simulator: str) -> None:
+    check_settings(nodes_of(exploration, simulator=simulator, localisation="odometry"))
+
+
+def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, world="cave", seed="4", namespace="robot1")
+
+    assert set(nodes) == {*EXPLORING, "simulator", "rviz2"}
+    world = settings_of(nodes["simulator"])
+    assert (world["world"], world["world_seed"]) == ("cave", 4)
+    assert world["publish_camera_pose"] is True
+    for name in EXPLORING:
+        assert settings_of(nodes[name])["use_sim_time"] is True
+    explorer = settings_of(nodes["explorer"])
+    assert explorer["qos_overrides./robot1/camera_pose.subscription.reliability"] == "reliable"
+
+
+def test_exploring_with_a_robot_leaves_its_quality_of_service(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, simulator="false", autostart="false")
+
+    assert set(nodes) == {*EXPLORING, "rviz2"}
+    for name in EXPLORING:
+        settings = settings_of(nodes[name])
+        assert settings["use_sim_time"] is False
+        assert not [key for key in settings if key.startswith("qos_overrides")]
+    assert settings_of(nodes["explorer"])["autostart"] is False
+
+
+def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, localisation="odometry")
+
+    assert settings_of(nodes["simulator"])["publish_camera_pose"] is False
+    assert "dead_reckoning" in nodes
+
+
+def test_planner_and_explorer_have_the_same_task(exploration: ModuleType) -> None:
+    given = {"region_low": "-1 -2.5 0", "region_high": "[4.0, 5, 2.0]", "max_views": "7"}
+    nodes = nodes_of(exploration, **given)
+    tasks = [
+        {k: v for k, v in settings_of(nodes[name]).items() if k.startswith("task.")}
+        for name in ("next_best_view", "explorer")
+    ]
+
+    assert tasks[0] == tasks[1]
+    assert tasks[0]["task.region_low"] == [-1.0, -2.5, 0.0]
+    assert tasks[0]["task.region_high"] == [4.0, 5.0, 2.0]
+    assert tasks[0]["task.max_views"] == 7
 
 
 def test_processes_get_the_environment_of_large_messages(

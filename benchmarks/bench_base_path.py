@@ -80,21 +80,24 @@ class Truth:
 
     def __init__(self, terrain: Terrain, vehicle: Vehicle) -> None:
         self.shape = (*terrain.heights.shape, 16)
+        self.middles = terrain.centres_of
         nodes = np.argwhere(np.ones(self.shape, bool))
-        middles, self.middles = terrain.centres_of(nodes[:, :2]), terrain.centres_of
-        half = terrain.centres_of(nodes[:, :2] + 0.5 * MOVES[nodes[:, 2]])
-        following = HEADINGS[(nodes[:, 2] + 1) % 16]
-        turn = 0.5 * ((following - HEADINGS[nodes[:, 2]]) % (2.0 * math.pi))
-        yaw = HEADINGS[nodes[:, 2]]
+        cells, yaw, steps = nodes[:, :2], HEADINGS[nodes[:, 2]], MOVES[nodes[:, 2]].astype(float)
+        turns = (HEADINGS[(nodes[:, 2] + 1) % 16] - yaw) % (2.0 * math.pi)
+        still, straight = np.zeros(steps.shape), np.zeros(turns.shape)
 
-        def good(xy: np.ndarray, heading: np.ndarray) -> np.ndarray:
-            return vehicle.stances(terrain, np.column_stack([xy, heading])).ok.reshape(self.shape)
+        def good(move: np.ndarray, turn: np.ndarray, parts: np.ndarray, n: int) -> np.ndarray:
+            """Stances after n of so many parts of a move or turn; good beyond the last."""
+            share = np.minimum(n / parts, 1.0)
+            xy = terrain.centres_of(cells + move * share[:, None])
+            ok = vehicle.stances(terrain, np.column_stack([xy, yaw + turn * share])).ok
+            return (ok | (n >= parts)).reshape(self.shape)
 
-        self.nodes, self.turns, self.halves = (
-            good(middles, yaw),
-            good(middles, yaw + turn),
-            good(half, yaw),
-        )
+        lengths = np.ceil(np.hypot(*steps.T) - 1e-9)
+        angles = np.ceil(turns / (2.0 * math.pi / 32.0) - 1e-9)
+        self.nodes = good(still, straight, lengths + 1.0, 0)
+        self.turns = good(still, turns, angles, 1) & good(still, turns, angles, 2)
+        self.moves = good(steps, straight, lengths, 1) & good(steps, straight, lengths, 2)
 
     def reached_from(self, start: np.ndarray) -> np.ndarray:
         """Nodes that can be reached, shape (nx, ny, 16), by growing from the start."""
@@ -104,11 +107,8 @@ class Truth:
             grown = reached | (np.roll(reached & self.turns, 1, axis=2))
             grown |= np.roll(reached, -1, axis=2) & self.turns
             for h, (a, b) in enumerate(MOVES):
-                here, long = reached[:, :, h], abs(a) + abs(b) == 3
-                leave = here & self.halves[:, :, h] if long else here
-                grown[:, :, h] |= shifted(leave, a, b)
-                back = shifted(here, -a, -b)
-                grown[:, :, h] |= back & self.halves[:, :, h] if long else back
+                grown[:, :, h] |= shifted(reached[:, :, h] & self.moves[:, :, h], a, b)
+                grown[:, :, h] |= shifted(reached[:, :, h], -a, -b) & self.moves[:, :, h]
             grown &= self.nodes
             if (grown == reached).all():
                 return reached
@@ -148,7 +148,7 @@ def run_peer(space: DriveSpace, queries: np.ndarray, repetitions: int, reach: fl
         includes = ["-I/usr/include/ompl-1.5", "-I/usr/include/eigen3"]
         source = ["-O3", "-march=native", "-std=c++17", str(HERE / "base_path_peer.cpp")]
         subprocess.run(["g++", *source, *includes, "-o", str(program), "-lompl"], check=True)
-        numbers = struct.pack("<3i5d", *space.lattice.shape, *space.grid, reach, LIMIT)
+        numbers = struct.pack("<3i5d", *space.lattice.shape, *space.grid[:3], reach, LIMIT)
         lattice = (space.lattice == CLEAR).astype(np.uint8).tobytes()
         problem.write_bytes(numbers + lattice + struct.pack("<i", len(queries)) + queries.tobytes())
         out = subprocess.run(

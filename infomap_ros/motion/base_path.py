@@ -22,11 +22,20 @@ class BasePlannerConfig:
         0.25, "Time after which sampling gives way to complete search.", unit="s", low=0.0,
         high=600.0,
     )  # fmt: skip
-    headings: int = parameter(32, "Headings of the cells that sampling asks.", low=8, high=256)
+    headings: int = parameter(
+        32,
+        "Headings of the cells that sampling asks; no turn goes farther unasked.",
+        low=8,
+        high=256,
+    )
     reach: float = parameter(
         1.0, "Longest motion by which a sampled tree grows.", unit="m", low=0.05, high=100.0
     )
     reverse: bool = parameter(True, "Whether the robot may drive backwards.")
+    turning_radius: float = parameter(
+        0.0, "Smallest radius on which the robot turns; 0 if it turns in place.", unit="m", low=0.0,
+        high=50.0,
+    )  # fmt: skip
     turn_cost: float = parameter(
         0.2, "Length that a turn by one radian counts as.", unit="m/rad", low=0.0, high=0.35
     )
@@ -38,12 +47,6 @@ class BasePlannerConfig:
         0.2, "Ground around the body that counts as known because the robot stands there.",
         unit="m", low=0.0, high=5.0,
     )  # fmt: skip
-    spacing: float = parameter(
-        0.1, "Largest distance of the poses of a path.", unit="m", low=0.005, high=10.0
-    )
-    turn_spacing: float = parameter(
-        0.2, "Largest turn between the poses of a path.", unit="rad", low=0.01, high=1.6
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -54,8 +57,9 @@ class BasePath:
     """A way of the base: turns in place and straight lines, forwards or backwards.
 
     Attributes:
-        poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than the planner's
-            spacing apart, yaw continuous; empty where the robot cannot move at all.
+        poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than a cell of the
+            terrain or one of the planner's headings apart, yaw continuous; empty where the robot
+            cannot move at all.
         T_map_base: how it stands at each, shape (K, 4, 4).
         length: [m].
         complete: whether it leads to a goal; else it is the farthest safe approach.

@@ -112,7 +112,7 @@ class BasePlanner:
     def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
         """A way found by sampling, made shorter, every stance on it asked itself; or None."""
         space, config = self._space, self.config
-        if not len(goals) or not space.stands(start):
+        if config.turning_radius > 0.0 or not len(goals) or not space.stands(start):
             return None
         end = time.monotonic() + limit
         while (left := end - time.monotonic()) > 0.0:
@@ -134,7 +134,9 @@ class BasePlanner:
         return next((way for way in ways if self._space.fault_on(way) is None), None)
 
     def _shorter(self, way: FloatArray) -> FloatArray:
-        """A way of the graph, shortened where that holds."""
+        """A way of the graph, shortened where that holds; one of curves is left as it is."""
+        if self.config.turning_radius > 0.0:
+            return way
         shorter = self._checked(self._space.shortened(way))
         return way if shorter is None else shorter
 
@@ -154,7 +156,7 @@ class BasePlanner:
 
     def _free_arrival(self, way: FloatArray) -> FloatArray:
         """A way to a goal of any heading without its last turn, where that may be left out."""
-        if len(way) < 2:
+        if len(way) < 2 or self.config.turning_radius > 0.0:
             return way
         a, b = way[-2:]
         first, length, _ = legs_of(*a, *b, self.config.reverse)

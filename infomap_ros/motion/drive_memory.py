@@ -34,7 +34,10 @@ def carry_over(old: DriveGraph, new: DriveGraph, before: Ground, now: Ground) ->
     reach = math.ceil(now.vehicle.reach / now.terrain.resolution) + _BESIDE
     changed = maximum_filter(changed, 2 * reach + 1, mode="constant", cval=True)
     keep = ~changed[here]
-    for name in ("nodes", "turns", "moves"):
+    # Arcs reach beyond the cells from which they begin; they are asked again.
+    in_place = new.rights.size == 1 == old.rights.size
+    tables = ("nodes", "turns", "moves") if in_place else ("nodes", "moves")
+    for name in tables:
         getattr(new, name)[here][keep] = getattr(old, name)[there][keep]
 
 

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import drive_graph, drive_shortcut
+from infomap_ros.motion import drive_flood, drive_graph
 from infomap_ros.motion.drive_graph import HEADINGS
+from infomap_ros.motion.drive_links import links_for
 from infomap_ros.motion.drive_space import DriveSpace
 
-_ATTACH = 1  # cells around a place by which it joins the graph
+_MOST_BESIDE = 4  # cells to each side of a place that are tried; of more every second, third, ...
+_WITHDRAWAL = 0.1  # [m]; by which it drives straight before it asks again where it can turn
 _SAME_PLACE = 1e-6  # [m and rad]
 
 NodeArray = NDArray[np.int64]
@@ -29,14 +31,15 @@ class DriveReach:
 
     def __init__(self, space: DriveSpace, start: FloatArray) -> None:
         self._space, self.start, self._graph = space, start.copy(), space.graph
-        nodes = self._joins(start, True)
-        if not len(nodes) and not space.stands(start):
-            nodes = self._escapes(start)
-        ways = [np.stack([start, self._place_of(node)]) for node in nodes]
-        costs = np.array([self._units(way) for way in ways], np.int64)
+        self._links = links_for(space.config, float(space.grid[2]))
+        self._entry = start.copy()
+        nodes = self._joins(start)
+        if not len(nodes):
+            nodes = self._withdrawn(start) if space.stands(start) else self._escapes(start)
+        costs = self._costs([(self._entry, self._place_of(node)) for node in nodes])
         config, order = space.config, np.argsort(costs, kind="stable")
-        self.nodes_reached = drive_graph.flood(
-            self._graph, nodes[order], costs[order], config.reverse,
+        self.nodes_reached = drive_flood.flood(
+            self._graph, nodes[order], costs[order], space.arcs, config.reverse,
             config.turn_cost / space.grid[2], space.grid, space.ground,
         )  # fmt: skip
 
@@ -51,15 +54,20 @@ class DriveReach:
     def way_to_any(self, places: FloatArray) -> tuple[FloatArray, int] | None:
         """The cheapest way to one of several places, shape (P, 3), and which it is; or None."""
         costs = self._graph.costs.ravel()
-        best: tuple[int, int, int] | None = None
-        for index, place in enumerate(places):
-            for node in self._joins(place, False):
-                total = int(costs[node]) + self._units(np.stack([self._place_of(node), place]))
-                if best is None or total < best[0]:
-                    best = total, int(node), index
-        if best is None:
-            return None
-        return np.concatenate([self._way_to(best[1]), places[best[2]][None]]), best[2]
+        ends = [
+            (int(node), index)
+            for index, place in enumerate(places)
+            for node in self._nodes_around(place)
+            if costs[node] >= 0
+        ]
+        last = self._costs([(self._place_of(node), places[index]) for node, index in ends])
+        totals = [int(costs[node]) + int(cost) for (node, _), cost in zip(ends, last, strict=True)]
+        for n in np.argsort(totals, kind="stable"):
+            node, index = ends[n]
+            join = self._links.join(self._place_of(node), places[index])
+            if self._space.fault_on(join) is None:
+                return np.concatenate([self._way_to(node), join[1:]]), index
+        return None
 
     def nearest_to(self, goals: FloatArray) -> tuple[FloatArray, int, float] | None:
         """Way to the reached node nearest to a goal, that goal, and the distance left [m]."""
@@ -84,36 +92,54 @@ class DriveReach:
         while origins[node] != node:
             node = int(origins[node])
             way.append(self._place_of(node))
-        return np.array([*way, self.start])[::-1].copy()
+        first = self._links.join(self._entry, way[-1])
+        if np.abs(self._entry - self.start).max() > _SAME_PLACE:
+            first = np.concatenate([self.start[None], first])
+        return np.concatenate([first[:-1], self._links.chain(np.array(way[::-1]))])
 
-    def _joins(self, place: FloatArray, leave: bool) -> NodeArray:
-        """Nodes near a place to which (or from which, if reached) the robot may drive."""
-        nodes = []
-        for node in self._nodes_around(place, _ATTACH):
-            if not leave and self._graph.costs.ravel()[node] < 0:
-                continue
-            way = np.stack([place, self._place_of(node)])
-            if self._space.fault_on(way if leave else way[::-1].copy()) is None:
-                nodes.append(node)
+    def _joins(self, place: FloatArray) -> NodeArray:
+        """Nodes near a place to which the robot may drive."""
+        nodes = [
+            node
+            for node in self._nodes_around(place)
+            if self._space.fault_on(self._links.join(place, self._place_of(node))) is None
+        ]
         return np.array(nodes, np.int64)
+
+    def _withdrawn(self, start: FloatArray) -> NodeArray:
+        """Nodes near a place straight behind or before a start in which the robot cannot turn."""
+        space, ahead = self._space, np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        signs = (-1.0, 1.0) if space.config.reverse else (1.0,)
+        for distance in np.arange(_WITHDRAWAL, space.config.reach + 1e-9, _WITHDRAWAL):
+            for sign in signs:
+                place = start + sign * distance * ahead
+                if space.fault_on(np.stack([start, place])) is None:
+                    nodes = self._joins(place)
+                    if len(nodes):
+                        self._entry = place
+                        return nodes
+        return np.zeros(0, np.int64)
 
     def _escapes(self, start: FloatArray) -> NodeArray:
         """Nodes near the start at which the robot may stand."""
         space, distance = self._space, self._space.config.escape
-        nodes = self._nodes_around(start, int(np.ceil(distance / space.grid[2])))
+        nodes = self._nodes_around(start, distance)
         places = np.array([self._place_of(node) for node in nodes]).reshape(-1, 3)
         near = np.hypot(*(places[:, :2] - start[:2]).T) <= distance
         near[near] = space.vehicle.stances(space.terrain, places[near]).ok
         return np.asarray(nodes[near])
 
-    def _units(self, way: FloatArray) -> int:
-        config = self._space.config
-        cost = drive_shortcut.drive_cost(way[0], way[1], config.reverse, config.turn_cost)
-        return round(drive_graph.UNITS * cost / self._space.grid[2])
+    def _costs(self, ways: list[tuple[FloatArray, FloatArray]]) -> NodeArray:
+        """Costs of ways from one place to another, in the graph's units."""
+        scale = drive_graph.UNITS / self._space.grid[2]
+        return np.array([round(scale * self._links.cost(*way)) for way in ways], np.int64)
 
-    def _nodes_around(self, place: FloatArray, reach: int) -> NodeArray:
+    def _nodes_around(self, place: FloatArray, reach: float | None = None) -> NodeArray:
+        """Nodes within a distance of a place along x and y, the links' reach if none is given."""
         nx, ny, headings = self._graph.costs.shape
-        middle, offsets = self._space.terrain.cells_of(place), np.arange(-reach, reach + 1)
+        cells = int(np.ceil((self._links.reach if reach is None else reach) / self._space.grid[2]))
+        stride = max(1, cells // _MOST_BESIDE)
+        middle, offsets = self._space.terrain.cells_of(place), np.arange(-cells, cells + 1, stride)
         i, j, h = np.meshgrid(
             middle[0] + offsets, middle[1] + offsets, np.arange(headings), indexing="ij"
         )

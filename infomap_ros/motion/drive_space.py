@@ -9,7 +9,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain import Terrain
 from infomap_ros.motion import drive_kernels, drive_shortcut
 from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
-from infomap_ros.motion.drive_graph import HEADINGS, empty_graph
+from infomap_ros.motion.drive_graph import HEADINGS, IN_PLACE, arc_moves, empty_graph
 from infomap_ros.motion.drive_memory import carry_over
 from infomap_ros.motion.easy_ground import easy_cells
 from infomap_ros.motion.quick_stance import ground_of
@@ -37,12 +37,15 @@ class DriveSpace:
         known: DriveSpace | None = None,
     ) -> None:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
-        self.grid = np.array([*terrain.origin, terrain.resolution])
+        step = 2.0 * np.pi / config.headings
+        self.grid = np.array([*terrain.origin, terrain.resolution, step])
         arrays = terrain_arrays(terrain, vehicle.config)
         self.easy = easy_cells(arrays, vehicle.arrays)
         self.lattice = drive_kernels.empty_lattice(self.easy, config.headings)
         self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
-        self.graph = empty_graph(self.easy)
+        in_place = config.turning_radius == 0.0
+        self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
+        self.graph = empty_graph(self.easy, in_place)
         if known is not None:
             carry_over(known.graph, self.graph, known.ground, self.ground)
 
@@ -53,9 +56,8 @@ class DriveSpace:
     def fault_on(self, places: FloatArray) -> FloatArray | None:
         """Place of the first stance on a way that is not good, shape (3,); None if all are."""
         fault = np.empty(3)
-        spacing, angle = self.grid[2], 2.0 * np.pi / self.config.headings
         good = drive_kernels.drives_well(
-            places, self.config.reverse, spacing, angle, self.ground, fault
+            places, self.config.reverse, self.grid[2], self.grid[3], self.ground, fault
         )
         return None if good else fault
 
@@ -110,11 +112,11 @@ class DriveSpace:
         return way
 
     def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
-        """A way as the caller gets it: in small steps, with the stance at each."""
+        """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
         config = self.config
-        poses = drive_shortcut.points_along(
-            np.ascontiguousarray(way), config.reverse, config.spacing, config.turn_spacing
-        )
+        poses = np.array(way)
+        if config.turning_radius == 0.0:
+            poses = drive_shortcut.points_along(poses, config.reverse, self.grid[2], self.grid[3])
         poses[:, 2] = np.unwrap(poses[:, 2])
         length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
         stances = self.vehicle.stances(self.terrain, poses).T_map_base

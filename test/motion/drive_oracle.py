@@ -32,21 +32,24 @@ class DriveOracle:
     ) -> None:
         self.terrain, self.turn_cost, self.reverse = terrain, turn_cost, reverse
         nx, ny = terrain.heights.shape
-        half_turns = [
-            HEADINGS[h] + 0.5 * ((HEADINGS[(h + 1) % 16] - HEADINGS[h]) % (2.0 * math.pi))
-            for h in range(16)
-        ]
         nodes = np.array([(i, j, h) for i in range(nx) for j in range(ny) for h in range(16)])
-        steps, headings = np.array(STEPS), np.array(HEADINGS)
-        middles = terrain.centres_of(nodes[:, :2])
-        half = terrain.centres_of(nodes[:, :2] + 0.5 * steps[nodes[:, 2]])
+        steps, headings = np.array(STEPS), np.array(HEADINGS)[nodes[:, 2]]
+        turns = (np.array(HEADINGS)[(nodes[:, 2] + 1) % 16] - headings) % (2.0 * math.pi)
 
-        def good(xy: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-            return vehicle.stances(terrain, np.column_stack([xy, yaw])).ok.reshape(nx, ny, 16)
+        def good(moved: np.ndarray, turned: np.ndarray, parts: np.ndarray, n: int) -> np.ndarray:
+            """Stances at the n-th of so many parts of a move or turn; good beyond the last."""
+            share = np.minimum(n / parts, 1.0)
+            xy = terrain.centres_of(nodes[:, :2] + moved * share[:, None])
+            places = np.column_stack([xy, headings + turned * share])
+            return (vehicle.stances(terrain, places).ok | (n >= parts)).reshape(nx, ny, 16)
 
-        self.nodes = good(middles, headings[nodes[:, 2]])
-        self.turns = good(middles, np.array(half_turns)[nodes[:, 2]])
-        self.moves = good(half, headings[nodes[:, 2]])
+        no_move, no_turn, one = np.zeros((len(nodes), 2)), np.zeros(len(nodes)), np.ones(len(nodes))
+        self.nodes = good(no_move, no_turn, 2.0 * one, 0)
+        moved = steps[nodes[:, 2]].astype(float)
+        lengths = np.ceil(np.hypot(*moved.T) - 1e-9)
+        angles = np.ceil(turns / (2.0 * math.pi / 32.0) - 1e-9)
+        self.turns = good(no_move, turns, angles, 1) & good(no_move, turns, angles, 2)
+        self.moves = good(moved, no_turn, lengths, 1) & good(moved, no_turn, lengths, 2)
 
     def neighbours(self, node: Node) -> list[tuple[Node, float]]:
         """Nodes next to one, and the cost of going there [m]."""
@@ -58,14 +61,9 @@ class DriveOracle:
                 found.append(((i, j, g), self.turn_cost * angle))
         a, b = STEPS[h]
         length = math.hypot(a, b) * self.terrain.resolution
-        long = abs(a) + abs(b) == 3
-        if not long or self.moves[i, j, h]:
+        if self.moves[i, j, h]:
             found.append(((i + a, j + b, h), length))
-        if (
-            self.reverse
-            and self.is_inside(i - a, j - b)
-            and (not long or self.moves[i - a, j - b, h])
-        ):
+        if self.reverse and self.is_inside(i - a, j - b) and self.moves[i - a, j - b, h]:
             found.append(((i - a, j - b, h), length))
         return [(n, c) for n, c in found if self.is_inside(n[0], n[1]) and self.nodes[n]]
 

@@ -10,6 +10,7 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
+from infomap_ros.motion.drive_arcs import arc_points
 from infomap_ros.motion.stance import STANDS
 
 from .drive_oracle import DriveOracle
@@ -45,8 +46,8 @@ def is_drivable(path: BasePath, planner: BasePlanner) -> None:
     np.testing.assert_allclose(batch.T_map_base, path.T_map_base)
     step, turn = np.diff(path.poses[:, :2], axis=0), np.diff(path.poses[:, 2])
     length = np.hypot(*step.T)
-    assert length.max(initial=0.0) <= planner.config.spacing + 1e-9
-    assert np.abs(turn).max(initial=0.0) <= planner.config.turn_spacing + 1e-9
+    assert length.max(initial=0.0) <= CELL + 1e-9
+    assert np.abs(turn).max(initial=0.0) <= 2.0 * math.pi / planner.config.headings + 1e-9
     moving = length > 1e-6
     assert (np.abs(turn[moving]) < 1e-6).all()
     heading = path.poses[:-1, 2][moving]
@@ -219,6 +220,55 @@ def test_reachable_area_needs_a_start_once(vehicle):
     area = planner.reachable_area((0.0, 0.0, 0.0))
     np.testing.assert_array_equal(planner.reachable_area(), area)
     assert not area[:, planner.terrain.cells_of((0.0, 1.2))[1] :].any()
+
+
+@pytest.mark.parametrize(("radius", "reverse"), [(0.4, True), (0.4, False), (1.0, True)])
+def test_vehicle_that_cannot_turn_in_place_drives_on_curves(vehicle, rng, radius, reverse):
+    """No turn on the spot, none tighter than the radius, never sideways."""
+    config = BasePlannerConfig(turning_radius=radius, reverse=reverse, turn_cost=0.1)
+    planner = BasePlanner(cluttered(2, 5), vehicle, config)
+    solved = 0
+    for x, y, yaw in rng.uniform((-1.2, -1.2, -3), (1.2, 1.2, 3), (12, 3)):
+        path = planner.plan((0.0, 0.0, 0.5), (x, y, yaw))
+        solved += path.complete
+        assert vehicle.stances(planner.terrain, path.poses).ok.all()
+        step, turn = np.diff(path.poses[:, :2], axis=0), np.diff(path.poses[:, 2])
+        length = np.hypot(*step.T)
+        assert length.max(initial=0.0) < 1.5 * CELL
+        # A chord is a little shorter than its arc, and much where forwards meets backwards, which
+        # it does at most twice in a curve at each end.
+        assert np.abs(turn).max(initial=0.0) <= 1.02 * CELL / radius
+        tight = np.abs(turn) > 1.02 * length / radius + 1e-6
+        assert tight.sum() <= (4 if reverse else 0)
+        half = path.poses[:-1, 2] + 0.5 * turn
+        ahead = step[:, 0] * np.cos(half) + step[:, 1] * np.sin(half)
+        aside = step[:, 1] * np.cos(half) - step[:, 0] * np.sin(half)
+        assert np.abs(aside).max(initial=0.0) < 0.012
+        assert reverse or ahead.min(initial=0.0) > -1e-9
+        if path.complete:
+            np.testing.assert_allclose(path.poses[-1, :2], (x, y), atol=1e-6)
+    assert solved >= 4
+
+
+def test_arc_links_two_headings(rng):
+    """End points, the given radius, and equal steps, forwards and backwards."""
+    for _ in range(200):
+        a = rng.uniform((-2, -2, -3), (2, 2, 3))
+        turn, sign = rng.uniform(0.2, 2.0) * rng.choice([-1, 1]), rng.choice([-1, 1])
+        before, after = rng.uniform(0.2, 2.0, 2)
+        first = np.array([math.cos(a[2]), math.sin(a[2])])
+        last = np.array([math.cos(a[2] + turn), math.sin(a[2] + turn)])
+        b = np.append(a[:2] + sign * (before * first + after * last), a[2] + turn)
+        points = arc_points(a, b, 0.01)
+        np.testing.assert_allclose(points[0], a, atol=1e-9)
+        np.testing.assert_allclose(points[-1], b, atol=1e-9)
+        step, turns = np.diff(points[:, :2], axis=0), np.abs(np.diff(points[:, 2]))
+        radius = min(before, after) / math.tan(0.5 * abs(turn))
+        assert turns.max() <= 0.01 / radius + 1e-9
+        assert np.hypot(*step.T).max() <= 0.01 + 1e-9
+        half = points[:-1, 2] + 0.5 * np.diff(points[:, 2])
+        ahead = sign * (step[:, 0] * np.cos(half) + step[:, 1] * np.sin(half))
+        assert (ahead > 0.99 * np.hypot(*step.T) - 1e-9).all()
 
 
 def test_what_was_found_out_is_kept_where_the_ground_is_the_same(vehicle):

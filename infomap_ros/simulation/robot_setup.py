@@ -37,7 +37,7 @@ class RobotSetupConfig:
     )
     mimics: tuple[str, ...] = parameter(
         (),
-        "Joints that follow another although the description does not say so, as follower=leader.",
+        "Joints that follow another although the description does not say so, as follower:leader.",
     )
     left_camera_frame: str = parameter(
         "left_camera_optical_frame", "Optical frame of the left camera."
@@ -96,13 +96,13 @@ class RobotSetupConfig:
             raise ConfigError("baseline", self.baseline, "at least 0.005 m without right camera")
 
         for entry in self.mimics:
-            if len(entry.split("=")) != 2:
-                raise ConfigError("mimics", entry, "follower=leader")
+            if len(entry.split(":")) != 2:
+                raise ConfigError("mimics", entry, "follower:leader")
 
     @property
     def leaders(self) -> dict[str, str]:
         """Leader of each joint in `mimics`."""
-        pairs = (entry.split("=") for entry in self.mimics)
+        pairs = (entry.split(":") for entry in self.mimics)
         return {follower.strip(): leader.strip() for follower, leader in pairs}
 
     @property

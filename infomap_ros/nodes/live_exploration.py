@@ -74,6 +74,15 @@ class LiveExploration(LiveGraph):
         """Start one of the nodes, the first time or again."""
         self.pids[name] = self._processes.start(name, self._parameters[name])
 
+    def kill_node(self, name: str) -> None:
+        """End one of the nodes at once, as a defect or a lack of memory would; start it again.
+
+        Raises:
+            ProcessError: it does not end.
+        """
+        self._processes.kill(name)
+        self.start_node(name)
+
     @property
     def ended(self) -> bool:
         """Whether the exploration has come to its end."""

@@ -45,7 +45,7 @@ class NodeProcesses:
         remaps: Mapping[str, str] | None = None,
         module: str | None = None,
     ) -> int:
-        """Start a node.
+        """Start a node, the first time or again; its log goes on then.
 
         Args:
             name: of the process and, where not given otherwise, of its module in
@@ -63,7 +63,7 @@ class NodeProcesses:
         for source, target in (remaps or {}).items():
             command += ["-r", f"{source}:={target}"]
         command += ["-r", f"__ns:={self._namespace}"]
-        with self._log(name).open("wb") as log:
+        with self._log(name).open("ab" if name in self._processes else "wb") as log:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
@@ -97,6 +97,15 @@ class NodeProcesses:
         """
         if self.status(name) is None:
             self._processes[name].send_signal(signal.SIGINT)
+        self.wait(name, timeout)
+
+    def kill(self, name: str, timeout: float = 15.0) -> None:
+        """End a process at once, without a chance to tidy up.
+
+        Raises:
+            ProcessError: it still runs after `timeout` [s].
+        """
+        self._processes[name].kill()
         self.wait(name, timeout)
 
     def check(self, may_end: Sequence[str] = ()) -> None:

@@ -55,7 +55,7 @@ class RemotePlanner:
         node: MonitoredNode,
         report_failure: Callable[[FloatArray, str], None],
     ) -> None:
-        self._config = node.config(RemotePlannerConfig)
+        self._node, self._config = node, node.config(RemotePlannerConfig)
         self._log, self._report = node.get_logger(), report_failure
         planner = self._config.planner
         self._plan = node.create_client(Trigger, f"{planner}/plan")
@@ -101,12 +101,21 @@ class RemotePlanner:
         raise ExplorationError(f"no plan from {client.srv_name}: {problem}")
 
     def _call(self, client: Client, end: float) -> Trigger.Response | None:
-        """One call; None where the node went away meanwhile or did not answer in time."""
-        answered = threading.Event()
+        """One call; None where the node went away meanwhile or did not answer in time.
+
+        A node that was killed counts as there for some time, and what it was asked is lost. When
+        it is started again, one more offers the service than when it was asked.
+        """
+        answered, servers = threading.Event(), self._servers(client)
         future = client.call_async(Trigger.Request())
         future.add_done_callback(lambda _: answered.set())
         while not answered.wait(_RETRY):
-            if time.monotonic() > end or not client.service_is_ready():
+            restarted = self._servers(client) > servers
+            if restarted or time.monotonic() > end or not client.service_is_ready():
                 client.remove_pending_request(future)
                 return None
         return future.result()
+
+    def _servers(self, client: Client) -> int:
+        """How many offer the service."""
+        return int(self._node.count_services(client.srv_name))

@@ -71,7 +71,8 @@ def plan_arm_path(
     """Plan a way of the arm while the base stands still.
 
     A start that touches something may be left, without coming nearer to what it touches; the goal
-    must be free. Joints that turn without end take the shorter way round.
+    must be free. A start beyond the limits, as encoders may report it, is taken to be at them.
+    Joints that turn without end take the shorter way round.
 
     Args:
         checker: the robot in its map.
@@ -89,7 +90,7 @@ def plan_arm_path(
         InvalidInputError: malformed positions or pose.
     """
     settings, chain = config or ArmPathConfig(), checker.body.chain
-    start = chain.check(q_start, "q_start")
+    start = np.clip(chain.check(q_start, "q_start"), chain.lower, chain.upper)
     goal = _shorter_way_round(chain, start, chain.check(q_goal, "q_goal"))
     problem = _obstacle(checker, goal, T_map_base)
     if problem:

@@ -75,7 +75,8 @@ class WholeBodyReach:
         self.config = config or ReachingConfig()
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
         self._whole = WholeBody.of(robot, self.config, joints)
-        self._q = self._whole.chain.positions(joints)
+        chain = self._whole.chain
+        self._q = np.clip(chain.positions(joints), chain.lower, chain.upper)  # encoders are noisy
         self._near = NearSpace(
             voxel_map,
             self._whole.body,

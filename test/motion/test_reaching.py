@@ -189,6 +189,19 @@ def test_way_home_of_a_robot_at_home_moves_the_arm_only(gate: WholeBodyReach) ->
     assert not result.route.moves_base and result.joint_travel == pytest.approx(0.5)
 
 
+def test_routes_keep_the_limits_where_an_encoder_is_beyond_them(
+    robot: RobotModel, joints: dict[str, float]
+) -> None:
+    beyond = joints | {"arm_elbow_joint": -2.701, "arm_shoulder_joint": 0.6}
+    reach = WholeBodyReach(robot, map_where(ground, everything), BASE, beyond)
+    result = reach.reach(VIEWS[1])
+    assert result.reason == "" and result.route is not None
+    for path in (result.route.arm_before, result.route.arm_after):
+        assert path.moves
+        assert (path.positions >= robot.arm.lower).all()
+        assert (path.positions <= robot.arm.upper).all()
+
+
 def test_arm_joint_without_a_position_is_named(robot: RobotModel) -> None:
     with pytest.raises(RobotModelError, match="arm_elbow_joint"):
         WholeBodyReach(

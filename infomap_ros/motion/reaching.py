@@ -162,11 +162,13 @@ class WholeBodyReach:
 
         Args:
             base: x, y [m] and yaw [rad] in the map, shape (3,).
-            joints: positions by name [rad or m]; joints of the arm that are missing stay.
+            joints: positions by name [rad or m], brought within the limits; joints of the arm that
+                are missing stay.
         """
         goal = float_array(base, "base")
         named = {**self._whole.chain.by_name(self._q), **joints}
-        q = self._whole.chain.positions(named)
+        chain = self._whole.chain
+        q = np.clip(chain.positions(named), chain.lower, chain.upper)
         turn = math.remainder(goal[2] - self._xyyaw[2], 2.0 * math.pi)
         if np.hypot(*(goal[:2] - self._xyyaw[:2])) < 0.02 and abs(turn) < 0.05:
             arm = self._routes.arm_from_here(q)

@@ -38,6 +38,7 @@ ARGUMENTS = {
     "map_file": ("map.infomap", "File of the map, saved every half minute and at the end."),
     "mission_file": ("mission.json", "File with the account of the mission."),
     "log_file": ("exploration.jsonl", "Log of the run, for the report."),
+    "parameters": ("", "Parameter file of your own, which counts for more than all of these."),
     "rviz": ("false", "Start RViz."),
 }
 AUTOSAVE = 30.0  # [s]
@@ -61,11 +62,13 @@ def _processes(context) -> list[Node]:
     def node(executable: str, parameters: dict, inputs: list[str]) -> Node:
         # All publishers are our own and reliable in simulation, so nothing need be lost.
         quality = reliable_inputs(inputs, given["namespace"]) if simulated else {}
+        defaults = str(find_share(f"config/{executable}.yaml"))
+        own = [given["parameters"]] if given["parameters"] else []
         return Node(
             package="infomap_ros",
             executable=executable,
             namespace=given["namespace"],
-            parameters=[str(find_share(f"config/{executable}.yaml")), parameters | quality | clock],
+            parameters=[defaults, parameters | quality | clock, *own],
             additional_env=additions(),
             output="screen",
         )

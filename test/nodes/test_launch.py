@@ -137,6 +137,13 @@ def test_exploring_with_a_robot_leaves_its_quality_of_service(exploration: Modul
     assert settings_of(nodes["explorer"])["autostart"] is False
 
 
+def test_parameters_of_ones_own_count_most(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, parameters="mine.yaml")
+
+    for name in EXPLORING:
+        assert nodes[name].parameters[-1] == "mine.yaml"
+
+
 def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
     nodes = nodes_of(exploration, localisation="odometry")
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from xml.etree import ElementTree
 
 import numpy as np
 
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.link_pairs import movable_pairs
+from infomap_ros.motion.link_tree import LinkTree
 from infomap_ros.simulation.rendering import COLLISION_GROUP
 from infomap_ros.simulation.robot import load_robot
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
@@ -53,7 +57,8 @@ class TrialModel:
         home: start position of every servo joint [rad or m].
         inertia: largest inertia that each servo joint moves [kg m^2 or kg].
         locked: joints whose limits leave them no way.
-        touching: pairs of links whose solids overlap at home.
+        touching: pairs of links that are joined, or whose solids overlap at home: they do not
+            collide.
     """
 
     mass: float
@@ -101,7 +106,7 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
         home,
         _inertia(model, servos),
         locked,
-        _touching(model, data),
+        _touching(model, data) + _joined(description, setup, home),
     )
 
 
@@ -196,3 +201,18 @@ def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[tuple[str, st
         bodies = sorted(model.body(int(model.geom_bodyid[g])).name for g in (first, second))
         pairs.add((bodies[0], bodies[1]))
     return tuple(sorted(pairs))
+
+
+def _joined(
+    description: str, setup: RobotSetupConfig, home: dict[str, float]
+) -> tuple[tuple[str, str], ...]:
+    """Pairs of links that the collision checks of planning take to be joined, as they do."""
+    robot = RobotModel.from_urdf(
+        description, setup.left_camera_frame, setup.base_frame, mimics=setup.leaders
+    )
+    links = robot.links_with_solids
+    positions = {joint.name: home.get(joint.name, 0.0) for joint in robot.joints}
+    movable = {tuple(pair) for pair in movable_pairs(robot, LinkTree.of(robot, positions)).tolist()}
+    return tuple(
+        (links[i], links[j]) for i, j in combinations(range(len(links)), 2) if (i, j) not in movable
+    )

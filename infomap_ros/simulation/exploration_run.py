@@ -26,6 +26,7 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.robot import read_description
 from infomap_ros.simulation.scenes import make_world
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 
@@ -42,6 +43,9 @@ class WorldConfig:
 
     name: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
     seed: int = parameter(1, "Seed of the world and of all noise.", low=0)
+    size: float = parameter(
+        0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
+    )
     description: str = parameter(
         "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
     )
@@ -107,11 +111,14 @@ class ExplorationRun:
         seed = options.world.seed
         description = _description(options.world.description)
         settings = dataclasses.replace(options.simulator, seed=seed)
-        world = make_world(options.world.name, seed)
+        size = {"size": options.world.size} if options.world.size else {}
+        world = make_world(options.world.name, seed, **size)
         self.simulator = Simulator(world, description, settings)
         task = task_in(world, options.task)
         frames = settings.robot
-        robot = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
+        robot = RobotModel.from_urdf(
+            description, frames.left_camera_frame, frames.base_frame, mimics=frames.leaders
+        )
         self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
         self._robot = SimulatedRobot(self.simulator, robot, self.map, options.robot)
         planner = ViewPlanner(robot, self._robot.rig, task, options.planner)
@@ -198,4 +205,4 @@ def task_in(world: World, task: TaskConfig) -> TaskConfig:
 def _description(place: str) -> str:
     """Text of a robot description."""
     path = Path(place)
-    return (path if path.exists() else find_share(place)).read_text(encoding="utf-8")
+    return read_description(path if path.is_file() else find_share(place))

@@ -11,6 +11,7 @@ from typing import TypeVar
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from infomap_ros.errors import InfomapError
@@ -26,7 +27,9 @@ def run_node(
     """Initialise ROS, spin one node in one thread until shut down, and clean up.
 
     Only the first interrupt counts: a terminal and a launch file may both send one, and the second
-    would break off what the node does at its end, such as saving a map.
+    would break off what the node does at its end, such as saving a map. ROS's own handling of
+    signals is left out, because it closes the context at once: a node could not tell a robot to
+    stop.
 
     Args:
         factory: makes the node; an error of the library means that it does not start.
@@ -36,7 +39,12 @@ def run_node(
     Returns:
         Exit status: 0, 2 when the node could not start, or the result of the future.
     """
-    rclpy.init(args=None if arguments is None else list(arguments))
+    rclpy.init(
+        args=None if arguments is None else list(arguments),
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     node = None
     try:
         node = factory()
@@ -55,8 +63,14 @@ def run_node(
         pass
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         gc.unfreeze()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _interrupt(number: int, frame: object) -> None:
+    """Break off spinning; a node's timers wake it often enough to notice."""
+    raise KeyboardInterrupt

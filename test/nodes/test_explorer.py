@@ -151,6 +151,16 @@ def test_plan_only_moves_nothing(graph: Any, tmp_path: Path) -> None:
     assert stage.rover.paths == []
 
 
+def test_an_explorer_that_ends_stops_the_base(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=9, autostart=True)
+    stage.rover.obeys = False
+    graph.spin_until(lambda: len(stage.rover.paths) == 1, "a path")
+    stage.node.destroy_node()
+    graph.spin_until(lambda: len(stage.rover.paths) == 2, "the order to stay")
+    (stay,) = stage.rover.paths[-1].poses
+    assert (stay.pose.position.x, stay.pose.position.y) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
 def test_a_mission_waits_for_what_it_needs(graph: Any, tmp_path: Path) -> None:
     """While the others still compile their kernels, nothing has failed."""
     stage = Stage(graph, tmp_path, views=0, sees=False, autostart=True, patience=0.5)

@@ -77,7 +77,7 @@ def test_the_demo_maps_a_bag_and_leaves_everything(
     assert (out / "map.ply").read_bytes().startswith(b"ply")
     assert {"map.png", "depth.png", "sigma.png"} <= {path.name for path in out.iterdir()}
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count('src="data:image/png;base64,') == 3
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
 
 

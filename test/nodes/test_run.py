@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from infomap_ros.nodes.processes import private_graph
 
 PROGRAM = """
@@ -19,6 +21,7 @@ class SlowToEnd(rclpy.node.Node):
         self.create_timer(0.01, lambda: print("spins", flush=True))
 
     def destroy_node(self):
+        assert self.context.ok(), "the node could not say anything any more"
         print("ends", flush=True)
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
@@ -30,15 +33,16 @@ raise SystemExit(run_node(SlowToEnd))
 """
 
 
-def test_a_second_interrupt_does_not_break_off_the_end() -> None:
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_interrupt_does_not_break_off_the_end(first: signal.Signals) -> None:
     command = [sys.executable, "-c", PROGRAM]
     options = {"stdout": subprocess.PIPE, "text": True, "env": private_graph()}
     with subprocess.Popen(command, **options) as process:
         assert process.stdout is not None
-        for word in ("spins", "ends"):
+        for word, number in (("spins", first), ("ends", signal.SIGINT)):
             while process.stdout.readline().strip() != word:
                 assert process.poll() is None
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
         rest = process.stdout.read().split()
 
     assert rest == ["clean"]

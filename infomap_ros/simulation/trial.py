@@ -57,8 +57,8 @@ class TrialModel:
         home: start position of every servo joint [rad or m].
         inertia: largest inertia that each servo joint moves [kg m^2 or kg].
         locked: joints whose limits leave them no way.
-        touching: pairs of links that are joined, or whose solids overlap at home: they do not
-            collide.
+        touching: pairs of links that do not collide: they are joined, or their solids overlap
+            at home or at rest.
     """
 
     mass: float
@@ -106,7 +106,7 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
         home,
         _inertia(model, servos),
         locked,
-        _touching(model, data) + _joined(description, setup, home),
+        _touching(model, home) + _joined(description, setup, home),
     )
 
 
@@ -195,11 +195,19 @@ def _outline(model: mujoco.MjModel, geom: int) -> FloatArray:
     return np.asarray(points @ rotation.reshape(3, 3).T + model.geom_pos[geom])
 
 
-def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[tuple[str, str], ...]:
+def _touching(model: mujoco.MjModel, home: dict[str, float]) -> tuple[tuple[str, str], ...]:
+    """Pairs of links whose solids overlap at home, or where all joints rest as near zero as can."""
+    data = mujoco.MjData(model)
     pairs = set()
-    for first, second in data.contact.geom[: data.ncon]:
-        bodies = sorted(model.body(int(model.geom_bodyid[g])).name for g in (first, second))
-        pairs.add((bodies[0], bodies[1]))
+    for wanted in (home, dict.fromkeys(home, 0.0)):
+        for name, position in wanted.items():
+            index = model.joint(name).id
+            low, high = model.jnt_range[index] if model.jnt_limited[index] else (-np.inf, np.inf)
+            data.qpos[model.jnt_qposadr[index]] = np.clip(position, low, high)
+        mujoco.mj_forward(model, data)
+        for first, second in data.contact.geom[: data.ncon]:
+            bodies = sorted(model.body(int(model.geom_bodyid[g])).name for g in (first, second))
+            pairs.add((bodies[0], bodies[1]))
     return tuple(sorted(pairs))
 
 

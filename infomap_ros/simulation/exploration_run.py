@@ -111,7 +111,7 @@ class ExplorationRun:
         seed = options.world.seed
         description = _description(options.world.description)
         settings = dataclasses.replace(options.simulator, seed=seed)
-        size = {"size": options.world.size} if options.world.size else {}
+        size: dict[str, Any] = {"size": options.world.size} if options.world.size else {}
         world = make_world(options.world.name, seed, **size)
         self.simulator = Simulator(world, description, settings)
         task = task_in(world, options.task)

@@ -44,6 +44,9 @@ class Ending:
     detail: str
 
 
+_STOPPED = Ending(EndReason.STOPPED, "asked to")
+
+
 class Exploration:
     """Explores until expanse and resolution suffice, or it is plain that they cannot.
 
@@ -93,7 +96,8 @@ class Exploration:
         try:
             ending = self._explore()
         except InfomapError as error:
-            ending = Ending(EndReason.FAILED, str(error))
+            stopped = self.control.request is Request.STOP  # and what was asked broken off
+            ending = _STOPPED if stopped else Ending(EndReason.FAILED, str(error))
         self._enter(f"ended: {ending.reason.value}", ending.detail)
         self._log.write("end", reason=ending.reason.value, detail=ending.detail)
         return ending
@@ -210,7 +214,7 @@ class Exploration:
         """Carry out what the user asks for, until that is to go on or to stop."""
         while self.control.interrupted():
             if self.control.request is Request.STOP:
-                return Ending(EndReason.STOPPED, "asked to")
+                return _STOPPED
             if self.control.request is Request.HOME:
                 self._go_home()
                 self.control.answered(Request.HOME, Request.PAUSE)

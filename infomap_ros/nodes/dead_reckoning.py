@@ -15,6 +15,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import String
 
+from infomap_ros.errors import FrameError
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
@@ -73,9 +74,13 @@ class DeadReckoningNode(MonitoredNode):
         self._answer()
 
     def _on_odometry(self, message: Odometry) -> None:
-        if self._bases.add(self._reckoning.add(decode_odometry(message))):
+        odometry, wanted = decode_odometry(message), self._frames.base_frame
+        if wanted and odometry.child_frame_id != wanted:
+            raise FrameError(f"odometry of '{odometry.child_frame_id}', base_frame is '{wanted}'")
+        if self._bases.add(self._reckoning.add(odometry)):
             self.get_logger().warning("time went backwards: the map is where odometry begins now")
             self._reckoning = DeadReckoning(self.config(DeadReckoningConfig))
+            self._bases.add(self._reckoning.add(odometry))
         self._answer()
 
     def _on_info(self, message: CameraInfo) -> None:

@@ -83,7 +83,7 @@ class ExplorerNode(MonitoredNode):
         self._config = self.config(ExplorerConfig)
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
         self._robot = RosRobot(self, self._tracker)
-        self._planner = RemotePlanner(self, self._on_failed_view)
+        self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
         self._exploration: Exploration | None = None
         self._thread: threading.Thread | None = None
@@ -182,8 +182,8 @@ class ExplorerNode(MonitoredNode):
         return not missing
 
     def _stopped(self) -> bool:
-        assert self._exploration is not None
-        return self._exploration.control.request is Request.STOP
+        exploration = self._exploration
+        return exploration is not None and exploration.control.request is Request.STOP
 
     def _ask(self, request: Request, answer: str) -> str:
         """Pass a request on.

@@ -48,15 +48,17 @@ class RemotePlanner:
     Args:
         node: whose executor serves the answers in another thread.
         report_failure: tells next_best_view of a view that could not be reached.
+        stopped: whether an answer is not waited for any more.
     """
 
     def __init__(
         self,
         node: MonitoredNode,
         report_failure: Callable[[FloatArray, str], None],
+        stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._node, self._config = node, node.config(RemotePlannerConfig)
-        self._log, self._report = node.get_logger(), report_failure
+        self._log, self._report, self._stopped = node.get_logger(), report_failure, stopped
         planner = self._config.planner
         self._plan = node.create_client(Trigger, f"{planner}/plan")
         self._plan_home = node.create_client(Trigger, f"{planner}/plan_home")
@@ -90,7 +92,7 @@ class RemotePlanner:
 
     def _ask(self, client: Client) -> Choice:
         end, problem = time.monotonic() + self._config.planner_patience, "it does not answer"
-        while time.monotonic() < end:
+        while time.monotonic() < end and not self._stopped():
             if client.wait_for_service(timeout_sec=_RETRY):
                 answer = self._call(client, end)
                 if answer is not None and answer.success:
@@ -111,7 +113,8 @@ class RemotePlanner:
         future.add_done_callback(lambda _: answered.set())
         while not answered.wait(_RETRY):
             restarted = self._servers(client) > servers
-            if restarted or time.monotonic() > end or not client.service_is_ready():
+            given_up = self._stopped() or time.monotonic() > end
+            if restarted or given_up or not client.service_is_ready():
                 client.remove_pending_request(future)
                 return None
         return future.result()

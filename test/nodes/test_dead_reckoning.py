@@ -85,6 +85,26 @@ def test_pose_between_two_odometries(graph: Any) -> None:
     assert (np.diag(record.covariance) > 0.0).all()
 
 
+def test_what_is_known_of_the_way_is_forgotten_when_time_goes_back(graph: Any) -> None:
+    stage = Stage(graph)
+    for second in range(40, 50):
+        stage.tell(second * SECOND, x=float(second), pan=0.0)
+    stage.look(49 * SECOND)
+    graph.spin_until(lambda: stage.poses, "the pose after a way")
+    stage.tell(SECOND, x=0.0, pan=0.0)
+    stage.look(SECOND)
+    graph.spin_until(lambda: len(stage.poses) == 2, "the pose after the jump")
+    far, near = (decode_pose_with_covariance(message).covariance for message in stage.poses)
+    assert np.trace(near) < 0.01 * np.trace(far)
+
+
+def test_odometry_of_another_link_is_refused(graph: Any) -> None:
+    stage = Stage(graph)
+    record = OdometryRecord(SECOND, "odom", np.eye(4), None, "base_footprint", np.zeros(6))
+    stage.odometry.publish(encode_odometry(TYPES, record))
+    graph.spin_until(lambda: stage.node.health.drops().get("wrong frame"), "the drop")
+
+
 def test_info_without_odometry_is_dropped_and_counted(graph: Any) -> None:
     stage = Stage(graph)
     stage.tell(10 * SECOND, x=1.0, pan=0.0)

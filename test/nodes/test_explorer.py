@@ -31,12 +31,13 @@ class OneView:
 
     def __init__(self, graph: Any, rover: PaperRover, views: int) -> None:
         self.rover, self.left, self.calls = rover, views, 0
+        self.refuses = False
         graph.tester.create_service(Trigger, "next_best_view/plan", self.plan)
         graph.tester.create_service(Trigger, "next_best_view/plan_home", self.plan)
 
     def plan(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.calls += 1
-        if self.calls == 1:
+        if self.calls == 1 or self.refuses:
             response.message = "no map yet"
             return response
         x = float(self.rover.base[0, 3])
@@ -149,6 +150,14 @@ def test_plan_only_moves_nothing(graph: Any, tmp_path: Path) -> None:
     stage = Stage(graph, tmp_path, views=2, autostart=True, plan_only=True)
     stage.spin_to("ended: done")
     assert stage.rover.paths == []
+
+
+def test_a_mission_is_stopped_while_a_plan_is_waited_for(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=9, autostart=True)
+    stage.planner.refuses = True
+    graph.spin_until(lambda: stage.planner.calls > 1, "calls in vain")
+    assert stage.call("stop").success
+    stage.spin_to("ended: stopped")
 
 
 def test_an_explorer_that_ends_stops_the_base(graph: Any, tmp_path: Path) -> None:

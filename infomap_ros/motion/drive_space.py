@@ -119,9 +119,39 @@ class DriveSpace:
             poses = drive_shortcut.points_along(poses, config.reverse, self.grid[2], self.grid[3])
         poses[:, 2] = np.unwrap(poses[:, 2])
         length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
-        stances = self.vehicle.stances(self.terrain, poses).T_map_base
+        stances = standing_on(poses, self.vehicle.stances(self.terrain, poses).T_map_base)
         return BasePath(poses, stances, length, not reason, reason, goal, method)
 
     def nowhere(self, reason: str) -> BasePath:
         """No way at all."""
         return BasePath(np.zeros((0, 3)), np.zeros((0, 4, 4)), 0.0, False, reason, -1, "nothing")
+
+
+def standing_on(poses: FloatArray, stances: FloatArray) -> FloatArray:
+    """Stances with those that are not known taken from their nearest neighbours on the way.
+
+    A robot that leaves a place where it should not stand may come by ground that the map does not
+    know. Where no stance is known the ground counts as level, at height zero.
+
+    Args:
+        poses: x, y [m] and yaw [rad], shape (K, 3).
+        stances: ``T_map_base`` of each, shape (K, 4, 4); NaN where there is none.
+    """
+    known = np.flatnonzero(np.isfinite(stances).all(axis=(1, 2)))
+    planar = _planar(poses)
+    if len(known) == len(poses) or not len(known):
+        return stances if len(known) else planar
+    nearest = known[np.abs(np.arange(len(poses))[:, None] - known).argmin(axis=1)]
+    moved = planar @ np.linalg.inv(planar[nearest]) @ stances[nearest]
+    moved[known] = stances[known]
+    return moved
+
+
+def _planar(poses: FloatArray) -> FloatArray:
+    """Level transforms at height zero, shape (K, 3) -> (K, 4, 4)."""
+    transforms = np.tile(np.eye(4), (len(poses), 1, 1))
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    transforms[:, 0, 0], transforms[:, 0, 1] = cos, -sin
+    transforms[:, 1, 0], transforms[:, 1, 1] = sin, cos
+    transforms[:, :2, 3] = poses[:, :2]
+    return transforms

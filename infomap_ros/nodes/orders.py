@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -41,4 +42,5 @@ def offer_order(node: Node, name: str, worker: Worker, order: Callable[[], str])
         response.success, response.message = answer
         return response
 
-    node.create_service(Trigger, name, serve)
+    # A callback that waits would keep all others of its group from being called.
+    node.create_service(Trigger, name, serve, callback_group=ReentrantCallbackGroup())

@@ -35,7 +35,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     },
     "explorer": {**TASK, "scans_per_view": 1},
 }
-TIMEOUT = 120.0  # [s]
+TIMEOUT = 300.0  # [s]; kernels may have to be compiled
 
 
 def records_of(run: LiveExploration, kind: str) -> list[dict[str, Any]]:

@@ -78,14 +78,15 @@ class RosRobot:
         self._config, self._tracker = node.config(RosRobotConfig), tracker
         self._map_frame = node.config(RobotTrackerConfig).map_frame
         self._clock, self._types = node.get_clock(), RclpyMessageTypes()
-        self._fused = 0
+        self._fused, self._last_base = 0, (0.0, 0.0, 0.0)
         self._paths = node.advertise(Path, "base_path", qos.stream(depth=1))
         self._trajectories = node.advertise(JointTrajectory, "arm_trajectory", qos.stream(depth=1))
         node.listen(PointCloud2, "map_updates", self._on_update, qos.stream(depth=50))
         self._newest_update = 0
 
     def state(self) -> RobotState:
-        """Where it is now; see `RobotTracker.state`."""
+        """Where it is now; see `RobotTracker.state`. Waits where messages were lost."""
+        self._wait(self._tracker.is_complete, self._config.patience, lambda: False)
         return self._tracker.state()
 
     @property
@@ -168,7 +169,10 @@ class RosRobot:
         return int(self._clock.now().nanoseconds)
 
     def _base(self) -> tuple[float, float, float]:
-        return planar_pose(self._tracker.state().T_map_base)
+        """Where the base is, or was when that was last known: messages may be lost on the way."""
+        if self._tracker.is_complete():
+            self._last_base = planar_pose(self._tracker.state().T_map_base)
+        return self._last_base
 
     def _at(self, goal: FloatArray) -> bool:
         left, turn = self._away(goal)

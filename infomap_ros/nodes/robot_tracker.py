@@ -129,13 +129,16 @@ class RobotTracker:
             pose.transform @ invert_transform(T_base_camera), pose.transform, covariance, joints
         )
 
+    def known_state(self) -> RobotState | None:
+        """As `state`; None where it has no answer."""
+        try:
+            return self.state()
+        except PoseUnavailableError:
+            return None
+
     def is_complete(self) -> bool:
         """Whether `state` has an answer."""
-        try:
-            self.state()
-        except PoseUnavailableError:
-            return False
-        return True
+        return self.known_state() is not None
 
     def joint_positions(self) -> dict[str, float]:
         """Newest position of each joint, by name [rad or m]; empty before the first."""

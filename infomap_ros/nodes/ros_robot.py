@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -119,14 +120,17 @@ class RosRobot:
 
         def arrived() -> bool:
             travelled.append(self._base())
-            return self._at(poses[-1])
+            left, turn = _away(travelled[-1], poses[-1])
+            near = left <= self._config.position_tolerance
+            return near and turn <= self._config.heading_tolerance
 
         done = self._finish(arrived, interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
         if done:
             return Motion("", path)
-        self._send_path(np.array([self._base()]))  # stay
-        left, turn = self._away(poses[-1])
+        here = self._base()
+        self._send_path(np.array([here]))  # stay
+        left, turn = _away(here, poses[-1])
         stopped = f"the base has stopped {left:.2f} m and {turn:.2f} rad from its goal"
         return Motion(_broken_off(interrupted, stopped), path)
 
@@ -139,19 +143,15 @@ class RosRobot:
 
     def _finish(self, done: Callable[[], bool], interrupted: Interrupted) -> bool:
         """Wait for a motion to be done for as long as something moves."""
-        places = [self._whereabouts()]
+        while True:
+            moved = partial(self._has_left, self._whereabouts())
+            goes_on = self._wait(_either(done, moved), self._config.patience, interrupted)
+            is_done = done()
+            if is_done or not goes_on:
+                return is_done
 
-        def stands() -> bool:
-            place = self._whereabouts()
-            moved = bool(np.abs(place - places[0]).max() > _STILL)
-            places[0] = place if moved else places[0]
-            return not moved
-
-        while not done():
-            still = self._wait(lambda: done() or not stands(), self._config.patience, interrupted)
-            if not still or interrupted():
-                return done()
-        return True
+    def _has_left(self, place: FloatArray) -> bool:
+        return bool(np.abs(self._whereabouts() - place).max() > _STILL)
 
     def _whereabouts(self) -> FloatArray:
         """Base pose and joint positions, to see whether anything moves [m, rad]."""
@@ -170,20 +170,10 @@ class RosRobot:
 
     def _base(self) -> tuple[float, float, float]:
         """Where the base is, or was when that was last known: messages may be lost on the way."""
-        if self._tracker.is_complete():
-            self._last_base = planar_pose(self._tracker.state().T_map_base)
+        state = self._tracker.known_state()
+        if state is not None:
+            self._last_base = planar_pose(state.T_map_base)
         return self._last_base
-
-    def _at(self, goal: FloatArray) -> bool:
-        left, turn = self._away(goal)
-        near = left <= self._config.position_tolerance
-        return near and turn <= self._config.heading_tolerance
-
-    def _away(self, goal: FloatArray) -> tuple[float, float]:
-        """How far the base is from a pose (x, y, yaw) [m, rad]."""
-        x, y, yaw = self._base()
-        turn = abs(float(np.angle(np.exp(1j * (goal[2] - yaw)))))
-        return float(np.hypot(goal[0] - x, goal[1] - y)), turn
 
     def _farthest(self, goal: dict[str, float]) -> tuple[str, float]:
         """The joint that is farthest from its goal, and how far [rad or m]."""
@@ -201,6 +191,16 @@ class RosRobot:
 
     def _send_path(self, poses: FloatArray) -> None:
         self._paths.publish(encode_base_path(self._types, self._now(), self._map_frame, poses))
+
+
+def _either(first: Callable[[], bool], second: Callable[[], bool]) -> Callable[[], bool]:
+    return lambda: first() or second()
+
+
+def _away(base: tuple[float, float, float], goal: FloatArray) -> tuple[float, float]:
+    """How far a base is from a pose (x, y, yaw) [m, rad]."""
+    turn = abs(float(np.angle(np.exp(1j * (goal[2] - base[2])))))
+    return float(np.hypot(goal[0] - base[0], goal[1] - base[1])), turn
 
 
 def _broken_off(interrupted: Interrupted, otherwise: str) -> str:

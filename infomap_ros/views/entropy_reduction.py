@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.field import workers_of
 from infomap_ros.views.gains import field_around, gain_table
-from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import view_bits
-from infomap_ros.views.rays import camera_rays, checked_region
+from infomap_ros.views.view_query import ViewQuery
 
 
-def expected_entropy_reduction(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def expected_entropy_reduction(query: ViewQuery) -> FloatArray:
     """Bits that one scan from each pose is expected to take off the map's entropy, shape (M,).
 
     The sum over the voxels in view of what one observation of each is expected to tell, see
@@ -37,19 +25,17 @@ def expected_entropy_reduction(
     Bits depend on the voxel size, as entropy does; bits times the volume of a voxel is a volume of
     unknown space that does not.
     """
-    if len(poses) == 0:
+    if len(query.poses) == 0:
         return np.zeros(0)
-    field = field_around(m, poses[:, :3, 3], max_range, config, threads)
-    table = gain_table(m, max_range, config)
-    rays, angles = camera_rays(camera, config.ray_spacing)
-    scaled = poses.copy()
-    scaled[:, :3, 3] = field.relative(poses[:, :3, 3])
-    box = field.relative(checked_region(region))
+    m, config, threads = query.voxel_map, query.config, query.threads
+    field = field_around(m, query.places, query.max_range, config, threads)
+    table = gain_table(m, query.max_range, config)
+    poses, rays, angles, box = query.placed_in(field)
     parts = np.zeros((threads, len(poses)))
 
     def cast(part: int, first: int, last: int) -> None:
         view_bits(
-            scaled, rays[first:last], angles[first:last], box, field.directory, field.codes,
+            poses, rays[first:last], angles[first:last], box, field.directory, field.codes,
             table.gains, table.before, table.clear, table.step, config.least_visibility,
             parts[part],
         )  # fmt: skip

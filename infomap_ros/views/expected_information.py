@@ -14,8 +14,9 @@ from infomap_ros.views import printed_metrics, published_metrics
 from infomap_ros.views.entropy_reduction import expected_entropy_reduction
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.rays import checked_poses, checked_reach
+from infomap_ros.views.view_query import ViewQuery
 
-METRICS: Mapping[str, Callable[..., FloatArray]] = {
+METRICS: Mapping[str, Callable[[ViewQuery], FloatArray]] = {
     "expected_entropy_reduction": expected_entropy_reduction,
     "scene_entropy": printed_metrics.scene_entropy,
     "stretched_scene_entropy": printed_metrics.stretched_scene_entropy,
@@ -64,6 +65,5 @@ def expected_information(
         raise InvalidInputError("metric", f"'{metric}' is none of {', '.join(METRICS)}")
     transforms = checked_poses(poses)
     reach = checked_reach(transforms[:, :3, 3], max_range, m.config.voxel_size)
-    return METRICS[metric](
-        m, transforms, camera, reach, config or InformationConfig(), region, threads
-    )
+    settings = config or InformationConfig()
+    return METRICS[metric](ViewQuery(m, transforms, camera, reach, settings, region, threads))

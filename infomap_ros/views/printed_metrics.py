@@ -24,20 +24,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.codes import CodeBook
-from infomap_ros.views.field import code_at, visible_field, workers_of
+from infomap_ros.views.field import code_at, workers_of
 from infomap_ros.views.gains import gain_table
-from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import entropy_of
 from infomap_ros.views.predicted_field import with_predictions
 from infomap_ros.views.ray_kernels import region_steps, turned
-from infomap_ros.views.rays import camera_rays, checked_region
-
-FINEST = CodeBook(1e-6)
-"""Codes that tell almost all voxels apart by their probability."""
+from infomap_ros.views.view_query import FINEST, ViewQuery
 
 
 class SeenVolumes(NamedTuple):
@@ -56,36 +49,21 @@ class SeenVolumes(NamedTuple):
     known: NDArray[np.bool_]
 
 
-def scene_entropy(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def scene_entropy(query: ViewQuery) -> FloatArray:
     """Eq. (7): entropy of the grey levels of known plus that of unknown voxels, shape (M,) [bits].
 
     A grey level is one of ``grey_levels`` equal parts of the range of p.
     """
+    count = query.config.grey_levels
 
     def rate(seen: SeenVolumes) -> float:
         levels = np.broadcast_to(seen.probabilities, seen.shares.shape)
-        return _histogram_entropy(seen, levels, config.grey_levels, np.ones(config.grey_levels))
+        return _histogram_entropy(seen, levels, count, np.ones(count))
 
-    return _rated(m, poses, camera, max_range, config, region, threads, rate)
+    return _rated(query, rate)
 
 
-def stretched_scene_entropy(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def stretched_scene_entropy(query: ViewQuery) -> FloatArray:
     """Eq. (7) with the grey levels of eq. (8), shape (M,) [bits].
 
     As printed, p' = 1 / (1 - p) 1/d for p < 1/2 and 1/p 1/d otherwise leaves [1, 2] unless d = 1,
@@ -93,34 +71,28 @@ def stretched_scene_entropy(
     and nearer voxels are stretched more, and p'' is clipped to the half of [0, 1] that it is meant
     for: [0, 1/2] for p < 1/2, [1/2, 1] otherwise.
     """
+    count = query.config.grey_levels
 
     def rate(seen: SeenVolumes) -> float:
         levels = stretched(seen.probabilities, seen.distances[:, None])
-        return _histogram_entropy(seen, levels, config.grey_levels, np.ones(config.grey_levels))
+        return _histogram_entropy(seen, levels, count, np.ones(count))
 
-    return _rated(m, poses, camera, max_range, config, region, threads, rate)
+    return _rated(query, rate)
 
 
-def weighted_scene_entropy(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def weighted_scene_entropy(query: ViewQuery) -> FloatArray:
     """Eq. (9): as eq. (7), each level weighted by the entropy of its voxels, shape (M,) [bits].
 
     The weight is that of the middle of the level.
     """
-    middles = (np.arange(config.grey_levels) + 0.5) / config.grey_levels
+    count = query.config.grey_levels
+    middles = (np.arange(count) + 0.5) / count
 
     def rate(seen: SeenVolumes) -> float:
         levels = np.broadcast_to(seen.probabilities, seen.shares.shape)
-        return _histogram_entropy(seen, levels, config.grey_levels, entropy_of(middles))
+        return _histogram_entropy(seen, levels, count, entropy_of(middles))
 
-    return _rated(m, poses, camera, max_range, config, region, threads, rate)
+    return _rated(query, rate)
 
 
 def stretched(probability: ArrayLike, distance: ArrayLike) -> FloatArray:
@@ -143,43 +115,31 @@ def _histogram_entropy(
     return max(total, 0.0)
 
 
-def _rated(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None,
-    threads: int,
-    rate: Callable[[SeenVolumes], float],
-) -> FloatArray:
+def _rated(query: ViewQuery, rate: Callable[[SeenVolumes], float]) -> FloatArray:
     """Rate what each view holds."""
-    values = np.zeros(len(poses))
-    if len(poses) == 0:
+    values = np.zeros(len(query.poses))
+    if len(query.poses) == 0:
         return values
-    places = poses[:, :3, 3]
-    field = visible_field(m, places.min(axis=0) - max_range, places.max(axis=0) + max_range, FINEST)
-    field = with_predictions(field, m, FINEST)
-    table = gain_table(m, max_range, config)
-    rays, angles = camera_rays(camera, config.ray_spacing)
+    m = query.voxel_map
+    field = with_predictions(query.finest_field(), m, FINEST)
+    table = gain_table(m, query.max_range, query.config)
     edges = np.arange(len(table.gains) + 1) * table.step
     volumes, middles = np.diff(edges**3) / 3.0, 0.5 * (edges[1:] + edges[:-1])
-    volumes[middles * m.config.voxel_size < config.min_range] = 0.0
-    scaled, box = poses.copy(), field.relative(checked_region(region))
-    scaled[:, :3, 3] = field.relative(places)
+    volumes[middles * m.config.voxel_size < query.config.min_range] = 0.0
+    placed = query.placed_in(field)
     p, known = FINEST.probabilities(), FINEST.known()
 
     def see(_: int, first: int, last: int) -> None:
         for view in range(first, last):
             seen = np.zeros((len(volumes), len(p)))
             _see(
-                scaled[view], rays, angles, box, field.directory, field.codes,
-                known & (p > 0.5), volumes, table.step, seen,
+                placed.poses[view], placed.rays, placed.angles, placed.box, field.directory,
+                field.codes, known & (p > 0.5), volumes, table.step, seen,
             )  # fmt: skip
-            whole = angles.sum() * volumes.sum()
+            whole = placed.angles.sum() * volumes.sum()
             values[view] = rate(SeenVolumes(seen / whole, middles / edges[-1], p, known))
 
-    workers_of(threads).run(see, len(poses))
+    workers_of(query.threads).run(see, len(values))
     return values
 
 

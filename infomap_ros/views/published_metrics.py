@@ -17,126 +17,66 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OCCUPIED, VoxelMap
 from infomap_ros.mapping.keys import BLOCK_SIDE
 from infomap_ros.views import crossing_kernels as sums_of
-from infomap_ros.views.codes import CodeBook
-from infomap_ros.views.field import VisibleField, visible_field, workers_of
-from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.field import VisibleField, workers_of
 from infomap_ros.views.observation_value import entropy_of
-from infomap_ros.views.rays import camera_rays, checked_region
+from infomap_ros.views.view_query import FINEST, ViewQuery
 
-_FINEST = CodeBook(1e-6)
 IntArray = NDArray[np.int64]
 
 _WANTED_OCCUPIED, _WANTED_OCCPLANE = 0.2, 0.8
 
 
-def occlusion_aware(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def occlusion_aware(query: ViewQuery) -> FloatArray:
     """Sum of the entropies of all voxels times the probability to see them, shape (M,) [bits]."""
-    return _sums(m, poses, camera, max_range, config, region, threads)[:, sums_of.OCCLUSION_AWARE]
+    return _sums(query)[:, sums_of.OCCLUSION_AWARE]
 
 
-def unobserved_voxels(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def unobserved_voxels(query: ViewQuery) -> FloatArray:
     """As `occlusion_aware`, of unknown voxels only, shape (M,) [bits]."""
-    return _sums(m, poses, camera, max_range, config, region, threads)[:, sums_of.UNOBSERVED]
+    return _sums(query)[:, sums_of.UNOBSERVED]
 
 
-def rear_side_voxel(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def rear_side_voxel(query: ViewQuery) -> FloatArray:
     """Pixels whose ray meets a surface from its unknown rear side, shape (M,) [1]."""
-    return _sums(m, poses, camera, max_range, config, region, threads)[:, sums_of.REAR_SIDE]
+    return _sums(query)[:, sums_of.REAR_SIDE]
 
 
-def rear_side_entropy(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def rear_side_entropy(query: ViewQuery) -> FloatArray:
     """As `occlusion_aware`, of surfaces met from behind and of the unknown voxels before them.
 
     Shape (M,) [bits]; of the unknown voxels those in a row right before the surface.
     """
-    return _sums(m, poses, camera, max_range, config, region, threads)[:, sums_of.REAR_SIDE_ENTROPY]
+    return _sums(query)[:, sums_of.REAR_SIDE_ENTROPY]
 
 
-def proximity_count(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def proximity_count(query: ViewQuery) -> FloatArray:
     """Sum over unknown voxels of how much nearer than ``proximity`` a surface is, shape (M,).
 
     In steps from voxel to voxel [voxels]. Isler et al. count voxels behind surfaces, by the
     distance behind; here any unknown voxel near a surface, which does not need a record of the
     scans.
     """
-    return _sums(m, poses, camera, max_range, config, region, threads, True)[:, sums_of.PROXIMITY]
+    return _sums(query, near_surfaces=True)[:, sums_of.PROXIMITY]
 
 
-def average_entropy(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def average_entropy(query: ViewQuery) -> FloatArray:
     """Mean entropy of the voxels on rays that end at a surface, shape (M,) [bits per voxel]."""
-    sums = _sums(m, poses, camera, max_range, config, region, threads)
+    sums = _sums(query)
     count = sums[:, sums_of.SURFACE_RAY_VOXELS]
     return np.asarray(sums[:, sums_of.SURFACE_RAY_ENTROPY] / np.where(count > 0.0, count, 1.0))
 
 
-def area_factor(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None = None,
-    threads: int = 1,
-) -> FloatArray:
+def area_factor(query: ViewQuery) -> FloatArray:
     """How near the image comes to one fifth known surface and four fifths occlusion, shape (M,).
 
     In [0, 2], without unit: f(share of rays that meet a surface first) + f(share that leave free
     space into unknown first), f being 1 at the wanted share and 0 at 0 and 1.
     """
-    sums = _sums(m, poses, camera, max_range, config, region, threads)
+    sums = _sums(query)
     rays = sums[:, sums_of.RAYS]
     occupied = sums[:, sums_of.FIRST_SURFACE] / np.where(rays > 0.0, rays, 1.0)
     occplane = sums[:, sums_of.FIRST_UNKNOWN] / np.where(rays > 0.0, rays, 1.0)
@@ -150,39 +90,26 @@ def near_share(share: ArrayLike, wanted: float) -> FloatArray:
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-def _sums(
-    m: VoxelMap,
-    poses: FloatArray,
-    camera: PinholeCamera,
-    max_range: float,
-    config: InformationConfig,
-    region: ArrayLike | None,
-    threads: int,
-    near_surfaces: bool = False,
-) -> FloatArray:
+def _sums(query: ViewQuery, near_surfaces: bool = False) -> FloatArray:
     """Sums over the pixels of each view, shape (M, sums_of.COLUMNS)."""
-    sums = np.zeros((len(poses), sums_of.COLUMNS))
-    if len(poses) == 0:
+    sums = np.zeros((len(query.poses), sums_of.COLUMNS))
+    if len(query.poses) == 0:
         return sums
-    places = poses[:, :3, 3]
-    low, high = places.min(axis=0) - max_range, places.max(axis=0) + max_range
-    field = visible_field(m, low, high, _FINEST)
-    rays, angles = camera_rays(camera, config.ray_spacing)
-    scaled, box = poses.copy(), field.relative(checked_region(region))
-    scaled[:, :3, 3] = field.relative(places)
-    p, known = _FINEST.probabilities(), _FINEST.known()
+    m, config, field = query.voxel_map, query.config, query.finest_field()
+    placed = query.placed_in(field)
+    p, known = FINEST.probabilities(), FINEST.known()
     nearness, first_near = np.zeros((0, 0, 0), np.float32), np.zeros(3, np.int64)
     if near_surfaces:
         nearness, first_near = _nearness(m, field, config.proximity)
 
     def cast(_: int, first: int, last: int) -> None:
         sums_of.add_crossings(
-            scaled[first:last], rays, angles / config.pixel_angle**2, box,
-            max_range / m.config.voxel_size, field.directory, field.codes, p, entropy_of(p),
-            known, nearness, first_near, sums[first:last],
+            placed.poses[first:last], placed.rays, placed.angles / config.pixel_angle**2,
+            placed.box, query.max_range / m.config.voxel_size, field.directory, field.codes, p,
+            entropy_of(p), known, nearness, first_near, sums[first:last],
         )  # fmt: skip
 
-    workers_of(threads).run(cast, len(poses))
+    workers_of(query.threads).run(cast, len(sums))
     return sums
 
 

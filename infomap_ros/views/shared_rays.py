@@ -23,6 +23,7 @@ from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.ray_kernels import ray_bits, turned
 from infomap_ros.views.rays import camera_rays, checked_poses, checked_reach, checked_region
 from infomap_ros.views.sphere import cell_direction, cell_middles, cell_of, cells_per_edge
+from infomap_ros.views.view_query import ViewQuery
 
 
 def information_of_views(
@@ -126,7 +127,8 @@ def _refine(
     best = np.argsort(-bits, axis=None, kind="stable")[:count]
     at, of = np.unravel_index(best, bits.shape)
     poses = _poses(places[at], rotations[at, of][:, None])[:, 0]
-    bits[at, of] = expected_entropy_reduction(m, poses, camera, max_range, config, region, threads)
+    query = ViewQuery(m, poses, camera, max_range, config, region, threads)
+    bits[at, of] = expected_entropy_reduction(query)
 
 
 @njit(cache=True, nogil=True)

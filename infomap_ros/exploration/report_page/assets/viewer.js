@@ -56,12 +56,12 @@ class Viewer {
     return manifest.sigma.shown.map((v) => (Math.log(v) - a) / (b - a));
   }
 
-  // For paper, which shows no WebGL: the picture as part of the canvas with the labels.
+  // For paper, which shows no WebGL: from here on every frame puts the picture into the canvas with
+  // the labels, also one that was asked for before.
   freeze() {
     this.frozen = true;
     this.recolour();
     this.draw();
-    paintLabels(this.labels, this, this.scene);
   }
 
   resize() {
@@ -128,7 +128,7 @@ class Viewer {
       painter.drawGroup(groups.stubs, values, 0.15);
       painter.drawGroup(groups.candidates, values, 0.3);
     }
-    paintLabels(this.labels, this);
+    paintLabels(this.labels, this, this.frozen ? this.scene : undefined);
   }
 
   // The view or candidate at a place on the screen, or null.

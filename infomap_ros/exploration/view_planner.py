@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from infomap_ros.exploration.explanation import explain
-from infomap_ros.exploration.progress import measure_progress
+from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import PlacedSolid, StereoRig
@@ -183,10 +183,9 @@ class ViewPlanner:
     ) -> Choice:
         """The way to a base pose (x, y, yaw) and arm posture, or why there is none."""
         result = self._reach(voxel_map, state).way_to(base, joints)
-        progress = measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
         self._sent = result.route
         pose = None if result.route is None else result.route.T_map_camera
-        return Choice(progress, pose, result.route, result.reason)
+        return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
 
     def failed(self, pose: FloatArray, reason: str) -> None:
         """Note that a view could not be reached; it is not chosen until the map changes there."""
@@ -204,6 +203,9 @@ class ViewPlanner:
         for pose, reason in self._failures:
             self._memory.remember(pose, reason, voxel_map)
         self._failures.clear()
+
+    def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
+        return measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
 
     def _reach(self, voxel_map: VoxelMap, state: RobotState) -> WholeBodyReach:
         reach = WholeBodyReach(
@@ -260,7 +262,7 @@ class ViewPlanner:
         if chosen is not None and route is None:
             raise TypeError("a view was chosen without a route")
         return Choice(
-            measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3]),
+            self._progress(voxel_map, state),
             None if chosen is None else chosen.pose,
             route,
             decision.reason,

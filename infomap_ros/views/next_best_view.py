@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
-from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.localisation_error import LocalisationError
 from infomap_ros.views.look_ahead import LookAheadConfig
 from infomap_ros.views.options import InformationSource, Options
@@ -81,7 +79,6 @@ class NextBestView:
         rng: np.random.Generator,
         previous_goal: FloatArray | None = None,
         known_unreachable: KnownUnreachable | None = None,
-        memory: GoalMemory | None = None,
     ) -> ViewDecision:
         """Choose the next view.
 
@@ -90,15 +87,12 @@ class NextBestView:
             reachability: the robot, asked for the views that passed all cheaper tests.
             rng: draws candidates.
             previous_goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            known_unreachable: reasons not to try views.
-            memory: of views that were not reached before; gets those that are not reached now.
+            known_unreachable: reasons not to try views, such as those of a `GoalMemory`.
 
         Returns:
             The choice with every candidate, its terms, and every reason.
         """
         watch, considered = Stopwatch(), list[RatedView]()
-        if memory is not None:
-            known_unreachable = _with_memory(known_unreachable, memory, situation.voxel_map)
         for settings in horizons(situation, self.config.surroundings):
             with watch.stage("surroundings"):
                 surroundings = survey(situation, settings)
@@ -107,8 +101,6 @@ class NextBestView:
             with watch.stage("information"):
                 options = self._appraise(situation, surroundings, candidates, rng, previous_goal)
             selected = self._select(options, reachability, known_unreachable, watch)
-            if memory is not None:
-                _remember(selected, memory, situation.voxel_map)
             considered = [*selected.views, *_ruled_out(candidates), *considered]
             if selected.index is not None or surroundings.is_whole or self._gives_up(selected):
                 break
@@ -217,24 +209,3 @@ def _place_of(goal: FloatArray | None, candidates: Candidates) -> int | None:
         return None
     is_last = bool(np.array_equal(candidates.extra[-1], goal))
     return len(candidates.poses) - 1 if is_last else None
-
-
-def _with_memory(
-    known: KnownUnreachable | None, memory: GoalMemory, voxel_map: VoxelMap
-) -> KnownUnreachable:
-    """What is known against views together with what is remembered."""
-
-    def reasons(poses: FloatArray) -> list[str]:
-        remembered = memory.reasons_against(poses, voxel_map)
-        told = [""] * len(poses) if known is None else known(poses)
-        return [first or second for first, second in zip(told, remembered, strict=True)]
-
-    return reasons
-
-
-def _remember(selected: Selected, memory: GoalMemory, voxel_map: VoxelMap) -> None:
-    """Remember the views to which no motion was found, but not the second best that is taken."""
-    for index in selected.tried:
-        view = selected.views[index]
-        if view.rejection and index != selected.index:
-            memory.remember(view.pose, view.rejection, voxel_map)

@@ -237,18 +237,6 @@ def test_remembered_goals_are_not_tried_again(half_seen: Situation) -> None:
     assert any("no path" in view.rejection for view in decision.candidates)
 
 
-def test_views_without_a_way_are_remembered_by_the_choice_itself(half_seen: Situation) -> None:
-    memory, robot = GoalMemory(), Robot(far="no path")
-    first = choose(half_seen, robot, memory=memory)
-    assert first.chosen is None
-    failed = [view.pose for view in first.candidates if view.rejection == "no path"]
-    assert len(memory) == len(failed) == robot.planned
-    again = choose(half_seen, FlyingCamera(half_seen.T_map_camera), memory=memory)
-    assert again.chosen is not None
-    assert not any(np.array_equal(again.chosen.pose, pose) for pose in failed)
-    assert sum("unreachable before: no path" in v.rejection for v in again.candidates) > 0
-
-
 class LongWay(Robot):
     """The way to one view is far longer than it looks."""
 

@@ -1,0 +1,99 @@
+"""The planner of views: what it does when no view can be reached, and after one could not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.exploration import view_planner
+from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.voxel_states import VoxelStates, put_states
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.route import ReachResult
+from infomap_ros.simulation.robot import read_description
+from infomap_ros.simulation.robot_setup import RobotSetupConfig
+
+CAMERA = PinholeCamera(160, 120, 110.0, 110.0, 79.5, 59.5)
+TASK = TaskConfig(region_low=(-1.4, -1.4, -0.3), region_high=(1.4, 1.4, 1.0))
+ROUNDS = 3
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    setup = RobotSetupConfig()
+    description = read_description(find_share("config/rover.urdf"))
+    return RobotModel.from_urdf(description, setup.left_camera_frame, setup.base_frame)
+
+
+@pytest.fixture
+def half_known() -> VoxelMap:
+    """Even ground at z = 0 in a box of 3 x 3 x 1.6 m; nothing is known where x < -0.5 m."""
+    voxel_map = VoxelMap()
+    indices = np.indices((40, 60, 32), np.int32).reshape(3, -1).T + np.int32((-10, -30, -6))
+    quanta = np.where(indices[:, 2] < 0, 20, -20).astype(np.int32)
+    without_gaussian = np.zeros((len(indices), 9), np.float32)
+    known = np.ones(len(indices), bool)
+    put_states(voxel_map._storage, VoxelStates(indices, known, quanta, without_gaussian))
+    return voxel_map
+
+
+@pytest.fixture
+def tried(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """The views that are asked for, of a robot that reaches none of them."""
+    views: list[np.ndarray] = []
+
+    def refuse(self: WholeBodyReach, T_map_camera: np.ndarray) -> ReachResult:
+        views.append(T_map_camera)
+        return ReachResult(None, "the road is closed")
+
+    monkeypatch.setattr(WholeBodyReach, "reach", refuse)
+    return views
+
+
+def planner_of(robot: RobotModel) -> ViewPlanner:
+    return ViewPlanner(
+        robot,
+        StereoRig(CAMERA, CAMERA, 0.1),
+        TASK,
+        ViewPlannerConfig(arm_views=40, rounds=ROUNDS, threads=1),
+    )
+
+
+def standing(robot: RobotModel) -> RobotState:
+    joints = dict.fromkeys(robot.arm.joint_names, 0.0)
+    T_map_base = make_transform(np.eye(3), (0.3, 0.0, 0.09))
+    T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
+    return RobotState(T_map_base, T_map_base @ T_base_camera, 1e-6 * np.eye(6), joints)
+
+
+def test_draws_others_when_no_view_can_be_reached(robot, half_known, tried):
+    choice = planner_of(robot).choose(half_known, standing(robot))
+    assert choice.pose is None and choice.route is None
+    assert "the road is closed" in choice.reason
+    one_round = view_planner.NextBestViewConfig().selection.approach.attempts
+    assert one_round < len(tried) <= ROUNDS * one_round
+
+
+def test_views_that_were_not_reached_are_not_tried_again(robot, half_known, tried):
+    planner = planner_of(robot)
+    planner.choose(half_known, standing(robot))
+    first = len(tried)
+    choice = planner.choose(half_known, standing(robot))
+    again = [v for v in tried[first:] if any(np.array_equal(v, old) for old in tried[:first])]
+    assert not again
+    assert any("unreachable before" in reason for reason in choice.explanation["rejections"])
+
+
+def test_a_view_that_failed_is_not_chosen_at_once(robot, half_known):
+    planner = planner_of(robot)
+    first = planner.choose(half_known, standing(robot))
+    assert first.pose is not None and first.route is not None
+    planner.failed(first.pose, "a wheel turned in place")
+    second = planner.choose(half_known, standing(robot))
+    assert any("a wheel turned" in reason for reason in second.explanation["rejections"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 from infomap_ros.errors import BagError
@@ -15,6 +15,7 @@ from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.replay.camera_poses import CameraPoses
 from infomap_ros.replay.messages import JOINT_STATE, STRING, TF
+from infomap_ros.replay.range_meters import DepthMeter, Measurement, StereoMeter
 from infomap_ros.replay.range_sources import DepthSource, RangeSource, StereoSource
 from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.robot_body import RobotBody, description_among
@@ -100,7 +101,7 @@ class MapInputs:
         frames: number of images that should become scans.
     """
 
-    source: RangeSource
+    source: RangeSource[Measurement]
     pose_topic: str
     poses: CameraPoses
     body: RobotBody
@@ -148,7 +149,7 @@ def _frame_of(bag: BagReader, topic: str) -> str:
     return first.record.frame_id
 
 
-def _find_source(types: Topics, options: MapOptions) -> RangeSource:
+def _find_source(types: Topics, options: MapOptions) -> RangeSource[Measurement]:
     wanted = options.input.source
     if wanted == "auto" and options.topics.get("depth"):
         wanted = "depth"
@@ -160,17 +161,18 @@ def _find_source(types: Topics, options: MapOptions) -> RangeSource:
             failures.append(str(error))
     if wanted in ("auto", "depth"):
         try:
-            return DepthSource(find_depth_topics(types, _given(options, "depth")), options.depth)
+            topics = find_depth_topics(types, _given(options, "depth"))
+            return DepthSource(replace(topics, color=None), DepthMeter(options.depth))
         except BagError as error:
             failures.append(str(error))
     raise BagError("; ".join(failures))
 
 
-def _stereo_source(types: Topics, options: MapOptions) -> StereoSource:
+def _stereo_source(types: Topics, options: MapOptions) -> StereoSource[Measurement]:
     topics = find_stereo_topics(types, _given(options, "stereo"))
     rectify = {"auto": not topics.is_rectified, "yes": True, "no": False}[options.input.rectify]
-    tolerance = options.input.pairing_tolerance
-    return StereoSource(topics, options.stereo, rectify=rectify, pairing_tolerance=tolerance)
+    meter = StereoMeter(options.stereo, rectify=rectify)
+    return StereoSource(topics, meter, options.input.pairing_tolerance)
 
 
 def _given(options: MapOptions, task: str) -> dict[str, str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import (
@@ -73,8 +74,8 @@ class _Tools:
     rectifier: StereoRectifier | None
 
 
-class StereoMeter:
-    """Measures by a pair of cameras, left and right; see `RangeMeter`.
+class PairPreparation:
+    """Makes rectified pairs, and the sensor for them, from images and their calibrations.
 
     Args:
         config: of the sensor.
@@ -85,31 +86,19 @@ class StereoMeter:
         self._config, self._rectify = config, rectify
         self._tools: _Tools | None = None
 
-    def measure(
+    def prepare(
         self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
-    ) -> Measurement:
-        """See `RangeMeter.measure`."""
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], StereoRangeSensor]:
+        """Rectified left and right image, grey or RGB, and the sensor.
+
+        Raises:
+            InfomapError: images or calibrations cannot be used.
+        """
         tools = self._tools_for(tuple(calibrations))
         left, right = (intensity_pixels(image) for image in images)
         if tools.rectifier is not None:
             left, right = tools.rectifier.rectify(left, right)
-        search = tools.sensor.search
-        return Measurement(
-            images[0].stamp,
-            images[0].frame_id,
-            tools.sensor.measure(left, right),
-            tools.sensor.rig,
-            (float(search.minimum), float(search.maximum)),
-        )
-
-    def warm_up(self) -> None:
-        """See `RangeMeter.warm_up`."""
-        camera = PinholeCamera(160, 40, 100.0, 100.0, 79.5, 19.5)
-        noise = np.random.default_rng(0).integers(0, 256, (40, 164), dtype=np.uint8)
-        left, right = noise[:, 4:], noise[:, :160]
-        sensor = StereoRangeSensor(StereoRig(camera, camera, 0.1), self._config)
-        sensor.measure(left, right)
-        sensor.measure(np.stack([left] * 3, axis=-1), np.stack([right] * 3, axis=-1))
+        return left, right, tools.sensor
 
     def _tools_for(self, calibrations: tuple[CameraCalibration, ...]) -> _Tools:
         """Sensor and rectifier of these cameras, made anew when they change."""
@@ -120,6 +109,37 @@ class StereoMeter:
             rectifier = StereoRectifier(left, right) if raw else None
             self._tools = _Tools(calibrations, sensor, rectifier)
         return self._tools
+
+
+class StereoMeter:
+    """Measures by a pair of cameras, left and right; see `RangeMeter`.
+
+    Args:
+        config: of the sensor.
+        rectify: the images are raw.
+    """
+
+    def __init__(self, config: StereoConfig, *, rectify: bool) -> None:
+        self._config = config
+        self._pairs = PairPreparation(config, rectify=rectify)
+
+    def measure(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> Measurement:
+        """See `RangeMeter.measure`."""
+        left, right, sensor = self._pairs.prepare(images, calibrations)
+        cloud = sensor.measure(left, right)
+        search = (float(sensor.search.minimum), float(sensor.search.maximum))
+        return Measurement(images[0].stamp, images[0].frame_id, cloud, sensor.rig, search)
+
+    def warm_up(self) -> None:
+        """See `RangeMeter.warm_up`."""
+        camera = PinholeCamera(160, 40, 100.0, 100.0, 79.5, 19.5)
+        noise = np.random.default_rng(0).integers(0, 256, (40, 164), dtype=np.uint8)
+        left, right = noise[:, 4:], noise[:, :160]
+        sensor = StereoRangeSensor(StereoRig(camera, camera, 0.1), self._config)
+        sensor.measure(left, right)
+        sensor.measure(np.stack([left] * 3, axis=-1), np.stack([right] * 3, axis=-1))
 
 
 class DepthMeter:

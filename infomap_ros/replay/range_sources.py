@@ -1,22 +1,32 @@
-"""Images of a bag into range clouds: by a stereo pair or by a depth camera."""
+"""Images of a bag into what a meter makes of them: of a stereo pair or of a depth camera."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, Protocol, TypeVar
 
 from infomap_ros.errors import CalibrationError, InfomapError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
 from infomap_ros.geometry.pairing import StampPairing
-from infomap_ros.replay.range_meters import DepthMeter, Measurement, StereoMeter
 from infomap_ros.replay.reader import BagRecord
 from infomap_ros.replay.topics import DepthTopics, StereoTopics
-from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+
+Result = TypeVar("Result")
+Result_co = TypeVar("Result_co", covariant=True)
 
 
-class RangeSource(Protocol):
-    """Turns the records of its topics into measurements.
+class Meter(Protocol[Result_co]):
+    """Makes something of the images of one moment."""
+
+    def measure(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> Result_co:
+        """Raises an `InfomapError` where images or calibrations cannot be used."""
+
+
+class RangeSource(Protocol[Result_co]):
+    """Turns the records of its topics into what its meter makes of them: measurements, views.
 
     Attributes:
         topics: what it wants.
@@ -28,41 +38,34 @@ class RangeSource(Protocol):
     image_topic: str
     dropped: Counter[str]
 
-    def add(self, entry: BagRecord) -> Measurement | None:
+    def add(self, entry: BagRecord) -> Result_co | None:
         """Take a record; returns the measurement that it completes, if any."""
 
     def finish(self) -> None:
         """Count what is left over at the end."""
 
 
-class StereoSource:
-    """Pairs images by stamp, rectifies raw ones and matches them; see `RangeSource`."""
+class StereoSource(Generic[Result]):
+    """Pairs images by stamp and has them measured; see `RangeSource`.
+
+    Args:
+        topics: of the pair.
+        meter: of pairs.
+        pairing_tolerance: largest difference of the two stamps of a pair [s].
+    """
 
     def __init__(
-        self,
-        topics: StereoTopics,
-        config: StereoConfig,
-        *,
-        rectify: bool,
-        pairing_tolerance: float = 0.0,
+        self, topics: StereoTopics, meter: Meter[Result], pairing_tolerance: float = 0.0
     ) -> None:
-        """Prepare.
-
-        Args:
-            topics: of the pair.
-            config: of the sensor.
-            rectify: whether the images are raw.
-            pairing_tolerance: largest difference of the two stamps of a pair [s].
-        """
         self.topics, self.image_topic = topics.names, topics.left_image
         self.dropped: Counter[str] = Counter()
-        self._names, self._meter = topics, StereoMeter(config, rectify=rectify)
+        self._names, self._meter = topics, meter
         self._pairing: StampPairing[ImageRecord, ImageRecord] = StampPairing(
             round(pairing_tolerance * 1e9)
         )
         self._calibrations: dict[str, CameraCalibration] = {}
 
-    def add(self, entry: BagRecord) -> Measurement | None:
+    def add(self, entry: BagRecord) -> Result | None:
         """See `RangeSource.add`."""
         record = entry.record
         if isinstance(record, CameraInfoRecord):
@@ -75,7 +78,7 @@ class StereoSource:
         pair = add(record)
         return None if pair is None else _guarded(self.dropped, lambda: self._measure(*pair))
 
-    def _measure(self, *pair: ImageRecord) -> Measurement:
+    def _measure(self, *pair: ImageRecord) -> Result:
         names = self._names.left_info, self._names.right_info
         missing = [name for name in names if name not in self._calibrations]
         if missing:
@@ -84,22 +87,31 @@ class StereoSource:
 
     def finish(self) -> None:
         """See `RangeSource.finish`."""
-        self._pairing.clear()
-        if self._pairing.unpaired:
-            self.dropped["image without its partner"] = self._pairing.unpaired
+        _finish_pairing(self._pairing, self.dropped)
 
 
-class DepthSource:
-    """Depth images with their camera info; see `RangeSource`."""
+class DepthSource(Generic[Result]):
+    """Depth images with their camera info; see `RangeSource`.
 
-    def __init__(self, topics: DepthTopics, config: DepthCameraConfig) -> None:
-        self.topics: tuple[str, ...] = (topics.depth, topics.info)
-        self.image_topic = topics.depth
+    Args:
+        topics: of the camera; where a colour image is among them, each depth image waits for its
+            own.
+        meter: of depth images, or of depth and colour image.
+        pairing_tolerance: largest difference of the stamps of depth and colour image [s].
+    """
+
+    def __init__(
+        self, topics: DepthTopics, meter: Meter[Result], pairing_tolerance: float = 0.0
+    ) -> None:
+        self.topics, self.image_topic = topics.names, topics.depth
         self.dropped: Counter[str] = Counter()
-        self._meter = DepthMeter(config)
+        self._names, self._meter = topics, meter
+        self._pairing: StampPairing[ImageRecord, ImageRecord] = StampPairing(
+            round(pairing_tolerance * 1e9)
+        )
         self._calibration: CameraCalibration | None = None
 
-    def add(self, entry: BagRecord) -> Measurement | None:
+    def add(self, entry: BagRecord) -> Result | None:
         """See `RangeSource.add`."""
         record = entry.record
         if isinstance(record, CameraInfoRecord):
@@ -107,18 +119,32 @@ class DepthSource:
             return None
         if not isinstance(record, ImageRecord):
             return None
-        return _guarded(self.dropped, lambda: self._measure(record))
+        images = self._complete(entry.topic, record)
+        return None if images is None else _guarded(self.dropped, lambda: self._measure(images))
 
-    def _measure(self, depth: ImageRecord) -> Measurement:
+    def _complete(self, topic: str, image: ImageRecord) -> tuple[ImageRecord, ...] | None:
+        if self._names.color is None:
+            return (image,)
+        is_depth = topic == self._names.depth
+        return self._pairing.add_first(image) if is_depth else self._pairing.add_second(image)
+
+    def _measure(self, images: tuple[ImageRecord, ...]) -> Result:
         if self._calibration is None:
             raise CalibrationError("no camera info yet")
-        return self._meter.measure([depth], [self._calibration])
+        return self._meter.measure(images, [self._calibration])
 
     def finish(self) -> None:
-        """See `RangeSource.finish`; nothing can be left over."""
+        """See `RangeSource.finish`."""
+        _finish_pairing(self._pairing, self.dropped)
 
 
-def _guarded(dropped: Counter[str], work: Callable[[], Measurement]) -> Measurement | None:
+def _finish_pairing(pairing: StampPairing[ImageRecord, ImageRecord], dropped: Counter[str]) -> None:
+    pairing.clear()
+    if pairing.unpaired:
+        dropped["image without its partner"] = pairing.unpaired
+
+
+def _guarded(dropped: Counter[str], work: Callable[[], Result]) -> Result | None:
     try:
         return work()
     except InfomapError as error:
@@ -127,9 +153,9 @@ def _guarded(dropped: Counter[str], work: Callable[[], Measurement]) -> Measurem
 
 
 def measure_all(
-    entries: Iterator[BagRecord], source: RangeSource
-) -> Iterator[BagRecord | Measurement]:
-    """Replace the images among records by what they measure; the order in time stays."""
+    entries: Iterator[BagRecord], source: RangeSource[Result]
+) -> Iterator[BagRecord | Result]:
+    """Replace the images among records by what is made of them; the order in time stays."""
     for entry in entries:
         if entry.topic not in source.topics:
             yield entry

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,6 +39,8 @@ class World:
         has_robot: whether a robot is in it.
         start: where a robot starts: x, y [m], yaw [rad].
         region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
+        T_world_target: where the target is whose frame robots take for the map, shape (4, 4);
+            None where there is none.
     """
 
     model: mujoco.MjModel
@@ -47,6 +50,7 @@ class World:
     has_robot: bool = False
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+    T_world_target: FloatArray | None = None
 
     def surface_distance(self, points: ArrayLike) -> FloatArray:
         """Exact distance to the nearest surface; (N, 3) in the world [m] -> (N,) [m].
@@ -71,6 +75,7 @@ class SceneBuilder:
         terrain: the ground of the world, for those who place things on it.
         start: where a robot starts: x, y [m], yaw [rad].
         region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
+        T_world_target: where the target is, shape (4, 4); None where there is none.
         sun: whether the sun shines.
         ambient: light from everywhere, red, green, blue.
     """
@@ -78,6 +83,7 @@ class SceneBuilder:
     terrain: Terrain
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+    T_world_target: FloatArray | None = None
     sun: bool = True
     ambient: tuple[float, float, float] = (0.34, 0.34, 0.37)
     _spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec, init=False)
@@ -86,16 +92,21 @@ class SceneBuilder:
 
     def add_material(self, name: str, image: Image) -> None:
         """Add a matt material whose image, upright, covers each face of a body."""
+        sideways = np.rot90(image)
+        self._add_cube(name, (sideways, sideways, *[image] * 4))
+
+    def add_faces(self, name: str, images: Sequence[Image]) -> None:
+        """Add a matt material for boxes with an upright image for each face +x -x +y -y +z -z."""
+        self._add_cube(name, [np.rot90(images[0]), np.rot90(images[1]), *images[2:]])
+
+    def _add_cube(self, name: str, faces: Sequence[Image]) -> None:
+        """A material of six faces as MuJoCo wants them: columns run along y on the first two."""
+        side = len(faces[0])
         texture = self._spec.add_texture(
-            name=name,
-            type=mujoco.mjtTexture.mjTEXTURE_CUBE,
-            width=len(image),
-            height=6 * len(image),
+            name=name, type=mujoco.mjtTexture.mjTEXTURE_CUBE, width=side, height=6 * side
         )
         texture.nchannel = 3
-        # Faces in MuJoCo's order +x, -x, +y, -y, +z, -z; on the first two, columns run along y.
-        sideways = np.rot90(image)
-        texture.data = np.concatenate([sideways, sideways, *[image] * 4]).tobytes()
+        texture.data = np.concatenate(faces).tobytes()
         self._add_matt(name)
 
     def add_ground_material(self, name: str, image: Image, tile: float) -> None:
@@ -195,7 +206,16 @@ class SceneBuilder:
         except ValueError as error:
             raise SimulationError(f"MuJoCo refuses the world: {error}") from error
         surface = SurfaceModel(self._parts)
-        return World(model, self.terrain, surface, spec, self._has_robot, self.start, self.region)
+        return World(
+            model,
+            self.terrain,
+            surface,
+            spec,
+            self._has_robot,
+            self.start,
+            self.region,
+            self.T_world_target,
+        )
 
     def _add_matt(self, name: str) -> mujoco.MjsMaterial:
         """A material without gloss: what shines looks different to each camera."""

@@ -11,6 +11,7 @@ from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
 from infomap_ros.simulation.placing import Places, add_boulder, bounded_terrain, upright
 from infomap_ros.simulation.rocks import boulder
+from infomap_ros.simulation.target_board import stand_board_ahead
 from infomap_ros.simulation.textures import spectral_noise
 
 _GAP = 0.9  # [m] between things, for a rover of 0.4 m
@@ -36,6 +37,13 @@ class CaveConfig:
     )
     pillars: int = parameter(3, "Number of pillars, as far as they fit", low=0, high=100)
     boulders: int = parameter(5, "Number of boulders on the floor", low=0, high=200)
+    target_distance: float = parameter(
+        1.6,
+        "Distance of the board with tags from the start; 0 for none.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
     texture_size: int = parameter(
         2048, "Edge length of the ground texture", unit="px", low=64, high=8192
     )
@@ -122,6 +130,8 @@ def _add_inside(
 ) -> None:
     places = Places(rng, _GAP)
     places.take(0.0, 0.0, 0.15)
+    if config.target_distance:
+        stand_board_ahead(builder, places, min(config.target_distance, 0.34 * config.size))
     radius = 0.36 * config.size
     corner = (radius, radius)
     for index in range(config.pillars):

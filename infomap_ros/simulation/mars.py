@@ -12,6 +12,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
 from infomap_ros.simulation.placing import Places, add_boulder, bounded_terrain, upright
+from infomap_ros.simulation.target_board import stand_board_ahead
 from infomap_ros.simulation.terrain import Terrain
 from infomap_ros.simulation.textures import spectral_noise
 
@@ -39,6 +40,13 @@ class MarsConfig:
         10, "Number of boulders of 0.25 to 0.8 m, as far as they fit", low=0, high=500
     )
     stones: int = parameter(60, "Number of stones of 0.02 to 0.05 m", low=0, high=2000)
+    target_distance: float = parameter(
+        1.6,
+        "Distance of the board with tags from the start; 0 for none.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
     texture_size: int = parameter(
         2048, "Edge length of the ground texture", unit="px", low=64, high=8192
     )
@@ -65,6 +73,8 @@ def mars(config: MarsConfig | None = None, description: str = "") -> World:
     builder.add_terrain("ground")
     places = Places(rng, _GAP)
     places.take(0.0, 0.0, 0.15)
+    if config.target_distance:
+        stand_board_ahead(builder, places, config.target_distance)
     _add_panel(builder, places, radius, rng)
     _add_cases(builder, places, radius, rng)
     _add_rocks(builder, places, config, rng)

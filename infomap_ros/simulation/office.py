@@ -10,11 +10,13 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
 from infomap_ros.simulation.placing import Places, upright
+from infomap_ros.simulation.target_board import hang_board
 from infomap_ros.simulation.terrain import Terrain
 
 _WALL = 0.12  # [m] thickness
 _OVERLAP = 0.002  # [m] of the pieces of a wall
 _GAP = 0.9  # [m] between things, for robots of 0.4 m
+_BESIDE, _EYE_LEVEL, _FRAME = 0.27, 0.7, 0.025  # [m] of the target: beside the door, up, ahead
 _LAMPS = (0.62, 0.62, 0.60)
 
 
@@ -28,6 +30,7 @@ class OfficeConfig:
     wall: float = parameter(1.5, "Height of the walls", unit="m", low=0.5, high=4.0)
     door: float = parameter(1.1, "Width of the door", unit="m", low=0.7, high=3.0)
     furniture: int = parameter(9, "Number of pieces, as far as they fit", low=0, high=200)
+    target: bool = parameter(True, "Whether a board with tags hangs on the wall ahead.")
     texture_size: int = parameter(1024, "Edge length of the textures", unit="px", low=64, high=8192)
 
     def __post_init__(self) -> None:
@@ -96,6 +99,18 @@ def _add_walls(
         builder, "inner_b", np.array((inner, high)), np.array((inner, y)), config.wall, "plaster"
     )
     places.take(inner, door, 0.5)
+    if config.target:
+        _hang_target(builder, places, inner, (low, high))
+
+
+def _hang_target(
+    builder: SceneBuilder, places: Places, inner: float, door: tuple[float, float]
+) -> None:
+    """Hang the board with tags beside the door, as near to straight ahead as the wall allows."""
+    low, high = door
+    y = min(low - _BESIDE, 0.0) if low + high > 0.0 else max(high + _BESIDE, 0.0)
+    hang_board(builder, upright(inner - 0.5 * _WALL - _FRAME, y, _EYE_LEVEL, np.pi))
+    places.take(inner, y, 0.3)
 
 
 def _add_wall(

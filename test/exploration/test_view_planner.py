@@ -50,7 +50,7 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
     def refuse(self: WholeBodyReach, T_map_camera: np.ndarray) -> ReachResult:
         views.append(T_map_camera)
-        return ReachResult(None, "the road is closed")
+        return ReachResult("the road is closed")
 
     monkeypatch.setattr(WholeBodyReach, "reach", refuse)
     return views
@@ -66,7 +66,7 @@ def planner_of(robot: RobotModel) -> ViewPlanner:
 
 
 def standing(robot: RobotModel) -> RobotState:
-    joints = dict.fromkeys(robot.arm.joint_names, 0.0)
+    joints = {joint.name: 0.0 for joint in robot.joints}
     T_map_base = make_transform(np.eye(3), (0.3, 0.0, 0.09))
     T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
     return RobotState(T_map_base, T_map_base @ T_base_camera, 1e-6 * np.eye(6), joints)

@@ -1,0 +1,61 @@
+"""Parameters of the fiducial filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from infomap_ros.geometry.config import check_config, parameter
+
+
+@dataclass(frozen=True)
+class FiducialFilterConfig:
+    """How the fiducial filter decides, and how much it holds.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    max_fiducials: int = parameter(300, "Fiducials that are held.", low=8, high=2000)
+    max_kept_poses: int = parameter(60, "Camera poses that are kept.", low=2, high=1000)
+    least_fiducials: int = parameter(
+        5, "Fiducials that must agree for the pose to be updated.", low=4, high=1000
+    )
+    fiducial_gate: float = parameter(
+        0.999,
+        "Probability within which a fiducial's measurement must lie of what the others say.",
+        low=0.5,
+        high=0.999999,
+    )
+    joint_gate: float = parameter(
+        0.9999,
+        "Probability within which all measurements together must lie of what was expected, and "
+        "the motion of its prior.",
+        low=0.5,
+        high=0.999999,
+    )
+    ambiguity: float = parameter(
+        0.6,
+        "Size of a second group of fiducials that agree on another plausible motion, as a share "
+        "of the first, from which on the motion counts as ambiguous.",
+        low=0.05,
+        high=1.0,
+    )
+    overruling_share: float = parameter(
+        0.8,
+        "Share of the known fiducials in view that must agree to overrule the motion prior, as "
+        "when wheels slip.",
+        low=0.5,
+        high=1.0,
+    )
+    trials: int = parameter(
+        100, "Triples of fiducials tried to find a first pose.", low=10, high=10000
+    )
+    range_certainty: float = parameter(
+        6.0,
+        "Inverse depth over its standard deviation, below which a fiducial is not added.",
+        low=2.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)

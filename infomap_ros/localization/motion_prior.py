@@ -1,0 +1,149 @@
+"""How the camera is expected to have moved between two images, and how well that is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import check_covariance, check_transform, invert_transform, skew
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPrior:
+    """Expected motion of the camera.
+
+    Attributes:
+        T_before_after: pose of the new camera in the old one's frame, shape (4, 4).
+        covariance: of that pose, in the old camera's frame, shape (6, 6) (docs/conventions.md).
+
+    Raises:
+        InvalidInputError: not a rigid transform, or not a covariance.
+    """
+
+    T_before_after: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        transform = check_transform(self.T_before_after, "T_before_after")
+        object.__setattr__(self, "T_before_after", transform)
+        object.__setattr__(self, "covariance", check_covariance(self.covariance, 6))
+
+    def then(self, later: MotionPrior) -> MotionPrior:
+        """This motion followed by another one, whose error is independent."""
+        rotation, way = self.T_before_after[:3, :3], later.T_before_after[:3, 3]
+        over = np.eye(6)
+        over[:3, 3:] = -skew(rotation @ way)
+        turn = np.kron(np.eye(2), rotation)
+        covariance = over @ self.covariance @ over.T + turn @ later.covariance @ turn.T
+        return MotionPrior(self.T_before_after @ later.T_before_after, covariance)
+
+
+@dataclass(frozen=True)
+class FreeMotionConfig:
+    """How a camera may move of which nothing is known but that it is carried.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    speed: float = parameter(
+        0.7, "Standard deviation of the speed along each axis.", unit="m/s", low=1e-4, high=100.0
+    )
+    turn_rate: float = parameter(
+        1.0, "Standard deviation of the turn rate about each axis.", unit="rad/s", low=1e-4, high=30
+    )
+    longest: float = parameter(
+        3.0,
+        "Longer gaps count as this long: a camera that is carried about stays in its room.",
+        unit="s",
+        low=0.01,
+        high=1000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def free_motion(duration: float, config: FreeMotionConfig | None = None) -> MotionPrior:
+    """Prior where neither odometry nor joint states exist: anything that is not too fast.
+
+    Args:
+        duration: between the two images [s].
+        config: speeds.
+
+    Raises:
+        InvalidInputError: the duration is negative or not finite.
+    """
+    if not (np.isfinite(duration) and duration >= 0.0):
+        raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
+    config = config or FreeMotionConfig()
+    time = min(duration, config.longest)
+    sigmas = np.repeat([config.speed * time, config.turn_rate * time], 3)
+    return MotionPrior(np.eye(4), np.diag(np.square(sigmas)))
+
+
+@dataclass(frozen=True)
+class RobotPosture:
+    """Where odometry and joints say that the robot and its camera are.
+
+    Attributes:
+        T_odom_base: pose of the base in the frame of odometry, shape (4, 4).
+        T_base_camera: pose of the camera on the base, by forward kinematics, shape (4, 4).
+    """
+
+    T_odom_base: FloatArray
+    T_base_camera: FloatArray
+
+    @property
+    def T_odom_camera(self) -> FloatArray:
+        """Pose of the camera in the frame of odometry, shape (4, 4)."""
+        return self.T_odom_base @ self.T_base_camera
+
+
+@dataclass(frozen=True)
+class KinematicMotion:
+    """Prior from wheel odometry and the arm's forward kinematics.
+
+    Odometry errs by independent steps, so its variances grow in proportion to the way; the
+    kinematics (play, suspension) err anew at both ends.
+
+    Attributes:
+        config: how far both are to be trusted.
+    """
+
+    config: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
+
+    def between(self, before: RobotPosture, after: RobotPosture) -> MotionPrior:
+        """The motion of the camera from one posture of the robot to another."""
+        motion = invert_transform(before.T_odom_camera) @ after.T_odom_camera
+        covariance = self._odometry_covariance(before, after) + self._kinematics_covariance(motion)
+        return MotionPrior(motion, covariance)
+
+    def _odometry_covariance(self, before: RobotPosture, after: RobotPosture) -> FloatArray:
+        """What the base's motion adds, in the old camera's frame, shape (6, 6)."""
+        base_motion = invert_transform(before.T_odom_base) @ after.T_odom_base
+        way = float(np.linalg.norm(base_motion[:3, 3]))
+        turned = float(Rotation.from_matrix(base_motion[:3, :3]).magnitude())
+        config = self.config
+        position = config.position_per_metre**2 * way
+        rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
+        lever = base_motion[:3, :3] @ after.T_base_camera[:3, 3]
+        over = np.eye(6)
+        over[:3, 3:] = -skew(lever)
+        over = np.kron(np.eye(2), before.T_base_camera[:3, :3].T) @ over
+        return np.asarray(over @ np.diag([position] * 3 + [rotation] * 3) @ over.T)
+
+    def _kinematics_covariance(self, motion: FloatArray) -> FloatArray:
+        """What the kinematics add at the two ends, in the old camera's frame, shape (6, 6)."""
+        config = self.config
+        sigmas = np.repeat([config.kinematics_position_sigma, config.kinematics_rotation_sigma], 3)
+        end = np.diag(np.square(sigmas))
+        over = np.eye(6)
+        over[:3, 3:] = -skew(motion[:3, 3])
+        return np.asarray(end + over @ end @ over.T)

@@ -1,7 +1,12 @@
 """The sparse voxel map: occupancy and one Gaussian per surface voxel."""
 
 from infomap_ros.mapping.changes import VoxelChanges
-from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMapConfig
+from infomap_ros.mapping.config import (
+    LOG_ODDS_QUANTUM,
+    NOT_OBSERVED,
+    SHARED_LOG_ODDS_LIMIT,
+    VoxelMapConfig,
+)
 from infomap_ros.mapping.integration import IntegrationReport
 from infomap_ros.mapping.terrain import Terrain, TerrainConfig, terrain_of
 from infomap_ros.mapping.voxel_map import VoxelMap
@@ -17,6 +22,7 @@ from infomap_ros.mapping.window import (
 __all__ = [
     "FREE",
     "LOG_ODDS_QUANTUM",
+    "NOT_OBSERVED",
     "OCCUPIED",
     "SHARED_LOG_ODDS_LIMIT",
     "UNCERTAIN",

@@ -22,7 +22,8 @@ class VoxelChanges:
     Attributes:
         indices: voxel indices, shape (K, 3), int32.
         log_odds: occupancy evidence in units of LOG_ODDS_QUANTUM, clipped to +-
-            SHARED_LOG_ODDS_LIMIT, shape (K,), int8.
+            SHARED_LOG_ODDS_LIMIT, or NOT_OBSERVED for a voxel that was known and is no more, shape
+            (K,), int8.
         has_gaussian: whether the voxel holds a surface, shape (K,), bool.
         means: of the surface point, shape (K, 3) [m]; NaN where there is none.
         covariances: shape (K, 3, 3) [m^2]; NaN where there is none.
@@ -44,7 +45,7 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
     room = min(limit, int(_count_bits(blocks.dirty[:count].reshape(-1))))
     indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
     owners = np.empty(room, np.int64)
-    found = queries.list_dirty(blocks, room, indices, quanta, owners)
+    found = queries.list_dirty(blocks, storage.gone, room, indices, quanta, owners)
     indices, quanta, owners = indices[:found], quanta[:found], owners[:found]
     has_gaussian = np.empty(found, np.bool_)
     means, covariances = np.full((found, 3), np.nan), np.full((found, 3, 3), np.nan)

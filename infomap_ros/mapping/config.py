@@ -14,6 +14,9 @@ LOG_ODDS_QUANTUM = 0.25
 SHARED_LOG_ODDS_LIMIT = 20
 """Occupancy that is told to others is clipped to +- this many quanta (p = 0.0067 .. 0.9933)."""
 
+NOT_OBSERVED = -128
+"""In place of such evidence: of this voxel nothing is known any more."""
+
 
 @dataclass(frozen=True)
 class VoxelMapConfig:

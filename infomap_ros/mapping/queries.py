@@ -17,6 +17,7 @@ from infomap_ros.mapping.blocks import (
     WIDE,
     WIDE_UNKNOWN,
 )
+from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.gaussians import find_row, solve_mean
 from infomap_ros.mapping.keys import (
     BLOCK_BITS,
@@ -185,14 +186,15 @@ def total_entropy(blocks: Any, quantum: float, low: Any, high: Any) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
-def list_dirty(blocks: Any, limit: int, indices: Any, quanta: Any, owners: Any) -> int:
-    """List up to `limit` known voxels that changed, and forget that they changed.
+def list_dirty(blocks: Any, gone: Any, limit: int, indices: Any, quanta: Any, owners: Any) -> int:
+    """List up to `limit` voxels that changed and are or were known, and forget that they changed.
 
     Args:
         blocks: a `BlockArrays` that tracks changes.
+        gone: voxels that were known once, see `MapStorage`.
         limit: room in the arrays below.
         indices: receives voxel coordinates, shape (limit, 3).
-        quanta: receives the clipped evidence, shape (limit,).
+        quanta: receives the clipped evidence or NOT_OBSERVED, shape (limit,).
         owners: receives block slot * 512 + local index, shape (limit,).
 
     Returns:
@@ -217,11 +219,12 @@ def list_dirty(blocks: Any, limit: int, indices: Any, quanta: Any, owners: Any) 
                     elif kind == WIDE:
                         known = wide[row, local] != WIDE_UNKNOWN
                         evidence = base + wide[row, local]
-                    if known:  # else so far a voxel to which a nearby surface may belong
+                    was_known = slot < len(gone) and (gone[slot, word] >> np.uint64(bit)) & _ONE
+                    if known or was_known:  # else so far one that a nearby surface may lie in
                         indices[found, 0] = x * BLOCK_SIDE + (local & 7)
                         indices[found, 1] = y * BLOCK_SIDE + ((local >> 3) & 7)
                         indices[found, 2] = z * BLOCK_SIDE + (local >> 6)
-                        quanta[found] = clipped(evidence)
+                        quanta[found] = clipped(evidence) if known else NOT_OBSERVED
                         owners[found] = slot * BLOCK_VOXELS + local
                         found += 1
                 bits >>= _ONE

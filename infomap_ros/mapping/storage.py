@@ -65,14 +65,22 @@ class Observations:
 
 @dataclass
 class MapStorage:
-    """The map's arrays; replaced by larger ones as the map grows."""
+    """The map's arrays; replaced by larger ones as the map grows.
+
+    Attributes:
+        blocks: occupancy.
+        gaussians: surface points.
+        gone: bit set of the voxels that were known once and are not, if they were not observed
+            since, uint64, shape (n, 8) for the first n blocks.
+    """
 
     blocks: BlockArrays = field(default_factory=empty_blocks)
     gaussians: GaussianArrays = field(default_factory=empty_gaussians)
+    gone: NDArray[np.uint64] = field(default_factory=lambda: np.zeros((0, 8), np.uint64))
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""
-        return block_bytes(self.blocks) + gaussian_bytes(self.gaussians)
+        return block_bytes(self.blocks) + gaussian_bytes(self.gaussians) + self.gone.nbytes
 
     def check_capacity(self, parts: list[Observations], free: FreeBlocks, limit: float) -> None:
         """Refuse a scan that could make the map larger than `limit` [bytes].

@@ -10,7 +10,7 @@ from numba import njit
 from infomap_ros.mapping import FREE, OCCUPIED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.block_kernels import add_quanta, find_or_add_block, make_room
 from infomap_ros.mapping.blocks import with_room
-from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack
+from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack, unpack
 
 EVIDENCE = 12  # quanta for occupied, against for free
 
@@ -31,6 +31,31 @@ def map_of(states: np.ndarray, first: tuple[int, int, int], size: float) -> Voxe
     quanta[states == FREE], quanta[states == OCCUPIED] = -EVIDENCE, EVIDENCE
     _fill(storage.blocks, np.array(first, dtype=np.int64), quanta)
     return voxel_map
+
+
+def voxels_of(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[float, bytes]]:
+    """Evidence and information of every known voxel, to compare maps to the bit.
+
+    Information of a voxel that is not known counts for nothing.
+    """
+    state = voxel_map.state()
+    slots, locals_ = np.divmod(state["gaussian_owner"].astype(np.int64), 512)
+    information = {}
+    for key, local, row in zip(
+        state["block_keys"][slots].tolist(),
+        locals_.tolist(),
+        state["gaussian_information"],
+        strict=True,
+    ):
+        x, y, z = unpack(key)
+        index = (8 * x + (local & 7), 8 * y + ((local >> 3) & 7), 8 * z + (local >> 6))
+        information[index] = row.tobytes() if row[0] else b""
+    indices, evidence = voxel_map.voxels()
+    places = [tuple(index) for index in indices.tolist()]
+    return {
+        place: (value, information.get(place, b""))
+        for place, value in zip(places, evidence.tolist(), strict=True)
+    }
 
 
 @njit(cache=True)

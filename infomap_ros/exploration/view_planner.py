@@ -16,7 +16,6 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm_trail import ArmTrail
 from infomap_ros.motion.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.clear_start import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
@@ -124,7 +123,7 @@ class ViewPlanner:
         self._heights = camera_heights(robot)
         self._start: ClearStart | None = None
         self._goal: FloatArray | None = None
-        self._trail: ArmTrail | None = None
+        self._last_reach: WholeBodyReach | None = None
         self._sent: Route | None = None
         self._failures: list[tuple[FloatArray, str]] = []
         self._past: list[FloatArray] = []
@@ -215,10 +214,10 @@ class ViewPlanner:
             state.joints,
             self.config.reaching,
             self._start,
-            trail=self._trail,
+            previous=self._last_reach,
             sent=self._sent,
         )
-        self._trail, self._sent = reach.trail, None
+        self._last_reach, self._sent = reach, None
         return reach
 
     def _situation(

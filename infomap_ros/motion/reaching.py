@@ -53,7 +53,8 @@ class WholeBodyReach:
         start: the declared space in which the robot was started.
         standing: further poses in which the robot has stood, shape (P, 4, 4): the ground there is
             known.
-        trail: where the arm had been before, `trail` of the instance before.
+        previous: the instance before: where the arm has been since the base stands, and what was
+            found out about ground that has not changed since, are taken over.
         sent: the route along which the robot was sent since then.
 
     Raises:
@@ -69,7 +70,7 @@ class WholeBodyReach:
         config: ReachingConfig | None = None,
         start: ClearStart | None = None,
         standing: ArrayLike | None = None,
-        trail: ArmTrail | None = None,
+        previous: WholeBodyReach | None = None,
         sent: Route | None = None,
     ) -> None:
         self.config = config or ReachingConfig()
@@ -88,12 +89,13 @@ class WholeBodyReach:
             self._whole.foot,
         )
         self._start = start
-        past = trail or ArmTrail.at(self._base, self._q)
+        past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
         self._routes = RoutePlanner(
             self._whole, self._near, self.config, past.after(self._base, self._q, sent)
         )
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
+        self._planner_before = None if previous is None else previous._last_planner
         self._ik = IkConfig(
             position_tolerance=self.config.position_tolerance,
             rotation_tolerance=self.config.direction_tolerance,
@@ -106,7 +108,13 @@ class WholeBodyReach:
         vehicle = self._whole.vehicle
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
-        return BasePlanner(terrain, vehicle, self.config.base, self._standing)
+        before, self._planner_before = self._planner_before, None
+        return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
+
+    @property
+    def _last_planner(self) -> BasePlanner | None:
+        """The planner, where it was ever asked for, else that of the instance before."""
+        return self.__dict__.get("planner", self._planner_before)
 
     @property
     def terrain(self) -> Terrain:

@@ -100,7 +100,7 @@ def test_arm_folds_the_way_it_came_where_the_map_has_closed_around_it() -> None:
 
     lost = WholeBodyReach(ROBOT, closed, BASE, joints)
     assert "folding the arm" in lost.reach(np.linalg.inv(BASE) @ BASE).reason
-    after = WholeBodyReach(ROBOT, closed, BASE, joints, trail=first.trail, sent=sent)
+    after = WholeBodyReach(ROBOT, closed, BASE, joints, previous=first, sent=sent)
     assert after._routes.why_not_folded == ""
     back = after._routes._folding.positions
     np.testing.assert_allclose(

@@ -216,3 +216,26 @@ def test_driving_posture_must_fit_the_arm(robot: RobotModel, joints: dict[str, f
     config = ReachingConfig(driving_posture=(0.0, 9.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match="driving_posture"):
         WholeBodyReach(robot, map_where(ground, everything), BASE, joints, config)
+
+
+def test_ground_searched_before_is_searched_anew_only_where_it_has_changed(
+    robot: RobotModel, joints: dict[str, float], gate: WholeBodyReach
+) -> None:
+    """A gate that closes: what is said with the instance before is what is said without it."""
+    area = gate.planner.reachable_area(gate._xyyaw)
+    closed = map_where(closed_wall, everything)
+    alone = WholeBodyReach(robot, closed, BASE, joints)
+    after = WholeBodyReach(robot, closed, BASE, joints, previous=gate)
+    expected = alone.planner.reachable_area(alone._xyyaw)
+    np.testing.assert_array_equal(after.planner.reachable_area(after._xyyaw), expected)
+    assert expected.sum() < area.sum()
+
+
+def test_ground_searched_before_is_handed_on_by_an_instance_that_did_not_search(
+    robot: RobotModel, joints: dict[str, float], gate: WholeBodyReach
+) -> None:
+    searched = gate.planner
+    between = WholeBodyReach(robot, gate._map, BASE, joints, previous=gate)
+    after = WholeBodyReach(robot, gate._map, BASE, joints, previous=between)
+    assert between._last_planner is searched is after._last_planner
+    assert after.planner is not searched and after._last_planner is after.planner

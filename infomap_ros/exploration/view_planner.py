@@ -23,6 +23,7 @@ from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.goal_memory import GoalMemory, GoalMemoryConfig
 from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.localisation_error import LocalisationError
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
@@ -101,6 +102,7 @@ class ViewPlanner:
         rig: the rectified stereo pair.
         task: what is to be mapped.
         config: of choice and motion.
+        localisation_error: model of LE of eq. (11); odometry drift where not given.
     """
 
     def __init__(
@@ -109,6 +111,7 @@ class ViewPlanner:
         rig: StereoRig,
         task: TaskConfig,
         config: ViewPlannerConfig | None = None,
+        localisation_error: LocalisationError | None = None,
     ) -> None:
         self.config = config or ViewPlannerConfig()
         self.robot, self._rig, self._task = robot, rig, task
@@ -116,7 +119,9 @@ class ViewPlanner:
             self.config.metric, InformationConfig.of_stereo(rig), threads=self.config.threads
         )
         self._information = information
-        self._choice = NextBestView(self.config.choice, self.config.strategy, information)
+        self._choice = NextBestView(
+            self.config.choice, self.config.strategy, information, localisation_error
+        )
         self._memory = GoalMemory(self.config.memory)
         self._vain = VainLooks(self.config.vain)
         self._rng = np.random.default_rng(self.config.seed)

@@ -1,0 +1,152 @@
+"""Which way scans move when the poses of keyframes are corrected, and that the map follows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, perturb_transform
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.correctable_map import CorrectableMap
+from infomap_ros.mapping.pose_corrections import PoseCorrections
+from infomap_ros.mapping.scan_store import ScanStoreConfig, integrate_record
+from test.mapping.scenes import Scene, look_at
+from test.mapping.voxels import voxels_of
+
+CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
+CONFIG = VoxelMapConfig(voxel_size=0.08, max_range=3.0)
+
+
+def _poses(count: int, seed: int = 0, spread: float = 1.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.stack([perturb_transform(np.eye(4), rng.normal(0, spread, 6)) for _ in range(count)])
+
+
+def test_a_scan_of_a_keyframe_takes_its_pose() -> None:
+    corrections, old, new = PoseCorrections(), _poses(3), _poses(3, seed=1)
+    for stamp, pose in zip((10, 20, 30), old, strict=True):
+        corrections.add(stamp, pose)
+    corrections.hear(30, [10, 20, 30], old)
+    corrections.hear(40, [10, 20, 30], new)
+    found = np.stack([corrections.poses[stamp][0] for stamp in (10, 20, 30)])
+    assert np.array_equal(found, new)
+
+
+def test_a_scan_between_keyframes_keeps_its_place_beside_the_one_before() -> None:
+    corrections, old, new = PoseCorrections(), _poses(2), _poses(2, seed=1)
+    (between,) = _poses(1, seed=2)
+    corrections.add(15, between)
+    corrections.hear(20, [10, 20], old)
+    corrections.hear(40, [10, 20], new)
+    relative = np.linalg.inv(old[0]) @ between
+    assert np.allclose(np.linalg.inv(new[0]) @ corrections.poses[15][0], relative)
+
+
+def test_a_scan_after_the_correction_stays() -> None:
+    corrections, (pose,) = PoseCorrections(), _poses(1, seed=3)
+    corrections.hear(20, [10, 20], _poses(2))
+    corrections.hear(40, [10, 20], _poses(2, seed=1))
+    for stamp in (40, 41):
+        corrections.add(stamp, pose)
+        assert np.array_equal(corrections.poses[stamp][0], pose)
+    corrections.hear(40, [10, 20], _poses(2, seed=2))
+    assert np.array_equal(corrections.poses[41][0], pose)
+
+
+def test_a_scan_that_comes_late_is_corrected_as_if_it_had_come_in_time() -> None:
+    (pose,) = _poses(1, seed=3)
+    in_time, late = PoseCorrections(), PoseCorrections()
+    in_time.add(25, pose)
+    for corrections in (in_time, late):
+        corrections.hear(20, [10, 20], _poses(2))
+        corrections.hear(40, [10, 20], _poses(2, seed=1))
+        corrections.hear(50, [10, 20, 40], _poses(3, seed=2))
+    late.add(25, pose)
+    assert np.allclose(in_time.poses[25][0], late.poses[25][0])
+    assert not np.allclose(in_time.poses[25][0], pose)
+
+
+def test_a_keyframe_that_is_no_longer_kept_moves_with_its_neighbour() -> None:
+    corrections, (pose,) = PoseCorrections(), _poses(1, seed=3)
+    old = _poses(3)
+    corrections.add(15, pose)
+    corrections.hear(30, [10, 15, 30], old)
+    corrections.hear(40, [10, 30], old[[0, 2]])
+    assert np.array_equal(corrections.poses[15][0], pose)
+    new = _poses(2, seed=1)
+    corrections.hear(50, [10, 30], new)
+    expected = new[0] @ np.linalg.inv(old[0]) @ pose
+    assert np.allclose(corrections.poses[15][0], expected)
+
+
+def test_when_time_goes_backwards_scans_stay_where_they_are() -> None:
+    corrections, (pose,) = PoseCorrections(), _poses(1, seed=3)
+    corrections.add(15, pose)
+    corrections.hear(30, [10, 20], _poses(2))
+    corrections.hear(5, [10, 20], _poses(2, seed=1))
+    assert np.array_equal(corrections.poses[15][0], pose)
+
+
+def test_other_keyframes_after_a_restart_move_nothing() -> None:
+    corrections, (pose,) = PoseCorrections(), _poses(1, seed=3)
+    corrections.add(15, pose)
+    corrections.hear(30, [10, 20], _poses(2))
+    corrections.hear(60, [50, 60], _poses(2, seed=1))
+    assert np.array_equal(corrections.poses[15][0], pose)
+
+
+def test_keyframe_poses_that_are_none_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="keyframe"):
+        PoseCorrections().hear(1, [1], np.ones((1, 4, 4)))
+    with pytest.raises(InvalidInputError, match="stamps"):
+        PoseCorrections().hear(1, [1, 2], _poses(1))
+
+
+def _drive(**store: float) -> tuple[CorrectableMap, list[np.ndarray], list[np.ndarray]]:
+    """Ten scans along a wall with a pose that drifts, and the true poses."""
+    scene = Scene([(0.0, 1.0, 0.0, 1.5), (0.0, 0.0, 1.0, -0.6)], [(2.0, 1.2, 0.0, 0.3)])
+    true = [look_at([0.3 * i, 0.0, 0.0], [0.3 * i + 0.5, 1.5, -0.4]) for i in range(10)]
+    drift = [perturb_transform(np.eye(4), 0.03 * i * np.ones(6)) for i in range(10)]
+    used = [error @ pose for error, pose in zip(drift, true, strict=True)]
+    correctable = CorrectableMap(VoxelMap(CONFIG), ScanStoreConfig(**store))
+    for stamp, (pose, truth) in enumerate(zip(used, true, strict=True)):
+        points = scene.points(CAMERA, truth)
+        correctable.integrate(stamp, points, pose, camera=CAMERA)
+    return correctable, true, used
+
+
+def test_the_map_follows_the_keyframes() -> None:
+    correctable, true, used = _drive()
+    correctable.hear(9, np.arange(10), used)
+    assert not correctable.begin_correction()
+    correctable.hear(12, np.arange(10), true)
+    report = correctable.correct()
+    expected = VoxelMap(CONFIG)
+    for scan, pose in zip(correctable.store, true, strict=True):
+        within = np.allclose(scan.transform, pose)
+        moved_little = np.linalg.norm(scan.transform[:3, 3] - pose[:3, 3]) < 0.08
+        assert within or moved_little
+        integrate_record(expected, scan.record, scan.transform, scan.covariance)
+    assert report is not None and report.scans_moved >= 8
+    assert voxels_of(correctable.voxel_map) == voxels_of(expected)
+    assert not correctable.begin_correction()
+
+
+def test_the_map_can_be_used_while_it_is_corrected() -> None:
+    correctable, true, used = _drive()
+    before = voxels_of(correctable.voxel_map)
+    correctable.hear(9, np.arange(10), used)
+    correctable.hear(12, np.arange(10), true)
+    assert correctable.begin_correction()
+    assert correctable.correct_more() is None
+    assert correctable.is_correcting
+    assert voxels_of(correctable.voxel_map) == before
+
+
+def test_a_map_that_keeps_no_scans_stays_as_it_is() -> None:
+    correctable, true, used = _drive(memory=0.0)
+    correctable.hear(9, np.arange(10), used)
+    correctable.hear(12, np.arange(10), true)
+    assert correctable.correct() is None
+    assert correctable.voxel_map.known_voxels > 0

@@ -6,6 +6,12 @@ from infomap_ros.localization.appearance import (
     describe,
     find_again,
 )
+from infomap_ros.localization.camera_motion import (
+    MotionConfig,
+    MotionEstimate,
+    estimate_motion,
+    printed_motion,
+)
 from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from infomap_ros.localization.fiducial_filter import FiducialFilter
 from infomap_ros.localization.fiducial_selection import FiducialSelectionConfig, select_fiducials
@@ -21,6 +27,7 @@ from infomap_ros.localization.motion_prior import (
 )
 from infomap_ros.localization.observations import FiducialObservations
 from infomap_ros.localization.range_view import DepthView, RangeView, StereoView
+from infomap_ros.localization.recursive_pose import RecursivePose
 from infomap_ros.localization.sparse_stereo import SparseStereoConfig
 
 __all__ = [
@@ -40,13 +47,18 @@ __all__ = [
     "FreeMotionConfig",
     "KeptPoses",
     "KinematicMotion",
+    "MotionConfig",
+    "MotionEstimate",
     "MotionPrior",
     "RangeView",
+    "RecursivePose",
     "RobotPosture",
     "SparseStereoConfig",
     "StereoView",
     "describe",
+    "estimate_motion",
     "find_again",
     "free_motion",
+    "printed_motion",
     "select_fiducials",
 ]

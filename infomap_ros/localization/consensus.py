@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray, make_transform
 from infomap_ros.localization.sight import Measured, squared_distances
+from infomap_ros.localization.triples import pose_of_triple, random_triples
 
 BoolArray = NDArray[np.bool_]
 
@@ -47,7 +48,7 @@ def find_pose(
         return _pose_from_pixels(points, measured)
     seen = _back_projected(measured)
     information = _information(seen, covariances, measured)
-    triples = _triples(len(ranged), trials, seed)
+    triples = random_triples(len(ranged), trials, seed)
     camera = measured.camera
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rotation, translation, score = _best_pose(
@@ -68,16 +69,6 @@ def agreeing(
     inside = points @ rotation.T + T_camera_a[:3, 3]
     distances = squared_distances(measured, inside, np.eye(3), covariances)
     return np.asarray(distances <= gate)
-
-
-def _triples(count: int, trials: int, seed: int) -> NDArray[np.int64]:
-    """Triples of different numbers below count, shape (trials, 3)."""
-    rng = np.random.default_rng(seed)
-    first = rng.integers(0, count, trials)
-    second = (first + rng.integers(1, count, trials)) % count
-    third = (first + rng.integers(1, count, trials)) % count
-    kept = third != second
-    return np.column_stack([first, second, third])[kept]
 
 
 def _back_projected(measured: Measured) -> FloatArray:
@@ -125,40 +116,13 @@ def _best_pose(  # type: ignore[no-untyped-def]
     best_score = -1.0
     best_rotation, best_translation = np.eye(3), np.zeros(3)
     for trial in range(len(triples)):
-        valid, rotation, translation = _pose_of_triple(points, seen, triples[trial])
+        valid, rotation, translation = pose_of_triple(points, seen, triples[trial])
         if not valid:
             continue
         score = _score(points, values, information, intrinsics, gate, rotation, translation)
         if score > best_score:
             best_score, best_rotation, best_translation = score, rotation, translation
     return best_rotation, best_translation, best_score
-
-
-@njit(cache=True, nogil=True)
-def _pose_of_triple(points, seen, triple):  # type: ignore[no-untyped-def]
-    """Pose that takes the triangle of three points to that of the seen ones."""
-    before_valid, before = _triangle_axes(points, triple)
-    after_valid, after = _triangle_axes(seen, triple)
-    rotation = after @ before.T
-    middle = (points[triple[0]] + points[triple[1]] + points[triple[2]]) / 3.0
-    middle_seen = (seen[triple[0]] + seen[triple[1]] + seen[triple[2]]) / 3.0
-    return before_valid and after_valid, rotation, middle_seen - rotation @ middle
-
-
-@njit(cache=True, nogil=True)
-def _triangle_axes(points, triple):  # type: ignore[no-untyped-def]
-    """Whether a triangle has an area, and its axes as columns, shape (3, 3)."""
-    axes = np.eye(3)
-    one = points[triple[1]] - points[triple[0]]
-    two = points[triple[2]] - points[triple[0]]
-    normal = np.cross(one, two)
-    length, area = np.sqrt((one * one).sum()), np.sqrt((normal * normal).sum())
-    if not area > 1e-2 * length * np.sqrt((two * two).sum()):
-        return False, axes
-    axes[:, 0] = one / length
-    axes[:, 2] = normal / area
-    axes[:, 1] = np.cross(axes[:, 2], axes[:, 0])
-    return True, axes
 
 
 @njit(cache=True, nogil=True)

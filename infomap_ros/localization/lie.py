@@ -50,9 +50,15 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + one * cross + two * cross @ cross)
 
 
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """The proper rotation that is nearest to a matrix, shape (3, 3)."""
+    left, _, right = np.linalg.svd(matrix)
+    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray((left * flip) @ right)
+
+
 def renormalised(transform: FloatArray) -> FloatArray:
     """The transform, shape (4, 4), with rounding errors of its rotation taken out."""
-    u, _, vt = np.linalg.svd(transform[:3, :3])
     result = transform.copy()
-    result[:3, :3] = u @ vt
+    result[:3, :3] = nearest_rotation(transform[:3, :3])
     return result

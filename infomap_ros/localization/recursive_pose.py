@@ -14,12 +14,10 @@ from infomap_ros.localization.lie import nearest_rotation
 class RecursivePose:
     """Mean and covariance of repeatedly measured poses, one at a time.
 
-    Equation (15) of doi:10.1177/0278364905051774, corrected:
-
-
-    Printed, the newest deviation weighs 1/(i+1); it must be 1/i for the covariance of the i+1
-    measurements, as the deviation is taken from the mean that already holds the newest one. The
-    mean of the rotation's elements is projected onto the rotations.
+    Equation (15) of doi:10.1177/0278364905051774, corrected: the newest deviation weighs 1/(i+1)
+    there, but it must be 1/i for the covariance of the i+1 measurements, as the deviation is taken
+    from the mean that already holds the newest one. The mean of the rotation's elements is
+    projected onto the rotations.
     """
 
     def __init__(self) -> None:

@@ -123,7 +123,7 @@ def gaussian_row(table: Any, owner: Any, counts: Any, key: int, information: Any
         owner: see table.
         counts: see table.
         key: the voxel, block slot * 512 + local index.
-        information: see table.
+        information: see table; any numbers that a map keeps of its surface voxels.
 
     Returns:
         The row, or -1 with nothing changed when the voxel is new and the table is full.
@@ -144,8 +144,8 @@ def gaussian_row(table: Any, owner: Any, counts: Any, key: int, information: Any
     counts[0] = row + 1
     table[place] = row
     owner[row] = key
-    for i in range(INFORMATION_SIZE):
-        information[row, i] = 0.0
+    for i in range(information.shape[1]):
+        information[row, i] = 0
     return row
 
 

@@ -35,7 +35,8 @@ from infomap_ros.team import (
     version_at,
 )
 
-_SLICE_BYTES = BLOCK_VOXELS * OCCUPANCY_ROW.itemsize
+_VOXEL_BYTES = 4  # of a message, about
+_SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class UpdateStream:
         now = time.monotonic()
         budget = min(self._config.repeat_rate * 1e6 * (now - self._told), MAX_MESSAGE_BYTES)
         self._told = now
-        self._take_back(voxel_map, int(budget) // OCCUPANCY_ROW.itemsize, stamp)
+        self._take_back(voxel_map, int(budget) // _VOXEL_BYTES, stamp)
         self._repeat(voxel_map, max(1, int(budget) // _SLICE_BYTES))
         changes = voxel_map.take_changes()
         if always or len(changes.indices):

@@ -1,13 +1,13 @@
 """What robots tell each other of the map: the wire format of map updates, and their merge."""
 
+from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import NOT_OBSERVED, MapUpdate
 from infomap_ros.team.versions import is_newer, next_version, version_at
 from infomap_ros.team.wire import (
     MAX_MESSAGE_BYTES,
-    NOT_OBSERVED,
     OCCUPANCY_ROW,
     SURFACE_ROW,
-    MapUpdate,
     decode_update,
     encode_update,
 )
@@ -17,6 +17,7 @@ __all__ = [
     "NOT_OBSERVED",
     "OCCUPANCY_ROW",
     "SURFACE_ROW",
+    "Contribution",
     "MapReplica",
     "MapUpdate",
     "decode_update",

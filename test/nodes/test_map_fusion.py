@@ -23,7 +23,7 @@ from infomap_ros.geometry import (
     TextRecord,
     make_transform,
 )
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMap
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelChanges, VoxelMap
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
@@ -151,7 +151,7 @@ def test_updates_are_the_map_that_the_library_makes_of_the_same_scans(graph: Any
     assert {stamp_of(m) for m in messages} == {scan.stamp for scan in scans}
     assert {m.header.frame_id for m in messages} == {"map"}
     assert max(len(m.data) for m in messages) < 1_000_000
-    assert [f.name for f in messages[0].fields][:3] == ["ix", "iy", "iz"]
+    assert [f.name for f in messages[0].fields][:2] == ["index", "log_odds"]
 
 
 def test_a_wall_at_two_metres_is_in_voxel_map_and_projected_map(graph: Any) -> None:
@@ -254,13 +254,11 @@ def other_robot(version: int, odds: Sequence[int], **changes: Any) -> list[Point
     count = len(odds)
     indices = np.array([[100 + i, 0, 0] for i in range(count)], np.int32)
     nothing = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    update = MapUpdate(
-        **{"voxel_size": 0.1, "robot": 9, "version": version, "indices": indices} | changes,
-        log_odds=np.array(odds, np.int8),
-        has_gaussian=np.zeros(count, np.bool_),
-        means=nothing[0],
-        covariances=nothing[1],
+    states = {"voxel_size": 0.1, "robot": 9, "version": version} | changes
+    changed = VoxelChanges(
+        indices, np.array(odds, np.int8), np.zeros(count, np.bool_), nothing[0], nothing[1]
     )
+    update = MapUpdate.of_changes(changed, **states)
     return [encode_rows(TYPES, START, "map", rows) for rows in encode_update(update)]
 
 
@@ -558,7 +556,7 @@ def test_a_pose_without_covariance_is_not_taken_for_exact(graph: Any) -> None:
 
     def surfaces() -> list[np.ndarray]:
         rows = [decode_rows(message)[2] for message in bench.updates]
-        return [r for r in rows if "mean_x" in (r.dtype.names or ())]
+        return [r for r in rows if "mean" in (r.dtype.names or ())]
 
     graph.spin_until(surfaces, "surface voxels")
     covariances = decode_update(surfaces()[0]).covariances

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infomap_ros.errors import CapacityError, InvalidInputError
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelChanges, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.queries import voxel_of
 from infomap_ros.team import (
     NOT_OBSERVED,
@@ -41,7 +41,8 @@ def make_update(
     factors = rng.normal(size=(count, 3, 3)) * 0.02
     covariances = factors @ factors.transpose(0, 2, 1) + 1e-6 * np.eye(3)
     means[~has_gaussian], covariances[~has_gaussian] = np.nan, np.nan
-    return MapUpdate(SIZE, robot, version, indices, log_odds, has_gaussian, means, covariances)
+    changes = VoxelChanges(indices, log_odds, has_gaussian, means, covariances)
+    return MapUpdate.of_changes(changes, SIZE, robot, version)
 
 
 def evidence(voxel_map: VoxelMap) -> dict[Voxel, float]:
@@ -63,6 +64,17 @@ def content(voxel_map: VoxelMap) -> dict[Voxel, tuple[float, bytes]]:
     return {
         voxel: (value, information.get(voxel, nothing).tobytes()) for voxel, value in known.items()
     }
+
+
+def content_of_robots(replica: MapReplica) -> dict[tuple[int, Voxel], tuple[int, bytes]]:
+    """Log-odds and code of every voxel that a robot knows."""
+    states = {}
+    for robot in replica.robots:
+        told = replica.contribution(robot).states(robot)
+        for row, index in enumerate(told.indices.tolist()):
+            if told.log_odds[row] != NOT_OBSERVED:
+                states[robot, tuple(index)] = (int(told.log_odds[row]), told.codes[row].tobytes())
+    return states
 
 
 def naive_content(updates: Sequence[MapUpdate]) -> dict[Voxel, tuple[float, np.ndarray]]:
@@ -139,7 +151,44 @@ def test_replicas_that_heard_the_same_are_identical_to_the_bit(
     repeated = history + data.draw(st.lists(st.sampled_from(history), max_size=10))
     shuffled = data.draw(st.permutations(repeated))
 
-    assert content(replica_of(shuffled).voxel_map) == content(replica_of(history).voxel_map)
+    replicas = replica_of(shuffled), replica_of(history)
+    assert content(replicas[0].voxel_map) == content(replicas[1].voxel_map)
+    assert replicas[0].hash() == replicas[1].hash()
+
+
+@settings(deadline=None, max_examples=40)
+@given(history=histories(), data=st.data())
+def test_replicas_that_hold_something_else_have_another_hash(
+    history: list[MapUpdate], data: st.DataObject
+) -> None:
+    update = data.draw(st.sampled_from(history))
+    other = make_update(99, update.robot, history[-1].version + 5000, update.indices)
+    row = data.draw(st.integers(0, len(update.indices) - 1))
+    other = other.rows(np.array([row]))
+    replica = replica_of(history)
+    before = replica.hash(), content_of_robots(replica)
+
+    replica.apply(other)
+
+    same = content_of_robots(replica) == before[1]
+    assert (replica.hash() == before[0]) == same
+
+
+def test_a_robot_set_aside_is_left_out_of_the_map_and_kept() -> None:
+    first, second = make_update(1, 1, 1), make_update(2, 2, 1)
+    replica = replica_of([first, second])
+    whole = content(replica.voxel_map), replica.hash()
+
+    replica.set_aside(2, True)
+    alone = content(replica_of([first]).voxel_map)
+    assert content(replica.voxel_map) == alone
+    replica.apply(make_update(3, 2, 2, second.indices))
+    assert content(replica.voxel_map) == alone
+    again = second.versions + np.uint32(2), second.indices, second.log_odds, second.codes
+    replica.apply(MapUpdate(SIZE, 2, *again))
+    replica.set_aside(2, False)
+
+    assert (content(replica.voxel_map), replica.hash()) == whole
 
 
 @settings(deadline=None, max_examples=40)
@@ -186,7 +235,7 @@ def test_a_voxel_that_is_taken_back_is_unknown_again() -> None:
     first.log_odds[:], other.log_odds[:] = 5, -3
     taken_back = make_update(3, 1, 2, indices)
     taken_back.log_odds[:] = NOT_OBSERVED
-    taken_back.has_gaussian[:] = False
+    taken_back.codes[:] = 0
 
     replica = replica_of([first, other, taken_back])
 
@@ -200,7 +249,7 @@ def test_evidence_of_many_robots_adds_up_beyond_a_byte() -> None:
     replica = MapReplica(CONFIG)
     for robot in range(40):
         update = make_update(robot, robot, 1, indices)
-        update.has_gaussian[:] = False
+        update.codes[:] = 0
         update.log_odds[:] = [20, -1]
         replica.apply(update)
 
@@ -237,15 +286,15 @@ def test_voxels_outside_the_coordinate_limits_are_refused() -> None:
         MapReplica(CONFIG).apply(make_update(0, 1, 1, np.array([[0, 2**20, 0]])))
 
 
-def test_a_gaussian_that_cannot_be_inverted_leaves_the_replica_as_it_was() -> None:
+def test_impossible_states_leave_the_replica_as_it_was() -> None:
     replica = replica_of([make_update(0, 1, 1)])
-    before = content(replica.voxel_map)
+    before = content(replica.voxel_map), replica.hash()
     update = make_update(1, 1, 2)
-    update.covariances[np.flatnonzero(update.has_gaussian)[-1]] = np.diag([1.0, 0.0, 1.0])
+    update.log_odds[np.flatnonzero(update.has_gaussian)[-1]] = NOT_OBSERVED
 
-    with pytest.raises(InvalidInputError, match="cannot be inverted"):
+    with pytest.raises(InvalidInputError, match="not observed has a surface"):
         replica.apply(update)
-    assert content(replica.voxel_map) == before
+    assert (content(replica.voxel_map), replica.hash()) == before
 
 
 def test_an_update_that_would_exceed_the_memory_is_refused() -> None:

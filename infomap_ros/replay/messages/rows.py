@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from infomap_ros.replay.messages.fields import MessageFields
 from infomap_ros.replay.messages.types import MessageTypes, make_header
 
 _CODE_OF_TYPE = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+_MAX_COUNT = 4096
 _TYPE_OF_CODE = {code: name for name, code in _CODE_OF_TYPE.items()}
 
 
@@ -23,7 +25,8 @@ def encode_rows(types: MessageTypes, stamp: int, frame_id: str, rows: NDArray[np
         types: who makes the message.
         stamp: [ns].
         frame_id: frame of the rows' coordinates.
-        rows: shape (N,), structured, little endian; its fields become those of the message.
+        rows: shape (N,), structured, little endian; its fields, numbers or vectors of numbers,
+            become those of the message.
 
     Raises:
         InvalidInputError: a field has a type that a cloud cannot hold.
@@ -47,10 +50,11 @@ def encode_rows(types: MessageTypes, stamp: int, frame_id: str, rows: NDArray[np
 def _describe(types: MessageTypes, dtype: np.dtype[np.void]) -> list[Any]:
     fields = []
     for name, (kind, offset) in ((n, f[:2]) for n, f in (dtype.fields or {}).items()):
-        code = _CODE_OF_TYPE.get(kind.str[1:])
-        if code is None or kind.str[0] == ">":
+        code = _CODE_OF_TYPE.get(kind.base.str[1:])
+        if code is None or kind.base.str[0] == ">" or len(kind.shape) > 1:
             raise InvalidInputError("rows", f"field '{name}' of type {kind} does not fit a cloud")
-        fields.append(types.make(POINT_FIELD, name=name, offset=offset, datatype=code, count=1))
+        count = int(math.prod(kind.shape))
+        fields.append(types.make(POINT_FIELD, name=name, offset=offset, datatype=code, count=count))
     return fields
 
 
@@ -85,9 +89,10 @@ def _layout(fields: MessageFields, step: int) -> np.dtype[np.void]:
         names.append(part.text("name"))
         offsets.append(part.integer("offset"))
         kind = _TYPE_OF_CODE.get(part.integer("datatype", high=255))
-        if kind is None or part.integer("count") > 1:
-            fields.fail(f"field '{names[-1]}' is not a single number of a known type")
-        kinds.append(f"<{kind}")
+        count = part.integer("count", high=_MAX_COUNT)
+        if kind is None:
+            fields.fail(f"field '{names[-1]}' is not of a known type")
+        kinds.append(f"<{kind}" if count < 2 else f"({count},)<{kind}")
     try:
         return np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": step})
     except (ValueError, TypeError) as error:

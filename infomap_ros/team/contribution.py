@@ -1,0 +1,224 @@
+"""What one robot told of its part of the map, as every replica keeps it.
+
+States are kept in the codes of the wire, so that hashes of what was heard are the same on every
+machine and states can be passed on unchanged. A hash is a sum over voxels: the order in which
+they were heard does not matter, and which parts differ is found by comparing hashes of parts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.mapping.blocks import BLOCK_COUNT, BlockArrays, block_bytes, empty_blocks, grown
+from infomap_ros.mapping.blocks import with_room as with_block_room
+from infomap_ros.mapping.gaussians import (
+    GaussianArrays,
+    empty_gaussians,
+    with_gaussian_room,
+    with_table_room,
+)
+from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxel_states import count_block_changes
+from infomap_ros.team import contribution_kernels as kernels
+from infomap_ros.team.gaussian_code import code_tables
+from infomap_ros.team.update import NOT_OBSERVED, MapUpdate
+from infomap_ros.team.versions import is_newer
+
+BLOCK_BYTES = 5 * BLOCK_VOXELS + 12
+"""Memory of a block's states and versions [bytes]."""
+
+CODE_BYTES = 20
+"""Memory of a surface point's code [bytes]."""
+
+
+class Planes(NamedTuple):
+    """What is kept of each block.
+
+    Attributes:
+        log_odds: `NOT_OBSERVED` where nothing is known, shape (n, 512), int8.
+        versions: of each voxel's state, 0 where nothing was told, shape (n, 512), uint32.
+        newest: version of the block, uint32.
+        hashes: sum of the hashes of the block's states, uint64.
+    """
+
+    log_odds: NDArray[np.int8]
+    versions: NDArray[np.uint32]
+    newest: NDArray[np.uint32]
+    hashes: NDArray[np.uint64]
+
+
+class Cells(NamedTuple):
+    """Hashes of the parts of a contribution.
+
+    Attributes:
+        level: the parts are cubes of 2^level blocks.
+        corners: their coordinates in units of their edge, shape (n, 3), int32.
+        hashes: of what is known in them, shape (n,), uint32.
+        newest: newest version in them, shape (n,), uint32; of one of them where versions wrap.
+    """
+
+    level: int
+    corners: NDArray[np.int32]
+    hashes: NDArray[np.uint32]
+    newest: NDArray[np.uint32]
+
+
+class Contribution:
+    """The newest state of every voxel of which a robot told.
+
+    Args:
+        voxel_size: edge of a voxel [m].
+    """
+
+    def __init__(self, voxel_size: float) -> None:
+        self._size = voxel_size
+        self._blocks: BlockArrays = empty_blocks()
+        self._codes = _empty_codes()
+        self._planes = Planes(
+            np.full((0, BLOCK_VOXELS), NOT_OBSERVED, np.int8),
+            np.zeros((0, BLOCK_VOXELS), np.uint32),
+            np.zeros(0, np.uint32),
+            np.zeros(0, np.uint64),
+        )
+        self.newest = 0
+
+    @property
+    def arrays(self) -> tuple[BlockArrays, Planes, GaussianArrays]:
+        """The arrays, for kernels that read them."""
+        return self._blocks, self._planes, self._codes
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self._blocks.counts[BLOCK_COUNT])
+
+    def memory_bytes(self) -> int:
+        """Memory in use [bytes]."""
+        surfaces = int(self._codes.counts[0]) * CODE_BYTES + int(self._codes.table.nbytes)
+        return block_bytes(self._blocks) + self.blocks * BLOCK_BYTES + surfaces
+
+    def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
+        """Keep the states that are newer than what was heard.
+
+        Returns:
+            Which states are other than before, shape (K,).
+        """
+        room = int(count_block_changes(update.indices))
+        self._blocks = with_block_room(self._blocks, room, 0)
+        self._planes = _grown_planes(self._planes, len(self._blocks.keys))
+        surfaces = int(np.count_nonzero(update.has_gaussian))
+        self._codes = with_gaussian_room(self._codes, surfaces, len(self._blocks.keys))
+        count, done = len(update.versions), 0
+        changed = np.zeros(count, np.bool_)
+        states = update.indices, update.versions, update.log_odds, update.codes
+        while done < count:
+            self._codes = with_table_room(self._codes)
+            done = kernels.accept_states(
+                self._blocks, self._planes, self._codes, *states, done, changed
+            )
+        for version in np.unique(update.versions):
+            if is_newer(version, np.uint32(self.newest)):
+                self.newest = int(version)
+        return changed
+
+    def add_to(
+        self,
+        indices: NDArray[np.int32],
+        known: NDArray[np.bool_],
+        quanta: NDArray[np.int32],
+        information: NDArray[np.float64],
+    ) -> None:
+        """Add what is known of voxels to sums; see `contribution_kernels.add_contribution`."""
+        kernels.add_contribution(
+            self._blocks,
+            self._planes,
+            self._codes,
+            self._size,
+            code_tables(),
+            indices,
+            known,
+            quanta,
+            information,
+        )
+
+    def states(self, robot: int, slots: NDArray[np.int64] | None = None) -> MapUpdate:
+        """All states of blocks, also those that are not observed any more.
+
+        Args:
+            robot: id of the robot whose contribution it is.
+            slots: numbers of the blocks, all if None.
+        """
+        slots = np.arange(self.blocks) if slots is None else slots
+        count = int(kernels.count_told(self._planes, slots))
+        update = MapUpdate(
+            self._size,
+            robot,
+            np.zeros(count, np.uint32),
+            np.zeros((count, 3), np.int32),
+            np.zeros(count, np.int8),
+            np.zeros((count, 2), np.uint64),
+        )
+        states = update.indices, update.versions, update.log_odds, update.codes
+        kernels.list_told(self._blocks, self._planes, self._codes, slots, *states)
+        return update
+
+    def hash(self) -> int:
+        """Hash of all that is known, 64 bits; equal where the same is known."""
+        hashes = np.zeros(self.blocks, np.uint64)
+        kernels.hash_blocks(self._blocks, self._planes, hashes)
+        return int(np.add.reduce(hashes, dtype=np.uint64))
+
+    def cells(self, level: int, slots: NDArray[np.int64] | None = None) -> Cells:
+        """Hashes of the cubes of 2^level blocks, of which something is known.
+
+        Args:
+            level: see above.
+            slots: the blocks that count, all if None.
+        """
+        slots = np.arange(self.blocks) if slots is None else slots
+        hashes = np.zeros(self.blocks, np.uint64)
+        kernels.hash_blocks(self._blocks, self._planes, hashes)
+        slots = slots[hashes[slots] != 0]
+        corners, groups = np.unique(self.coordinates(slots) >> level, axis=0, return_inverse=True)
+        sums = np.zeros(len(corners), np.uint64)
+        newest = np.zeros(len(corners), np.uint32)
+        np.add.at(sums, groups.reshape(-1), hashes[slots])
+        newest[groups.reshape(-1)] = self._planes.newest[slots]
+        folded = (sums ^ (sums >> np.uint64(32))).astype(np.uint32)
+        return Cells(level, corners.astype(np.int32), folded, newest)
+
+    def coordinates(self, slots: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Coordinates of blocks [blocks], shape (n, 3)."""
+        coordinates = np.zeros((len(slots), 3), np.int32)
+        kernels.unpack_keys(self._blocks.keys[slots], coordinates)
+        return coordinates
+
+    def slots_in(self, level: int, corners: NDArray[np.int32]) -> NDArray[np.int64]:
+        """The blocks in cubes of 2^level blocks, which need not be there."""
+        if level == 0:
+            slots = np.full(len(corners), -1, np.int64)
+            kernels.find_blocks(self._blocks, corners, slots)
+            return slots[slots >= 0]
+        wanted = {tuple(corner) for corner in corners.tolist()}
+        own = self.coordinates(np.arange(self.blocks)) >> level
+        chosen = [tuple(corner) in wanted for corner in own.tolist()]
+        return np.flatnonzero(chosen)
+
+
+def _empty_codes() -> GaussianArrays:
+    return empty_gaussians()._replace(information=np.zeros((256, 2), np.uint64))
+
+
+def _grown_planes(planes: Planes, blocks: int) -> Planes:
+    used = len(planes.newest)
+    if used >= blocks:
+        return planes
+    return Planes(
+        grown(planes.log_odds, blocks, NOT_OBSERVED),
+        grown(planes.versions, blocks, 0),
+        grown(planes.newest, blocks, 0),
+        grown(planes.hashes, blocks, 0),
+    )

@@ -1,0 +1,97 @@
+"""What holds for a whole message, as the name of one of its fields.
+
+A point cloud has fields and rows but no place for facts about all rows. Repeating them in every
+row would cost more than the rows; so they stand once, in the name of a further field that lies on
+the first byte of each row: ``infomap robot=7 version=12 voxel_size=0.05 ...``. Tools that read
+clouds see one more field of bytes; rows and points are as in every cloud.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+
+_PREFIX = "infomap "
+_MAX_LENGTH = 400
+
+
+def dtype_with_facts(dtype: np.dtype[np.void], facts: Mapping[str, object]) -> np.dtype[np.void]:
+    """A row's dtype with one more field, whose name tells facts in the order given."""
+    fields = dict(dtype.fields or {})
+    text = _PREFIX + " ".join(f"{name}={value}" for name, value in facts.items())
+    return np.dtype(
+        {
+            "names": [*fields, text],
+            "formats": [*(entry[0] for entry in fields.values()), "u1"],
+            "offsets": [*(entry[1] for entry in fields.values()), 0],
+            "itemsize": dtype.itemsize,
+        }
+    )
+
+
+def facts_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
+    """The facts that the rows of a message tell.
+
+    Args:
+        rows: structured array.
+        what: kind of message, for the error.
+
+    Raises:
+        InvalidInputError: there are none, or they are malformed.
+    """
+    names = [name for name in rows.dtype.names or () if name.startswith(_PREFIX)]
+    if len(names) != 1 or len(names[0]) > _MAX_LENGTH:
+        raise InvalidInputError(what, f"fields {rows.dtype.names} do not tell whose it is")
+    pairs = [part.partition("=") for part in names[0][len(_PREFIX) :].split(" ")]
+    facts = {name: value for name, mark, value in pairs if mark and name and value}
+    if len(facts) != len(pairs):
+        raise InvalidInputError(what, f"facts '{names[0]}' are malformed")
+    return facts
+
+
+def without_facts(rows: NDArray[np.void], dtypes: Sequence[np.dtype[np.void]]) -> NDArray[np.void]:
+    """The rows as one of some dtypes, whichever has their fields.
+
+    Raises:
+        InvalidInputError: none has.
+    """
+    fields = {n: f[:2] for n, f in (rows.dtype.fields or {}).items() if not n.startswith(_PREFIX)}
+    for dtype in dtypes:
+        expected = {name: entry[:2] for name, entry in (dtype.fields or {}).items()}
+        if fields == expected and rows.dtype.itemsize == dtype.itemsize:
+            return rows.view(dtype)
+    raise InvalidInputError("message", f"fields {tuple(fields)}")
+
+
+def whole_number(facts: Mapping[str, str], name: str, low: int, high: int, what: str) -> int:
+    """A fact that is a whole number within [low, high].
+
+    Raises:
+        InvalidInputError: it is missing or is not.
+    """
+    text = facts.get(name, "")
+    digits = text[1:] if text.startswith("-") else text
+    if not (digits.isascii() and digits.isdigit() and len(digits) < 20):
+        raise InvalidInputError(what, f"{name} '{text}' is not a whole number")
+    if not low <= int(text) <= high:
+        raise InvalidInputError(what, f"{name} {text}, expected {low} to {high}")
+    return int(text)
+
+
+def positive_number(facts: Mapping[str, str], name: str, what: str) -> float:
+    """A fact that is a positive, finite number.
+
+    Raises:
+        InvalidInputError: it is missing or is not.
+    """
+    try:
+        value = float(facts.get(name, "nan"))
+    except ValueError:
+        value = np.nan
+    if not (np.isfinite(value) and value > 0.0):
+        raise InvalidInputError(what, f"{name.replace('_', ' ')} '{facts.get(name, '')}'")
+    return value

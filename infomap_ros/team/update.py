@@ -1,0 +1,135 @@
+"""What a robot tells of its contribution: states of voxels, already in the codes of the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT, VoxelChanges
+from infomap_ros.mapping.keys import COORDINATE_LIMIT
+from infomap_ros.team.gaussian_code import decode_gaussians, encode_gaussians
+
+NOT_OBSERVED = -128
+"""Log-odds of a voxel of which its robot knows nothing any more."""
+
+MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class MapUpdate:
+    """Absolute states of voxels in one robot's contribution.
+
+    Attributes:
+        voxel_size: edge of a voxel [m].
+        robot: id of the robot whose contribution it is, 0 to 65535.
+        versions: of the robot's publication in which each state was taken, shape (K,), uint32,
+            1 to 2^32 - 1.
+        indices: shape (K, 3), int32; the voxel's centre is (index + 0.5) * voxel_size [m, map].
+        log_odds: shape (K,), int8, in units of `mapping.LOG_ODDS_QUANTUM` and within +-
+            `mapping.SHARED_LOG_ODDS_LIMIT`, or `NOT_OBSERVED`.
+        codes: of the surface points, shape (K, 2), uint64, see `team.gaussian_code`; 0 for none.
+        session: number that the robot draws when it starts.
+        sender: id of the robot that tells it, where that is another one.
+    """
+
+    voxel_size: float
+    robot: int
+    versions: NDArray[np.uint32]
+    indices: NDArray[np.int32]
+    log_odds: NDArray[np.int8]
+    codes: NDArray[np.uint64]
+    session: int = 0
+    sender: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check everything but the voxels' states, which `check_states` does.
+
+        Raises:
+            InvalidInputError: a number is out of its range.
+        """
+        if not 0 <= self.robot <= MAX_ROBOT or not 0 <= self.session <= MAX_SESSION:
+            raise InvalidInputError("map update", f"robot {self.robot}, session {self.session}")
+        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0.0):
+            raise InvalidInputError("map update", f"voxel size {self.voxel_size} m")
+
+    @classmethod
+    def of_changes(
+        cls, changes: VoxelChanges, voxel_size: float, robot: int, version: int, session: int = 0
+    ) -> MapUpdate:
+        """The update that tells the changes of a robot's map.
+
+        Raises:
+            InvalidInputError: a Gaussian is not finite, not positive definite or a voxel away
+                from its voxel, or a number is out of its range.
+        """
+        if not 1 <= version <= MAX_VERSION:
+            raise InvalidInputError("map update", f"version {version}")
+        indices, surface = changes.indices, changes.has_gaussian
+        codes = np.zeros((len(indices), 2), np.uint64)
+        offsets = changes.means[surface] / voxel_size - (indices[surface] + 0.5)
+        codes[surface] = encode_gaussians(offsets, changes.covariances[surface] / voxel_size**2)
+        versions = np.full(len(indices), version, np.uint32)
+        update = cls(voxel_size, robot, versions, indices, changes.log_odds, codes, session)
+        update.check_states()
+        return update
+
+    @property
+    def version(self) -> int:
+        """Version of the first state; all have the same unless the update is passed on."""
+        return int(self.versions[0]) if len(self.versions) else 0
+
+    @property
+    def has_gaussian(self) -> NDArray[np.bool_]:
+        """Where there is a surface point, shape (K,)."""
+        return np.asarray(self.codes[:, 1] != 0)
+
+    @property
+    def means(self) -> FloatArray:
+        """Of the surface points, shape (K, 3) [m, map]; NaN where there is none."""
+        return (self._gaussians[0] + (self.indices + 0.5)) * self.voxel_size
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Shape (K, 3, 3) [m^2]; NaN where there is none."""
+        return self._gaussians[1] * self.voxel_size**2
+
+    @cached_property
+    def _gaussians(self) -> tuple[FloatArray, FloatArray]:
+        return decode_gaussians(self.codes)
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> MapUpdate:
+        """The states that a mask or a list of rows chooses."""
+        return MapUpdate(
+            self.voxel_size,
+            self.robot,
+            self.versions[chosen],
+            self.indices[chosen],
+            self.log_odds[chosen],
+            self.codes[chosen],
+            self.session,
+            self.sender,
+        )
+
+    def check_states(self) -> None:
+        """Refuse what no robot can mean.
+
+        Raises:
+            InvalidInputError: log-odds beyond the limit, a voxel beyond the coordinate limits, a
+                version of 0, or a surface in a voxel that is not observed.
+        """
+        odds = self.log_odds
+        wrong = (np.abs(odds.astype(np.int16)) > SHARED_LOG_ODDS_LIMIT) & (odds != NOT_OBSERVED)
+        if wrong.any():
+            raise InvalidInputError("map update", f"log-odds {int(odds[wrong][0])}")
+        indices = self.indices
+        if ((indices < -COORDINATE_LIMIT) | (indices >= COORDINATE_LIMIT)).any():
+            raise InvalidInputError("map update", "a voxel lies outside the coordinate limits")
+        if (self.versions == 0).any():
+            raise InvalidInputError("map update", "version 0")
+        if ((odds == NOT_OBSERVED) & self.has_gaussian).any():
+            raise InvalidInputError("map update", "a voxel that is not observed has a surface")

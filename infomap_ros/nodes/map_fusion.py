@@ -4,6 +4,9 @@ Callbacks only receive: a cloud waits until the pose at its stamp is known and t
 worker thread, which owns the map: it integrates, publishes, saves, loads and resets, in the order
 in which it is told. So no lock is needed and no callback blocks.
 
+Localisation corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
+corrected (`infomap_ros.nodes.map_corrections`).
+
 When the clock jumps back (a bag that loops), the map is kept, or reset where
 ``reset_on_clock_jump`` says so. What becomes of clouds and poses then says
 `infomap_ros.nodes.scan_gate`.
@@ -26,7 +29,10 @@ from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.mapping.projection import ProjectionConfig
+from infomap_ros.mapping.reintegration import ReintegrationConfig
+from infomap_ros.mapping.scan_store import ScanStoreConfig
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_corrections import MapCorrections
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.map_outputs import MapOutputsConfig
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
@@ -76,6 +82,8 @@ class MapFusionNode(MonitoredNode):
         (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),
+        (ScanStoreConfig, "scans."),
+        (ReintegrationConfig, "corrections."),
         (ScanGateConfig, ""),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
@@ -94,6 +102,7 @@ class MapFusionNode(MonitoredNode):
         self._worker = self.start_worker(self._config.queue_size)
         self._telling = False
         keeper.team.listen(self._worker)
+        MapCorrections(self, keeper, self._worker)
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))

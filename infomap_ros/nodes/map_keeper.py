@@ -13,6 +13,9 @@ from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
+from infomap_ros.mapping.correctable_map import CorrectableMap
+from infomap_ros.mapping.reintegration import ReintegrationConfig
+from infomap_ros.mapping.scan_store import ScanStoreConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_outputs import MapOutputs
 from infomap_ros.nodes.map_warm_up import warm_up
@@ -21,6 +24,7 @@ from infomap_ros.nodes.scan_gate import Scan
 from infomap_ros.nodes.team_map import TeamMap
 from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.replay.messages import decode_point_cloud
+from infomap_ros.replay.messages.keyframes import KeyframePoses
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,14 @@ class MapKeeper:
         self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
         self.team = TeamMap(node, self._updates, self._outputs.changed)
         self._path = Path(self._config.map_file).absolute()
-        self._map = VoxelMap(node.config(VoxelMapConfig))
-        self._map.track_changes(True)
+        self._corrected = self._correctable(VoxelMap(node.config(VoxelMapConfig)))
         self._stamp = 0
         self._assumed = False
+        self._corrections = 0
+
+    @property
+    def _map(self) -> VoxelMap:
+        return self._corrected.voxel_map
 
     @property
     def pictures_period(self) -> float:
@@ -89,10 +97,40 @@ class MapKeeper:
         camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
         pose = scan.pose
         covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
-        self._map.integrate(cloud.points, pose.transform, cloud.covariances, covariance, camera)
+        measured = cloud.points, pose.transform, cloud.covariances, covariance, camera
+        self._corrected.integrate(cloud.stamp, *measured)
         self._stamp = cloud.stamp
         self._outputs.changed()
         self._updates.publish(self._map, self._stamp)
+
+    @property
+    def is_correcting(self) -> bool:
+        """Whether scans are being put elsewhere."""
+        return self._corrected.is_correcting
+
+    def hear(self, poses: KeyframePoses) -> None:
+        """Hear of corrected poses, and begin to correct the map where scans belong elsewhere."""
+        self._corrected.hear(poses.stamp, poses.stamps, poses.transforms)
+        self._corrected.begin_correction()
+
+    def correct_more(self) -> None:
+        """Do a part of the correction; with the last one, publish what has become other.
+
+        Raises:
+            CapacityError: it does not fit into memory; the map is as before.
+        """
+        report = self._corrected.correct_more()
+        if report is None:
+            return
+        self._corrections += 1
+        self._node.health.note("corrections of the map", str(self._corrections))
+        self._node.get_logger().info(
+            f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
+            f"{report.blocks_rebuilt} blocks made again"
+        )
+        self._outputs.changed()
+        self._updates.publish(self._map, self._stamp)
+        self._corrected.begin_correction()
 
     @property
     def behind(self) -> bool:
@@ -108,6 +146,9 @@ class MapKeeper:
         shown = self.team.voxel_map or self._map
         memory = self._map.memory_bytes() + self.team.memory_bytes()
         self._node.health.note("map memory [bytes]", str(memory))
+        store = self._corrected.store
+        self._node.health.note("scans kept", str(len(store)))
+        self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
         self._node.health.note("known voxels", str(shown.known_voxels))
         self._outputs.publish_pictures(shown, self._stamp)
 
@@ -145,11 +186,16 @@ class MapKeeper:
         return f"forgot {count} voxels"
 
     def _replace_by(self, other: VoxelMap) -> None:
-        other.track_changes(True)
         self._updates.replace(self._map)
-        self._map = other
+        self._corrected = self._correctable(other)
         self._outputs.changed()
         self.publish_more()
+
+    def _correctable(self, voxel_map: VoxelMap) -> CorrectableMap:
+        """The map with no scans yet; what it holds stays where it is."""
+        voxel_map.track_changes(True)
+        scans, corrections = ScanStoreConfig, ReintegrationConfig
+        return CorrectableMap(voxel_map, self._node.config(scans), self._node.config(corrections))
 
     def _assumed_covariance(self) -> FloatArray:
         if not self._assumed:

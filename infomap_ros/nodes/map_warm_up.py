@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
+from infomap_ros.mapping.correctable_map import CorrectableMap
 from infomap_ros.mapping.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_body import without_body
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
+from infomap_ros.stereo import DepthCameraSensor
 from infomap_ros.team import MapReplica, MapUpdate
 
 
@@ -41,4 +44,21 @@ def warm_up(threads: int) -> None:
     trial.mark_changed(0, 1)
     trial.is_known(np.zeros((trial.known_voxels, 3)))
     voxel_map_rows(trial)
+    _warm_up_corrections(trial.config, cloud.points)
     project_map(trial, ProjectionConfig())
+
+
+def _warm_up_corrections(config: VoxelMapConfig, points: NDArray[np.float32]) -> None:
+    """Keep scans in both forms and move them."""
+    correctable, elsewhere = CorrectableMap(VoxelMap(config)), np.eye(4)
+    correctable.voxel_map.track_changes(True)
+    elsewhere[0, 3] = 0.1
+    camera = fit_pinhole_camera(points)
+    measured = DepthCameraSensor(camera).measure(points[..., 2]) if camera else None
+    if measured is not None:
+        cloud = measured.organised_points
+        correctable.integrate(0, cloud, np.eye(4), measured.covariance_triangles, None, camera)
+    correctable.integrate(1, points.reshape(-1, 3), np.eye(4))
+    for stamp, pose in enumerate((np.eye(4), elsewhere)):
+        correctable.hear(stamp + 2, [0, 1], [pose, pose])
+    correctable.correct()

@@ -1,0 +1,53 @@
+"""map_fusion hears of corrected camera poses, and puts its scans where they belong.
+
+The work is cut into jobs of about one scan, so that new scans are integrated in between and the
+map is served as it was until the corrected one is complete.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from nav_msgs.msg import Path
+
+from infomap_ros.errors import FrameError
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_keeper import MapKeeper
+from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.worker import Worker
+from infomap_ros.replay.messages.keyframes import KeyframePoses, decode_keyframe_poses
+
+_TOPIC = "keyframe_poses"
+
+
+class MapCorrections:
+    """Listens to keyframe_poses and has the worker correct the map.
+
+    Args:
+        node: that listens.
+        keeper: of the map.
+        worker: whose thread owns the map.
+    """
+
+    def __init__(self, node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
+        self._node, self._keeper, self._worker = node, keeper, worker
+        self._frame = node.config(ScanGateConfig).map_frame
+        node.listen(Path, _TOPIC, self._on_poses, qos.stream(), required=False)
+
+    def _on_poses(self, message: Path) -> None:
+        poses = decode_keyframe_poses(message)
+        if poses.frame_id != self._frame:
+            raise FrameError(f"poses in frame '{poses.frame_id}', the map is '{self._frame}'")
+        self._worker.submit_always(lambda: self._node.guard(_TOPIC, partial(self._hear, poses)))
+
+    def _hear(self, poses: KeyframePoses) -> None:
+        was_correcting = self._keeper.is_correcting
+        self._keeper.hear(poses)
+        if self._keeper.is_correcting and not was_correcting:
+            self._worker.submit_always(self._correct_more)
+
+    def _correct_more(self) -> None:
+        self._node.guard(_TOPIC, self._keeper.correct_more)
+        if self._keeper.is_correcting:
+            self._worker.submit_always(self._correct_more)

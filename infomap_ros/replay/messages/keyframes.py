@@ -1,0 +1,64 @@
+"""Poses of keyframes as a ``nav_msgs/Path``: each with a stamp of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.replay.messages.commands import PATH
+from infomap_ros.replay.messages.fields import MessageFields
+from infomap_ros.replay.messages.motions import encode_pose_stamped
+from infomap_ros.replay.messages.poses import decode_pose
+from infomap_ros.replay.messages.types import MessageTypes, make_header
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframePoses:
+    """Where the camera was at some moments, as it is known now.
+
+    Attributes:
+        stamp: of the image that was used last for them [ns].
+        frame_id: of the poses.
+        stamps: of the keyframes, shape (K,), int64 [ns].
+        transforms: pose of the camera at each, shape (K, 4, 4).
+    """
+
+    stamp: int
+    frame_id: str
+    stamps: NDArray[np.int64]
+    transforms: FloatArray
+
+
+def encode_keyframe_poses(types: MessageTypes, record: KeyframePoses) -> Any:
+    """Build a ``nav_msgs/Path`` whose poses have stamps of their own."""
+    poses = [
+        encode_pose_stamped(types, stamp, record.frame_id, transform)
+        for stamp, transform in zip(record.stamps.tolist(), record.transforms, strict=True)
+    ]
+    header = make_header(types, record.stamp, record.frame_id)
+    return types.make(PATH, header=header, poses=poses)
+
+
+def decode_keyframe_poses(message: object) -> KeyframePoses:
+    """Read a ``nav_msgs/Path`` whose poses have stamps of their own.
+
+    Raises:
+        MalformedMessageError: a position is not finite, a quaternion not of unit length, or a
+            pose is in another frame than the path.
+    """
+    fields = MessageFields(message, PATH)
+    stamp, frame_id = fields.header()
+    poses = [decode_pose(each) for each in fields.value("poses")]
+    for pose in poses:
+        if pose.frame_id != frame_id:
+            fields.fail(f"holds a pose in frame '{pose.frame_id}', the path is in '{frame_id}'")
+    return KeyframePoses(
+        stamp,
+        frame_id,
+        np.array([pose.stamp for pose in poses], np.int64),
+        np.array([pose.transform for pose in poses]).reshape(-1, 4, 4),
+    )

@@ -1,0 +1,118 @@
+"""map_fusion hears of corrected poses: its map and everybody's follow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Path
+
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.replay.messages.keyframes import (
+    KeyframePoses,
+    decode_keyframe_poses,
+    encode_keyframe_poses,
+)
+from test.nodes.test_map_fusion import (
+    CAMERA,
+    COVARIANCE,
+    SECOND,
+    START,
+    T_MAP_CAMERA,
+    TYPES,
+    Bench,
+    as_replica,
+    cloud,
+    pose,
+)
+
+ELSEWHERE = T_MAP_CAMERA.copy()
+ELSEWHERE[0, 3] += 0.5
+
+
+def keyframes(stamp: int, *transforms: np.ndarray, frame: str = "map") -> KeyframePoses:
+    stamps = START + SECOND * np.arange(len(transforms))
+    return KeyframePoses(stamp, frame, stamps, np.array(transforms))
+
+
+class CorrectedBench(Bench):
+    def __init__(self, graph: Any, **parameters: Any) -> None:
+        super().__init__(graph, **parameters)
+        self.keyframes = graph.publisher(Path, "keyframe_poses")
+        graph.connect(self.keyframes)
+
+    def tell(self, record: KeyframePoses) -> None:
+        self.keyframes.publish(encode_keyframe_poses(TYPES, record))
+
+    def wait_for_correction(self) -> None:
+        name = "corrections of the map"
+        self.graph.spin_until(lambda: name in self.node.health.values(), "the correction")
+
+
+def map_of(*poses: np.ndarray) -> VoxelMap:
+    expected = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    for transform in poses:
+        scan = cloud()
+        expected.integrate(scan.points, transform, scan.covariances, COVARIANCE, CAMERA)
+    return expected
+
+
+def test_keyframe_poses_survive_the_message() -> None:
+    record = keyframes(START + 7, T_MAP_CAMERA, ELSEWHERE)
+    read = decode_keyframe_poses(encode_keyframe_poses(TYPES, record))
+    assert (read.stamp, read.frame_id) == (START + 7, "map")
+    assert np.array_equal(read.stamps, record.stamps)
+    assert np.allclose(read.transforms, record.transforms)
+
+
+def test_scans_follow_and_listeners_forget_the_ghost(graph: Any) -> None:
+    bench = CorrectedBench(graph)
+    bench.send(pose(), pose(START + SECOND), cloud(), cloud(START + SECOND))
+    bench.wait_for_results(2)
+    bench.tell(keyframes(START + SECOND, T_MAP_CAMERA, T_MAP_CAMERA))
+    bench.tell(keyframes(START + 2 * SECOND, ELSEWHERE, T_MAP_CAMERA))
+    bench.wait_for_map(as_replica(map_of(ELSEWHERE, T_MAP_CAMERA)))
+    bench.wait_for_correction()
+
+
+def test_a_scan_that_comes_after_the_correction_stays(graph: Any) -> None:
+    bench = CorrectedBench(graph)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    bench.tell(keyframes(START, T_MAP_CAMERA))
+    bench.tell(keyframes(START + SECOND, ELSEWHERE))
+    bench.wait_for_correction()
+    bench.send(pose(START + 2 * SECOND), cloud(START + 2 * SECOND))
+    bench.wait_for_results(2)
+    bench.wait_for_map(as_replica(map_of(ELSEWHERE, T_MAP_CAMERA)))
+
+
+def test_poses_in_another_frame_are_refused(graph: Any) -> None:
+    bench = CorrectedBench(graph)
+    bench.tell(keyframes(START, T_MAP_CAMERA, frame="odom"))
+    assert "odom" in bench.wait_for_drop("wrong frame")
+
+
+def test_a_node_that_keeps_no_scans_says_so_by_their_number(graph: Any) -> None:
+    bench = CorrectedBench(graph, scans__memory=0.0)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    graph.spin_until(lambda: bench.node.health.values().get("scans kept") == "0", "the number")
+
+
+@pytest.mark.parametrize("order", ["reset", "load"])
+def test_scans_of_a_map_that_was_given_up_move_nothing(
+    graph: Any, order: str, tmp_path: Any
+) -> None:
+    bench = CorrectedBench(graph, map_file=str(tmp_path / "map.infomap"))
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    bench.tell(keyframes(START, T_MAP_CAMERA))
+    assert bench.call("save").success
+    assert bench.call(order).success
+    bench.tell(keyframes(START + SECOND, ELSEWHERE))
+    bench.send(pose(START + 2 * SECOND), cloud(START + 2 * SECOND))
+    bench.wait_for_results(2)
+    expected = map_of(T_MAP_CAMERA) if order == "reset" else map_of(T_MAP_CAMERA, T_MAP_CAMERA)
+    bench.wait_for_map(as_replica(expected))

@@ -1,0 +1,88 @@
+"""Parameters of the localizer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.localization.fiducial_selection import FiducialSelectionConfig
+from infomap_ros.localization.fiducial_tracker import FiducialTrackerConfig
+from infomap_ros.localization.filter_config import FiducialFilterConfig
+from infomap_ros.localization.motion_prior import FreeMotionConfig
+
+
+@dataclass(frozen=True)
+class LocalizerConfig:
+    """When the localizer wants new fiducials, keeps a pose, and holds the camera to be lost.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    wanted_fiducials: int = parameter(
+        70, "Fiducials that are followed at the same time.", low=8, high=1000
+    )
+    fewest_fiducials: int = parameter(
+        45, "With fewer in view, new ones are chosen.", low=5, high=1000
+    )
+    keyframe_distance: float = parameter(
+        0.15, "A pose is kept after this way.", unit="m", low=0.001, high=100.0
+    )
+    keyframe_angle: float = parameter(
+        0.17, "A pose is kept after this turn.", unit="rad", low=0.01, high=3.0
+    )
+    max_position_sigma: float = parameter(
+        0.3,
+        "The camera is lost when its position has a larger standard deviation along some axis.",
+        unit="m",
+        low=0.001,
+        high=100.0,
+    )
+    max_rotation_sigma: float = parameter(
+        0.15, "Likewise of its rotation about some axis.", unit="rad", low=0.001, high=1.0
+    )
+    max_coasting: float = parameter(
+        5.0,
+        "The camera is lost when its pose rests on the expected motion alone for longer.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    recall_share: float = parameter(
+        0.3,
+        "Share of the known fiducials that ought to be in view which must be found, before new "
+        "ones are added to a pose that rests on the expected motion alone: where fewer are, the "
+        "camera is not where it is thought to be.",
+        low=0.0,
+        high=1.0,
+    )
+    recovery_fiducials: int = parameter(
+        12, "Fiducials that must agree to find a lost camera again.", low=5, high=1000
+    )
+    target_interval: float = parameter(
+        1.0, "Time between two looks for the target while tracking.", unit="s", low=0.0, high=3600.0
+    )
+    contradictions: int = parameter(
+        3,
+        "Sightings of the target in a row that contradict the pose, after which the target is "
+        "believed and all else forgotten.",
+        low=1,
+        high=1000,
+    )
+    start_position_sigma: float = parameter(
+        0.0,
+        "Of the first pose, where no target defines the map; 0 where the pose defines the map.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    selection: FiducialSelectionConfig = field(default_factory=FiducialSelectionConfig)
+    tracker: FiducialTrackerConfig = field(default_factory=FiducialTrackerConfig)
+    filter: FiducialFilterConfig = field(default_factory=FiducialFilterConfig)
+    free_motion: FreeMotionConfig = field(default_factory=FreeMotionConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.fewest_fiducials > self.wanted_fiducials:
+            raise ConfigError("fewest_fiducials", self.fewest_fiducials, "<= wanted_fiducials")

@@ -1,0 +1,216 @@
+"""The scene's fiducials as the filter knows them and as the tracker sees them, kept in step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import PinholeCamera, invert_transform, transform_points
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.appearance import describe, find_again
+from infomap_ros.localization.fiducial_filter import FiducialFilter
+from infomap_ros.localization.fiducial_selection import select_fiducials
+from infomap_ros.localization.fiducial_tracker import FiducialTracker
+from infomap_ros.localization.filter_records import Fiducials, FilterUpdate
+from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.motion_prior import MotionPrior
+from infomap_ros.localization.observations import FiducialObservations, no_observations
+from infomap_ros.localization.range_view import RangeView
+from infomap_ros.mapping import VoxelMap
+
+_SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
+_FOUND_SIGMA = 1.5  # of a pixel that was found by its descriptor [px]
+_STILL = 0.3  # [px]
+_EXPECTED_WAY, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
+_BORDER = 12.0  # [px] within which a fiducial need not be seen
+
+
+class SceneFiducials:
+    """Names, follows, finds again and gives up the fiducials of a filter.
+
+    Args:
+        camera: that sees them.
+        config: how many are wanted.
+        pose_filter: knows where they are.
+    """
+
+    def __init__(
+        self, camera: PinholeCamera, config: LocalizerConfig, pose_filter: FiducialFilter
+    ) -> None:
+        self._camera, self._config, self._filter = camera, config, pose_filter
+        self._tracker = FiducialTracker(config.tracker)
+        self._next = 0
+        self._contradicted: dict[int, int] = {}  # times in a row
+        self._descriptors: dict[int, NDArray[np.generic]] = {}
+        self._at_update: dict[int, FloatArray] = {}  # pixels in the last update
+
+    def clear(self) -> None:
+        """Forget all; the filter is left as it is."""
+        self._tracker = FiducialTracker(self._config.tracker)
+        self._contradicted.clear()
+        self._descriptors.clear()
+        self._at_update.clear()
+
+    def follow(self, view: RangeView, T_map_camera: FloatArray | None) -> FiducialObservations:
+        """Find the followed fiducials in the next view.
+
+        Args:
+            view: the next one.
+            T_map_camera: where the camera is expected, shape (4, 4); None where it may be
+                anywhere near.
+        """
+        if T_map_camera is None:
+            return self._tracker.track(view)
+        known = self._filter.fiducials()
+        followed = np.isin(known.ids, self._tracker.ids)
+        return self._tracker.track(view, self._pixels_by_id(known, followed, T_map_camera))
+
+    def recall(
+        self, view: RangeView, T_map_camera: FloatArray, radius: float
+    ) -> FiducialObservations:
+        """Find again what ought to be in view but is not followed.
+
+        Args:
+            view: that was tracked last.
+            T_map_camera: where the camera is, shape (4, 4).
+            radius: how far from its expected place a fiducial may be [px].
+        """
+        known = self._filter.fiducials()
+        missing = self.expected_in_view(known, T_map_camera)
+        missing &= ~np.isin(known.ids, self._tracker.ids)
+        if not missing.any():
+            return no_observations()
+        pixels = self._project(known.positions[missing], T_map_camera)
+        return self._found_again(view, known.ids[missing], pixels, radius)
+
+    def recall_anywhere(self, view: RangeView) -> FiducialObservations:
+        """Find again what is not followed, wherever it may be."""
+        ids = self._filter.fiducials().ids
+        return self._found_again(view, ids[~np.isin(ids, self._tracker.ids)], None, None)
+
+    def _found_again(
+        self,
+        view: RangeView,
+        ids: NDArray[np.int64],
+        pixels: FloatArray | None,
+        radius: float | None,
+    ) -> FiducialObservations:
+        if not len(ids):
+            return no_observations()
+        descriptors = np.stack([self._descriptors[number] for number in ids.tolist()])
+        found = find_again(view, descriptors, pixels, radius, self._config.tracker.appearance)
+        seen = self._tracker.add(view, ids[found.indices], found.pixels)
+        return FiducialObservations(
+            seen.ids,
+            seen.pixels,
+            np.full(len(seen), _FOUND_SIGMA),
+            seen.inverse_depths,
+            seen.inverse_depth_sigmas,
+        )
+
+    def expected_in_view(self, known: Fiducials, T_map_camera: FloatArray) -> NDArray[np.bool_]:
+        """Which fiducials lie within the image of a camera, shape (N,)."""
+        pixels = self._project(known.positions, T_map_camera)
+        size = np.array([self._camera.width, self._camera.height])
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= _BORDER) & (pixels <= size - 1.0 - _BORDER)
+        return np.asarray(inside.all(axis=1))
+
+    def drop(self, ids: NDArray[np.int64]) -> None:
+        """Follow these no longer; the filter keeps them."""
+        self._tracker.remove(ids)
+
+    def stands_still(self, seen: FiducialObservations, prior: MotionPrior | None) -> bool:
+        """Whether the camera is where it was when the filter was last updated.
+
+        A view from the same place has the same errors: counting it again would make the pose too
+        certain. It is taken to be the same place when no motion is expected and the fiducials are
+        where they were.
+
+        Args:
+            seen: in the new view.
+            prior: of the motion, None where nothing is expected.
+        """
+        if prior is not None and _is_motion(prior):
+            return False
+        shifts = [
+            np.abs(pixel - self._at_update[number]).max()
+            for number, pixel in zip(seen.ids.tolist(), seen.pixels, strict=True)
+            if number in self._at_update
+        ]
+        if len(shifts) < self._config.filter.least_fiducials:
+            return False
+        return bool(np.quantile(shifts, 0.7) < _STILL)
+
+    def shows_enough(self, view: RangeView) -> bool:
+        """Whether a view has texture and range to choose as many fiducials as are needed."""
+        wanted = self._config.fewest_fiducials
+        nothing = np.zeros((0, 2))
+        return len(select_fiducials(view, nothing, wanted, config=self._config.selection)) >= wanted
+
+    def note(self, seen: FiducialObservations, update: FilterUpdate) -> None:
+        """Remember an update, and give up what contradicts the others again and again."""
+        self._at_update = dict(zip(seen.ids.tolist(), seen.pixels, strict=True))
+        for number in update.used.tolist():
+            self._contradicted.pop(number, None)
+        for number in update.rejected.tolist():
+            self._contradicted[number] = self._contradicted.get(number, 0) + 1
+        bad = [n for n, count in self._contradicted.items() if count >= _SEEN_THROUGH]
+        self._give_up(np.array(bad, np.int64))
+
+    def replenish(self, view: RangeView, voxel_map: VoxelMap | None = None) -> int:
+        """Choose new fiducials and tell the filter where they are.
+
+        Args:
+            view: that was tracked last.
+            voxel_map: for the certainty of eq. (19).
+
+        Returns:
+            Number of new ones.
+        """
+        taken = self._tracker.pixels
+        wanted = self._config.wanted_fiducials - len(taken)
+        pose = None if voxel_map is None else self._filter.pose[0]
+        pixels = select_fiducials(view, taken, wanted, voxel_map, pose, self._config.selection)
+        ids = np.arange(self._next, self._next + len(pixels))
+        self._next += len(pixels)
+        held = self._filter.fiducials().ids
+        descriptors = describe(view.image, pixels, self._config.tracker.appearance)
+        self._descriptors.update(zip(ids.tolist(), descriptors, strict=True))
+        added = self._filter.add(self._tracker.add(view, ids, pixels))
+        forgotten = np.setdiff1d(held, self._filter.fiducials().ids)
+        self._tracker.remove(np.concatenate([np.setdiff1d(ids, added), forgotten]))
+        return len(added)
+
+    def _give_up(self, ids: NDArray[np.int64]) -> None:
+        if len(ids):
+            self._tracker.remove(ids)
+            self._filter.remove(ids)
+            for number in ids.tolist():
+                self._contradicted.pop(number, None)
+
+    def _pixels_by_id(
+        self, known: Fiducials, chosen: NDArray[np.bool_], T_map_camera: FloatArray
+    ) -> Mapping[int, FloatArray]:
+        pixels = self._project(known.positions[chosen], T_map_camera)
+        return dict(zip(known.ids[chosen].tolist(), pixels, strict=True))
+
+    def _project(self, positions: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+        return self._camera.project(transform_points(invert_transform(T_map_camera), positions))
+
+
+def joined(first: FiducialObservations, second: FiducialObservations) -> FiducialObservations:
+    """Observations of one view put together."""
+    names = ("ids", "pixels", "pixel_sigmas", "inverse_depths", "inverse_depth_sigmas")
+    return FiducialObservations(
+        *(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names)
+    )
+
+
+def _is_motion(prior: MotionPrior) -> bool:
+    turn = Rotation.from_matrix(prior.T_before_after[:3, :3]).magnitude()
+    way = np.linalg.norm(prior.T_before_after[:3, 3])
+    return bool(way > _EXPECTED_WAY or turn > _EXPECTED_TURN)

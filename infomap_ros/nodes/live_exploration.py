@@ -12,7 +12,7 @@ from infomap_ros.nodes.environment import reliable_inputs
 from infomap_ros.nodes.live_graph import LiveGraph
 from infomap_ros.replay.map_files import MAP_FILE
 
-MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
+MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
 _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
@@ -42,7 +42,7 @@ class LiveExploration(LiveGraph):
         updates = reliable_inputs(("map_updates", "camera_pose", "joint_states"))
         chain = reliable_inputs(("points2", "camera_pose", "joint_states"))
         own: dict[str, dict[str, object]] = {
-            "simulator": {"pace": 0.0},
+            "simulator": {"pace": 0.0, "state_file": out / ROBOT_FILE, "resume": True},
             "stereo_range": {"rectify": True, **reliable_inputs(_IMAGES)},
             "map_fusion": {
                 "map_file": self.map_file,

@@ -21,6 +21,7 @@ from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.simulator_inputs import SimulatorInputs
 from infomap_ros.nodes.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
 from infomap_ros.simulation.robot import read_description
+from infomap_ros.simulation.robot_account import RobotAccount
 from infomap_ros.simulation.scenes import SCENES, build_scene, describe_scene
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 
@@ -51,6 +52,14 @@ class SimulatorNodeConfig:
         "it stands and others think.",
         low=0.0,
         high=100.0,
+    )
+    state_file: str = parameter(
+        "",
+        "Where the robot stands is written here once per simulated second, so that it can go on "
+        "from there after a restart; empty for no file.",
+    )
+    resume: bool = parameter(
+        False, "Go on from where the robot of state_file stood, where there is one."
     )
 
     def __post_init__(self) -> None:
@@ -87,6 +96,9 @@ class SimulatorNode(MonitoredNode):
         description = read_description(given if given.is_file() else find_share(given))
         simulator = Simulator(world, description, self.config(SimulatorConfig))
         self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
+        self._account = RobotAccount(simulator, config.state_file, scene)
+        if config.resume and self._account.resume():
+            self.get_logger().info(f"the robot goes on from where {config.state_file} says")
         return simulator, scene
 
     def _run(self) -> None:
@@ -98,6 +110,7 @@ class SimulatorNode(MonitoredNode):
                 self._inputs.carry_out()
                 self._simulator.step(_TICK)
                 self.guard("simulation", self._outputs.publish_due)
+                self.guard("state_file", self._account.save_when_due)
                 self._inputs.tell_problem()
                 time.sleep(pace.wait(_TICK))
         finally:

@@ -81,7 +81,7 @@ class ArmMotion:
 
     def stop(self) -> None:
         """Hold all joints where they are told to be now."""
-        self._elapsed = np.inf
+        self._targets, self._elapsed = self._body.targets, np.inf
 
     def update(self, period: float) -> None:
         """Move the servos' targets on by one control period [s]."""

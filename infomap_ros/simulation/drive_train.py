@@ -53,9 +53,12 @@ class DriveTrain:
         base = body.frame(body.setup.base_frame)[:3, :3]
         axes = [base.T @ body.frame(w.body)[:3, :3] @ w.axis for w in wheels]
         self._signs = np.array([np.sign(axis[1]) for axis in axes])
-        self._targets = body.wheel_angles
+        self.restart()
+
+    def restart(self) -> None:
+        """Stand with the wheels as they are."""
+        self._targets = self._last = self._body.wheel_angles
         self._speed = self._turn_rate = self._correction = 0.0
-        self._last = body.wheel_angles
 
     @property
     def is_still(self) -> bool:

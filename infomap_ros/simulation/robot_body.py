@@ -99,6 +99,24 @@ class RobotBody:
         self.data.ctrl[self._servo_inputs] = home
         mujoco.mj_forward(self.model, self.data)
 
+    def state(self) -> dict[str, FloatArray]:
+        """Where everything is and what the motors are told: arrays ``positions``, ``targets``."""
+        return {"positions": np.array(self.data.qpos), "targets": np.array(self.data.ctrl)}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Stand at rest as `state` says.
+
+        Raises:
+            SimulationError: it is the state of another robot or world.
+        """
+        nothing = np.zeros(0)
+        positions, targets = state.get("positions", nothing), state.get("targets", nothing)
+        if positions.shape != self.data.qpos.shape or targets.shape != self.data.ctrl.shape:
+            raise SimulationError("the saved state is that of another robot or world")
+        self.data.qpos[:], self.data.ctrl[:] = positions, targets
+        self.data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
     def advance(self) -> None:
         """Simulate one control period; the weight of the arm is held by its servos."""
         self.data.qfrc_applied[self._v] = self.data.qfrc_bias[self._v]
@@ -111,6 +129,11 @@ class RobotBody:
     def command_wheels(self, angles: FloatArray) -> None:
         """Set the wheels' targets [rad], left wheels first."""
         self.data.ctrl[self._wheel_inputs] = angles
+
+    @property
+    def targets(self) -> FloatArray:
+        """What the servos are told to hold [rad or m], in the order of `servos`."""
+        return np.array(self.data.ctrl[self._servo_inputs])
 
     @property
     def positions(self) -> FloatArray:

@@ -23,6 +23,7 @@ from infomap_ros.simulation.eyes import Eyes, StereoPair
 from infomap_ros.simulation.robot_body import PREFIX, RobotBody
 from infomap_ros.simulation.robot_sensors import RobotSensors
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.saved_robot import SavedRobot
 from infomap_ros.simulation.simulator_config import SimulatorConfig
 
 __all__ = ["Simulator", "SimulatorConfig"]
@@ -69,11 +70,34 @@ class Simulator(RobotSensors):
         self._arm = ArmMotion(body, *_joints_of(description, setup))
         self._base = BaseMotion(self._drive, config.base, config.following)
         self._still, self._idle, self._left = 0.0, 0.0, 0.0
+        self._contacts_before = 0
         self._contacts = ContactMonitor(
             body.model, PREFIX, body.trial, setup.casters, config.step_height
         )
         self._eyes = Eyes(body, config.camera, config.sensor, images)
         self._depth_eye = DepthEye(body, self._eyes.camera.rig.left, config.depth, depths)
+
+    @property
+    def saved(self) -> SavedRobot:
+        """What is left when the power goes now."""
+        return SavedRobot(self.time, self.contacts, self._body.state(), self._odometry.state())
+
+    def resume(self, saved: SavedRobot, off: float) -> None:
+        """Stand as a robot that was switched off, and go on from there.
+
+        Args:
+            saved: in the same world.
+            off: for how long it was switched off [s].
+
+        Raises:
+            SimulationError: it is another robot.
+        """
+        self._body.restore(saved.body)
+        self._odometry.restore(saved.odometry, self._body.base_pose())
+        self._ticks = round((saved.seconds + off) / self._period)
+        self._contacts_before = saved.contacts
+        self._drive.restart()
+        self.stop()
 
     def _settle(self, body: RobotBody, period: float) -> None:
         """Let the robot come to rest on its wheels."""
@@ -183,12 +207,12 @@ class Simulator(RobotSensors):
 
     @property
     def contacts(self) -> int:
-        """Number of forbidden contacts so far."""
-        return len(self._contacts.events)
+        """Number of forbidden contacts so far, before `resume` too."""
+        return self._contacts_before + len(self._contacts.events)
 
     @property
     def contact_events(self) -> tuple[ContactEvent, ...]:
-        """The forbidden contacts: when, which link, and what it touched."""
+        """The forbidden contacts since it was made: when, which link, and what it touched."""
         return tuple(self._contacts.events)
 
     @property

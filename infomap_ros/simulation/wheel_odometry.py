@@ -6,17 +6,20 @@ gravity; heading comes from the gyroscope alone and drifts.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import make_transform, skew
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.odometry import OdometryEstimate
 
 _STANDSTILL = np.diag([1e-6] * 6)
+_COUNTED = ("scale", "gyro_scale", "position", "heading", "noise", "way", "turned")
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,26 @@ class WheelOdometry:
         self._way += step
         self._turned += turn
         self._twist = np.array([measured, 0.0, 0.0, 0.0, 0.0, turn]) / max(duration, 1e-9)
+
+    def state(self) -> dict[str, FloatArray]:
+        """What it has counted so far, and its own errors, as arrays by name."""
+        return {name: np.array(getattr(self, f"_{name}")) for name in _COUNTED} | {
+            "T_world_odom": self.T_world_odom
+        }
+
+    def restore(self, state: Mapping[str, FloatArray], T_world_base: FloatArray) -> None:
+        """Count on from `state`, with the base at a true pose, shape (4, 4).
+
+        Raises:
+            SimulationError: an array is missing or has another shape.
+        """
+        for name, own in self.state().items():
+            if name not in state or state[name].shape != own.shape:
+                raise SimulationError(f"the saved odometry has no {name} of shape {own.shape}")
+        for name in _COUNTED:
+            value = state[name]
+            setattr(self, f"_{name}", float(value) if value.ndim == 0 else np.array(value))
+        self.T_world_odom, self._last = np.array(state["T_world_odom"]), T_world_base
 
     def planar_pose(self) -> FloatArray:
         """x, y [m], yaw [rad] in odom, shape (3,)."""

@@ -12,7 +12,7 @@ from infomap_ros.nodes.live_exploration import LiveExploration
 TASK = {
     "task.region_low": [-2.5, -2.5, -0.5],
     "task.region_high": [2.5, 2.5, 1.2],
-    "task.max_views": 7,
+    "task.max_views": 8,
     "task.known_fraction": 1.0,
 }
 PARAMETERS: dict[str, dict[str, Any]] = {
@@ -35,6 +35,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     },
     "explorer": {**TASK, "scans_per_view": 1},
 }
+NODES = ("stereo_range", "map_fusion", "next_best_view", "explorer", "simulator")
 TIMEOUT = 300.0  # [s]; kernels may have to be compiled
 
 
@@ -52,7 +53,7 @@ def test_killed_nodes_lose_neither_map_nor_mission(tmp_path: Path) -> None:
         run.start()
         run.spin_until(lambda: views() >= 2 and run.map_file.exists(), "two views", TIMEOUT)
         saved = VoxelMap.load(run.map_file).known_voxels
-        for name in ("stereo_range", "map_fusion", "next_best_view", "explorer"):
+        for name in NODES:
             before = views()
             run.kill_node(name)
             run.spin_until(lambda n=before: views() > n, f"views after {name}", TIMEOUT)

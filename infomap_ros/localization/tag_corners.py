@@ -1,24 +1,29 @@
 """Corners of tags to a fraction of a pixel, each with a covariance from the image itself.
 
-Along each edge of the black square the position of the edge is measured on profiles across it, as
-that which keeps the sum of grey between the level of the black and that of the white beside it
-(Tabatabai and Mitchell 1984, doi:10.1109/TPAMI.1984.4767502, with the first moment alone, which
-symmetric blur does not bias). Lines are fitted to these, and neighbours are intersected.
+To the pixels beside each edge of the black square a straight step from dark to bright is fitted,
+blurred by a Gaussian: ``I = D(s) + (B(s) - D(s)) Phi((n p - offset - slope s) / sigma)`` with
+levels D and B that change linearly along the edge, as light does. The noise of a pixel is what the
+fit leaves; it gives the covariance of the line. Neighbouring lines are intersected.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from infomap_ros.geometry.transforms import FloatArray
 
-_PER_PIXEL = 4  # samples of a profile per pixel
-_FEWEST = 5  # profiles along an edge
-_ENDS = 0.1  # share of an edge at either end that the other edge's blur reaches
+_ENDS = 0.12  # share of an edge at either end that the other edge's blur reaches
+_INSIDE, _OUTSIDE = 0.55, 0.8  # reach of the pixels beside an edge, in cells
+_LEAST_REACH, _LARGEST_REACH = 1.2, 5.0  # [px]
+_BLUR, _LOG_BLUR_SIGMA = 0.8, 0.5  # prior of a step's blur: [px], and of its logarithm
+_LEAST_NOISE = 0.3  # [grey levels], rounding to whole grey levels
+_ITERATIONS = 12
+_MOVED = 0.3  # [px] if corners moved by more, the pixels beside the edges are chosen again
+_ROOT_TWO_PI = float(np.sqrt(2.0 * np.pi))
 
 
 class TagCorners(NamedTuple):
@@ -45,120 +50,182 @@ def refine_corners(
         min_contrast: smallest difference of white and black [grey levels].
 
     Returns:
-        The corners, or None where an edge is not dark inside and bright outside all along, or
-        its line reaches beyond the image.
+        The corners, or None where an edge is not dark inside and bright outside all along, or the
+        pixels beside it are not all in the image.
     """
-    for _ in range(2):  # the second time from the refined corners
-        reach = _reach(corners, cells)
-        lines = [
-            _fit_edge(image, corners[i], corners[(i + 1) % 4], reach, min_contrast)
-            for i in range(4)
-        ]
-        if any(line is None for line in lines):
+    for _ in range(3):
+        cell = _narrowest_cell(corners, cells)
+        lines = []
+        for i in range(4):
+            pixels = _beside(image, corners[i], corners[(i + 1) % 4], cell)
+            line = _fit_step(pixels, min_contrast) if pixels is not None else None
+            if line is None:
+                return None
+            lines.append(line)
+        found = [_intersect(lines[i - 1], lines[i]) for i in range(4)]
+        pixels_found = np.stack([point for point, _ in found])
+        moved = float(np.abs(pixels_found - corners).max())
+        if moved > max(2.0, cell):
             return None
-        found = [_intersect(lines[i - 1], lines[i]) for i in range(4)]  # type: ignore[arg-type]
-        pixels = np.stack([point for point, _ in found])
-        if np.abs(pixels - corners).max() > max(2.0, reach):
-            return None
-        corners = pixels
+        corners = pixels_found
+        if moved < _MOVED:
+            break
     return TagCorners(corners, np.stack([covariance for _, covariance in found]))
 
 
+class _Beside(NamedTuple):
+    """Pixels beside an edge, in its coordinates.
+
+    Attributes:
+        middle: of the edge, shape (2,) [px].
+        along: unit vector from start to end, shape (2,).
+        half: half the edge's length [px].
+        s: place along the edge, -1 at its start and 1 at its end, shape (P,).
+        d: distance from the edge, positive outside, shape (P,) [px].
+        grey: shape (P,).
+    """
+
+    middle: FloatArray
+    along: FloatArray
+    half: float
+    s: FloatArray
+    d: FloatArray
+    grey: FloatArray
+
+
 class _Line(NamedTuple):
-    """An edge: ``normal @ p = offset + slope * (s - middle)``, s along it."""
+    """A measured edge: ``n (p - middle) = offset + slope s``.
 
-    start: FloatArray  # (2,) [px]
-    along: FloatArray  # (2,) unit
-    normal: FloatArray  # (2,) unit, out of the tag
-    offset: float  # [px] of the line at s = 0 from `start` along the normal
+    Attributes:
+        edge: what it was measured on.
+        offset: [px].
+        slope: [px] per unit of s.
+        covariance: of offset and slope, shape (2, 2) [px^2].
+    """
+
+    edge: _Beside
+    offset: float
     slope: float
-    length: float  # [px]
-    covariance: FloatArray  # (2, 2) of offset and slope
+    covariance: FloatArray
 
 
-def _reach(corners: FloatArray, cells: int) -> float:
-    """How far a profile goes to either side [px]: most of a cell where it is shortest."""
+def _narrowest_cell(corners: FloatArray, cells: int) -> float:
+    """Width of a cell where the tag is most foreshortened [px]."""
     edges = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     x, y = corners.T
-    area = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
-    return float(np.clip(0.8 * area / (edges.max() * cells), 1.5, 5.0))
+    area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+    return area / (float(edges.max()) * cells)
 
 
-def _fit_edge(
-    image: NDArray[np.uint8], start: FloatArray, end: FloatArray, reach: float, min_contrast: float
+def _normal(along: FloatArray) -> FloatArray:
+    """To the outside of a clockwise square, shape (2,)."""
+    return np.array([along[1], -along[0]])
+
+
+def _beside(
+    image: NDArray[np.uint8], start: FloatArray, end: FloatArray, cell: float
+) -> _Beside | None:
+    """Pixels in the band along an edge; None where the band leaves the image."""
+    half = 0.5 * float(np.linalg.norm(end - start))
+    along, middle = (end - start) / (2.0 * half), 0.5 * (start + end)
+    inside, outside = np.clip(np.array([_INSIDE, _OUTSIDE]) * cell, _LEAST_REACH, _LARGEST_REACH)
+    low = np.floor(np.minimum(start, end) - outside).astype(int)
+    high = np.ceil(np.maximum(start, end) + outside).astype(int) + 1
+    if low.min() < 0 or high[0] > image.shape[1] or high[1] > image.shape[0]:
+        return None
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    from_middle = np.stack([u.ravel(), v.ravel()], axis=1) - middle
+    s, d = from_middle @ along / half, from_middle @ _normal(along)
+    near = (np.abs(s) <= 1.0 - 2.0 * _ENDS) & (d >= -inside) & (d <= outside)
+    grey = image[low[1] : high[1], low[0] : high[0]].ravel()[near].astype(np.float64)
+    return _Beside(middle, along, half, s[near], d[near], grey)
+
+
+def _fit_step(edge: _Beside, min_contrast: float) -> _Line | None:
+    """Levenberg-Marquardt on offset, slope, log blur and four levels."""
+    if len(edge.grey) < 14:
+        return None
+    state = np.array([0.0, 0.0, np.log(_BLUR), *_first_levels(edge)])
+    residual, jacobian = _step_residuals(edge, state)
+    damping = 1e-3
+    for _ in range(_ITERATIONS):
+        information = jacobian.T @ jacobian
+        damped = information + damping * np.diag(np.diag(information) + 1e-9)
+        change = -np.linalg.solve(damped, jacobian.T @ residual)
+        moved = state + np.clip(change, -50.0, 50.0)
+        moved[2] = np.clip(moved[2], -2.0, 2.0)
+        next_residual, next_jacobian = _step_residuals(edge, moved)
+        if next_residual @ next_residual <= residual @ residual:
+            small = np.abs(change[:2]).max() < 1e-3
+            state, residual, jacobian = moved, next_residual, next_jacobian
+            damping = max(0.1 * damping, 1e-9)
+            if small:
+                break
+        else:
+            damping *= 10.0
+    return _line(edge, state, residual, jacobian, min_contrast)
+
+
+def _first_levels(edge: _Beside) -> tuple[float, float, float, float]:
+    """Dark and bright levels with no change along the edge."""
+    inner = np.median(edge.grey[edge.d <= 0.5 * edge.d.min()])
+    outer = np.median(edge.grey[edge.d >= 0.5 * edge.d.max()])
+    return float(inner), 0.0, float(outer), 0.0
+
+
+def _step_residuals(edge: _Beside, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus measured grey, and the blur's prior, shape (P + 1,); derivatives (P + 1, 7).
+
+    The prior is weighed as if the noise were one grey level.
+    """
+    offset, slope, log_blur, dark, dark_slope, bright, bright_slope = state
+    blur = np.exp(log_blur)
+    ratio = (edge.d - offset - slope * edge.s) / blur
+    share = ndtr(ratio)
+    height = bright - dark + (bright_slope - dark_slope) * edge.s
+    predicted = dark + dark_slope * edge.s + height * share
+    by_place = -height * np.exp(-0.5 * ratio**2) / (_ROOT_TWO_PI * blur)
+    jacobian = np.zeros((len(edge.s) + 1, 7))
+    columns = [
+        by_place,
+        by_place * edge.s,
+        by_place * ratio * blur,
+        1.0 - share,
+        (1.0 - share) * edge.s,
+        share,
+        share * edge.s,
+    ]
+    jacobian[:-1] = np.column_stack(columns)
+    jacobian[-1, 2] = 1.0 / _LOG_BLUR_SIGMA
+    prior = (log_blur - np.log(_BLUR)) / _LOG_BLUR_SIGMA
+    return np.append(predicted - edge.grey, prior), jacobian
+
+
+def _line(
+    edge: _Beside, state: FloatArray, residual: FloatArray, jacobian: FloatArray, contrast: float
 ) -> _Line | None:
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / length
-    normal = np.array([along[1], -along[0]])
-    count = max(_FEWEST, int((1.0 - 2.0 * _ENDS) * length))
-    s = np.linspace(_ENDS, 1.0 - _ENDS, count) * length
-    across = np.linspace(-reach, reach, 2 * int(np.ceil(reach * _PER_PIXEL)) + 1)
-    places = start + s[:, None, None] * along + across[:, None] * normal
-    if places.min() < 0.0 or (places.reshape(-1, 2).max(axis=0) > _last(image)).any():
+    """The line if it is a step from dark to bright along the whole edge, else None."""
+    dark, bright = state[3] + state[4] * edge.s, state[5] + state[6] * edge.s
+    if (bright - dark).min() < contrast:
         return None
-    u, v = (places[..., axis].astype(np.float32) for axis in (0, 1))
-    profiles = cv2.remap(image, u, v, cv2.INTER_LINEAR).astype(np.float64)
-    edge = _edge_positions(profiles, reach, min_contrast)
-    if edge is None:
+    noise = float(residual[:-1] @ residual[:-1]) / (len(residual) - 8)
+    if np.sqrt(noise) > 0.5 * float(np.mean(bright - dark)):
         return None
-    return _fit_line(start, along, s, edge, length)
-
-
-def _last(image: NDArray[np.uint8]) -> FloatArray:
-    return np.array([image.shape[1] - 1.0, image.shape[0] - 1.0])
-
-
-def _edge_positions(profiles: FloatArray, reach: float, min_contrast: float) -> FloatArray | None:
-    """Where each profile, shape (M, S), steps from dark to bright [px]; None if it does not."""
-    ends = max(2, profiles.shape[1] // 6)
-    # The levels vary slowly along an edge: lighting. A line through them all is steadier.
-    dark = _smooth_level(profiles[:, :ends].mean(axis=1))
-    bright = _smooth_level(profiles[:, -ends:].mean(axis=1))
-    if (bright - dark < min_contrast).any():
-        return None
-    share = (profiles - dark[:, None]) / (bright - dark)[:, None]
-    mean = (share[:, 1:] + share[:, :-1]).mean(axis=1) / 2.0
-    return np.asarray(reach * (1.0 - 2.0 * mean))
-
-
-def _smooth_level(values: FloatArray) -> FloatArray:
-    """A straight line through noisy levels along an edge, robust by one rejection."""
-    s = np.linspace(-1.0, 1.0, len(values))
-    keep = np.abs(values - np.median(values)) <= 3.0 * max(
-        float(np.median(np.abs(values - np.median(values)))), 2.0
-    )
-    if keep.sum() < 3:
-        keep[:] = True
-    return np.asarray(np.polyval(np.polyfit(s[keep], values[keep], 1), s))
-
-
-def _fit_line(
-    start: FloatArray, along: FloatArray, s: FloatArray, edge: FloatArray, length: float
-) -> _Line:
-    """Least squares with Huber's weights (doi:10.1214/aoms/1177703732)."""
-    design = np.column_stack([np.ones_like(s), s])
-    weights = np.ones_like(s)
-    for _ in range(4):
-        normal_matrix = design.T @ (weights[:, None] * design)
-        offset, slope = np.linalg.solve(normal_matrix, design.T @ (weights * edge))
-        residual = edge - offset - slope * s
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 0.02)
-        weights = np.minimum(1.0, 1.5 * spread / np.maximum(np.abs(residual), 1e-12))
-    variance = float(np.sum(weights * residual**2) / max(weights.sum() - 2.0, 1.0))
-    covariance = variance * np.linalg.inv(normal_matrix)
-    normal = np.array([along[1], -along[0]])
-    return _Line(start, along, normal, float(offset), float(slope), length, np.asarray(covariance))
+    information = jacobian.T @ jacobian
+    inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    covariance = max(float(noise), _LEAST_NOISE**2) * inverse[:2, :2]
+    return _Line(edge, float(state[0]), float(state[1]), covariance)
 
 
 def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray]:
-    """Corner where two edges meet (the end of the first, the start of the second), covariance."""
-    directions = [line.along + line.slope * line.normal for line in (first, second)]
-    origins = [line.start + line.offset * line.normal for line in (first, second)]
-    normals = np.stack([np.array([d[1], -d[0]]) / np.linalg.norm(d) for d in directions])
-    inverse = np.linalg.inv(normals)
-    corner = inverse @ [n @ o for n, o in zip(normals, origins, strict=True)]
-    variances = []
-    for line, s in ((first, first.length), (second, 0.0)):
+    """Corner at the end of the first line and the start of the second, and its covariance."""
+    normals, places, variances = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
+    for i, (line, s) in enumerate(((first, 1.0), (second, -1.0))):
+        edge = line.edge
+        direction = edge.along + line.slope / edge.half * _normal(edge.along)
+        normals[i] = _normal(direction / np.linalg.norm(direction))
+        places[i] = normals[i] @ (edge.middle + line.offset * _normal(edge.along))
         row = np.array([1.0, s])
-        variances.append(row @ line.covariance @ row)
-    return corner, inverse @ np.diag(variances) @ inverse.T
+        variances[i] = row @ line.covariance @ row
+    inverse = np.linalg.inv(normals)
+    return inverse @ places, inverse @ np.diag(variances) @ inverse.T

@@ -10,27 +10,18 @@ the jump; nothing else is remembered between images.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image
-
-from infomap_ros.geometry import CameraInfoRecord, ImageRecord
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.clock_jumps import JumpingPairs
+from infomap_ros.nodes.image_inputs import ImageInputs, Images, Infos
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.range_outputs import RangeOutputs
 from infomap_ros.nodes.range_sources import RangeSource
 from infomap_ros.nodes.run import run_node
-from infomap_ros.replay.messages import decode_camera_info, decode_image
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-
-_CLOCK_JUMP = 1_000_000_000  # [ns]
-Images = tuple[ImageRecord, ...]
 
 
 @dataclass(frozen=True)
@@ -83,55 +74,28 @@ class StereoRangeNode(MonitoredNode):
         self._source = self._make_source(config)
         seconds = self._source.seconds_to_warm_up()
         self.get_logger().info(f"kernels ready after {seconds:.1f} s")
-        tolerance = round(config.pairing_tolerance * 1e9)
-        self._pairs = JumpingPairs(tolerance, _CLOCK_JUMP, self.drop)
-        self._infos: dict[str, CameraInfoRecord] = {}
-        self._uncalibrated: deque[Images] = deque(maxlen=config.queue_size)
         self._outputs = RangeOutputs(self)
         self._worker = self.start_worker(config.queue_size)
-        self._listen()
+        topics = self._source.image_topics, self._source.info_topics
+        waiting = config.pairing_tolerance, config.queue_size
+        self._inputs = ImageInputs(self, *topics, self._hand_over, *waiting)
 
     def _make_source(self, config: StereoRangeNodeConfig) -> RangeSource:
         if config.source == "depth":
             return RangeSource.of_depth(self.config(DepthCameraConfig), color=config.color)
         return RangeSource.of_stereo(self.config(StereoConfig), rectify=config.rectify)
 
-    def _listen(self) -> None:
-        for topic in self._source.info_topics:
-            handle = partial(self._on_info, topic)
-            self.listen(CameraInfo, topic, handle, qos.sensor_data())
-        for side, topic in enumerate(self._source.image_topics):
-            self.listen(Image, topic, partial(self._on_image, side), qos.sensor_data())
-
-    def _on_info(self, topic: str, message: CameraInfo) -> None:
-        self._infos[topic] = decode_camera_info(message)
-        if len(self._infos) == len(self._source.info_topics):
-            while self._uncalibrated:
-                self._hand_over(self._uncalibrated.popleft())
-
-    def _on_image(self, side: int, message: Image) -> None:
-        image = decode_image(message)
-        if len(self._source.image_topics) == 1:
-            self._hand_over((image,))
-        elif (pair := self._pairs.add(side, image)) is not None:
-            self._hand_over(pair)
-
-    def _hand_over(self, images: Images) -> None:
-        """Give images to the worker, once the cameras are known."""
-        if len(self._infos) < len(self._source.info_topics):
-            if len(self._uncalibrated) == self._uncalibrated.maxlen:
-                self.drop("no camera info")
-            self._uncalibrated.append(images)
-        elif self._outputs.wanted:
-            infos = tuple(self._infos[topic] for topic in self._source.info_topics)
+    def _hand_over(self, images: Images, infos: Infos) -> None:
+        """Give images to the worker, where anybody wants what comes out."""
+        if self._outputs.wanted:
             self._worker.submit(partial(self._measure, images, infos))
 
-    def _measure(self, images: Images, infos: tuple[CameraInfoRecord, ...]) -> None:
+    def _measure(self, images: Images, infos: Infos) -> None:
         topic = self._source.image_topics[0]
         if self.guard(topic, partial(self._measure_and_publish, images, infos)):
             self.health.produced()
 
-    def _measure_and_publish(self, images: Images, infos: tuple[CameraInfoRecord, ...]) -> None:
+    def _measure_and_publish(self, images: Images, infos: Infos) -> None:
         self._outputs.publish(self._source.measure(images, infos))
 
 

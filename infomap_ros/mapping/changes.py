@@ -36,16 +36,26 @@ class VoxelChanges:
     covariances: FloatArray
 
 
-def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
-    """Implementation of `VoxelMap.take_changes` for voxels of `size` [m]."""
+def take_changes(
+    storage: MapStorage, size: float, limit: int, slots: NDArray[np.int64] | None = None
+) -> VoxelChanges:
+    """Implementation of `VoxelMap.take_changes` for voxels of `size` [m].
+
+    Args:
+        storage: of the map.
+        size: see above.
+        limit: number of voxels at the most.
+        slots: numbers of the blocks of which changes are taken, in this order; all if None.
+    """
     blocks = storage.blocks
     if len(blocks.dirty) == 0:
         raise InvalidInputError("take_changes", "changes are not tracked")
     count = int(blocks.counts[BLOCK_COUNT])
-    room = min(limit, int(_count_bits(blocks.dirty[:count].reshape(-1))))
+    slots = np.arange(count) if slots is None else slots
+    room = min(limit, int(_count_bits(blocks.dirty[slots].reshape(-1))))
     indices, quanta = np.empty((room, 3), np.int32), np.empty(room, np.int8)
     owners = np.empty(room, np.int64)
-    found = queries.list_dirty(blocks, storage.gone, room, indices, quanta, owners)
+    found = queries.list_dirty(blocks, storage.gone, slots, room, indices, quanta, owners)
     indices, quanta, owners = indices[:found], quanta[:found], owners[:found]
     has_gaussian = np.empty(found, np.bool_)
     means, covariances = np.full((found, 3), np.nan), np.full((found, 3, 3), np.nan)
@@ -60,6 +70,15 @@ def take_changes(storage: MapStorage, size: float, limit: int) -> VoxelChanges:
         covariances,
     )
     return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
+
+
+def changed_blocks(storage: MapStorage) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Blocks with changes that were not yet taken: their numbers, and how many voxels each."""
+    if len(storage.blocks.dirty) == 0:
+        raise InvalidInputError("changed_blocks", "changes are not tracked")
+    dirty = storage.blocks.dirty[: int(storage.blocks.counts[BLOCK_COUNT])]
+    slots = np.flatnonzero((dirty != 0).any(axis=1))
+    return slots, np.array([_count_bits(dirty[slot]) for slot in slots], np.int64)
 
 
 def mark_changed(storage: MapStorage, first: int, blocks: int) -> int:

@@ -186,12 +186,15 @@ def total_entropy(blocks: Any, quantum: float, low: Any, high: Any) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
-def list_dirty(blocks: Any, gone: Any, limit: int, indices: Any, quanta: Any, owners: Any) -> int:
+def list_dirty(
+    blocks: Any, gone: Any, slots: Any, limit: int, indices: Any, quanta: Any, owners: Any
+) -> int:
     """List up to `limit` voxels that changed and are or were known, and forget that they changed.
 
     Args:
         blocks: a `BlockArrays` that tracks changes.
         gone: voxels that were known once, see `MapStorage`.
+        slots: numbers of the blocks, in the order in which they are listed.
         limit: room in the arrays below.
         indices: receives voxel coordinates, shape (limit, 3).
         quanta: receives the clipped evidence or NOT_OBSERVED, shape (limit,).
@@ -203,7 +206,7 @@ def list_dirty(blocks: Any, gone: Any, limit: int, indices: Any, quanta: Any, ow
     dirty, kinds, bases, planes = blocks.dirty, blocks.kind, blocks.base, blocks.plane
     narrow, wide, keys = blocks.narrow, blocks.wide, blocks.keys
     found = 0
-    for slot in range(blocks.counts[BLOCK_COUNT]):
+    for slot in slots:
         kind, base, row = kinds[slot], np.int64(bases[slot]), planes[slot]
         x, y, z = unpack(keys[slot])
         for word in range(8):

@@ -1,8 +1,9 @@
 """What robots tell each other of the map: the wire format of map updates, and their merge."""
 
+from infomap_ros.mapping import NOT_OBSERVED
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.update import NOT_OBSERVED, MapUpdate
+from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.versions import is_newer, next_version, version_at
 from infomap_ros.team.wire import (
     MAX_MESSAGE_BYTES,

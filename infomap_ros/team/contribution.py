@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.mapping import NOT_OBSERVED
 from infomap_ros.mapping.blocks import BLOCK_COUNT, BlockArrays, block_bytes, empty_blocks, grown
 from infomap_ros.mapping.blocks import with_room as with_block_room
 from infomap_ros.mapping.gaussians import (
@@ -24,7 +25,7 @@ from infomap_ros.mapping.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxel_states import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
 from infomap_ros.team.gaussian_code import code_tables
-from infomap_ros.team.update import NOT_OBSERVED, MapUpdate
+from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.versions import is_newer
 
 BLOCK_BYTES = 5 * BLOCK_VOXELS + 12

@@ -9,12 +9,12 @@ from numba import njit
 
 from infomap_ros.mapping.block_kernels import find_block, find_or_add_block
 from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.gaussians import find_row, gaussian_row
 from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack, unpack
 from infomap_ros.team.gaussian_code import information_of_code
 from infomap_ros.team.versions import is_newer
 
-_UNKNOWN = np.int8(-128)  # update.NOT_OBSERVED
 _ZERO = np.uint64(0)
 
 
@@ -30,7 +30,7 @@ def mixed(value: Any) -> Any:
 @njit(cache=True, nogil=True)
 def _state_hash(local: int, log_odds: int, code: Any, other: Any) -> Any:
     """Hash of a voxel's state, 0 where it is not observed."""
-    if log_odds == -128:
+    if log_odds == NOT_OBSERVED:
         return _ZERO
     place = np.uint64(local) | (np.uint64(np.int64(log_odds) & 0xFF) << np.uint64(16))
     return mixed(mixed(mixed(place) ^ code) ^ other)
@@ -141,7 +141,7 @@ def add_contribution(
             continue
         local = local_index(x, y, z)
         value = planes.log_odds[slot, local]
-        if value == _UNKNOWN:
+        if value == NOT_OBSERVED:
             continue
         known[row] = True
         quanta[row] += value

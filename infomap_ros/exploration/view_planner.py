@@ -115,9 +115,8 @@ class ViewPlanner:
     ) -> None:
         self.config = config or ViewPlannerConfig()
         self.robot, self._rig, self._task = robot, rig, task
-        information = ExpectedInformation(
-            self.config.metric, InformationConfig.of_stereo(rig), threads=self.config.threads
-        )
+        sensor = replace(InformationConfig.of_stereo(rig), wanted_sigma=task.mean_sigma)
+        information = ExpectedInformation(self.config.metric, sensor, threads=self.config.threads)
         self._information = information
         self._choice = NextBestView(
             self.config.choice, self.config.strategy, information, localisation_error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxel_states import VoxelStates, put_states
+from infomap_ros.mapping.voxel_states import VoxelStates, information_of, put_states
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
@@ -33,13 +35,26 @@ def robot() -> RobotModel:
 
 @pytest.fixture
 def half_known() -> VoxelMap:
-    """Even ground at z = 0 in a box of 3 x 3 x 1.6 m; nothing is known where x < -0.5 m."""
+    """Nothing is known where x < -0.5 m."""
+    return box_of_voxels(known_from=-10, sigma=0.001)
+
+
+def box_of_voxels(known_from: int, sigma: float) -> VoxelMap:
+    """Even ground at z = 0 in a box of 3 x 3 x 1.6 m, known from a voxel along x.
+
+    Args:
+        known_from: index of the first known voxel along x; the box begins at -30.
+        sigma: of the ground [m].
+    """
     voxel_map = VoxelMap()
-    indices = np.indices((40, 60, 32), np.int32).reshape(3, -1).T + np.int32((-10, -30, -6))
+    size, first = voxel_map.config.voxel_size, np.int32((known_from, -30, -6))
+    indices = np.indices((30 - known_from, 60, 32), np.int32).reshape(3, -1).T + first
     quanta = np.where(indices[:, 2] < 0, 20, -20).astype(np.int32)
-    without_gaussian = np.zeros((len(indices), 9), np.float32)
+    ground = indices[:, 2] == -1
+    covariances = np.tile(sigma**2 * np.eye(3), (len(indices), 1, 1))
+    gaussians = information_of(indices, ground, (indices + 0.5) * size, covariances, size)
     known = np.ones(len(indices), bool)
-    put_states(voxel_map._storage, VoxelStates(indices, known, quanta, without_gaussian))
+    put_states(voxel_map._storage, VoxelStates(indices, known, quanta, gaussians))
     return voxel_map
 
 
@@ -56,11 +71,11 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     return views
 
 
-def planner_of(robot: RobotModel) -> ViewPlanner:
+def planner_of(robot: RobotModel, task: TaskConfig = TASK) -> ViewPlanner:
     return ViewPlanner(
         robot,
         StereoRig(CAMERA, CAMERA, 0.1),
-        TASK,
+        task,
         ViewPlannerConfig(arm_views=40, rounds=ROUNDS, threads=1),
     )
 
@@ -88,6 +103,15 @@ def test_views_that_were_not_reached_are_not_tried_again(robot, half_known, trie
     again = [v for v in tried[first:] if any(np.array_equal(v, old) for old in tried[:first])]
     assert not again
     assert any("unreachable before" in reason for reason in choice.explanation["rejections"])
+
+
+@pytest.mark.parametrize(("wanted", "looks"), [(0.05, False), (0.002, True)])
+def test_looks_again_at_surfaces_that_are_not_precise_enough(robot, wanted, looks):
+    """All is known, with the ground within 2 cm."""
+    voxel_map = box_of_voxels(known_from=-30, sigma=0.02)
+    task = dataclasses.replace(TASK, mean_sigma=wanted)
+    choice = planner_of(robot, task).choose(voxel_map, standing(robot))
+    assert (choice.pose is not None) == looks
 
 
 def test_a_view_that_failed_is_not_chosen_at_once(robot, half_known):

@@ -31,7 +31,7 @@ def sample_inverse_depths(cloud: RangeCloud, pixels: FloatArray) -> tuple[FloatA
         the 25 neighbours, or neighbours to one side only, were measured.
     """
     height, width = cloud.range_image.shape
-    inside = np.isfinite(pixels).all(axis=1, keepdims=True)[:, 0]
+    inside = np.asarray(np.isfinite(pixels).all(axis=1))
     nearest = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(np.int64)
     inside &= ((nearest >= _REACH) & (nearest < np.array([width, height]) - _REACH)).all(axis=1)
     inverse, sigma = np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)

@@ -2,9 +2,10 @@
 
 Fig. 9 of Sujan and Dubowsky (2005), "track fiducials": pyramidal optical flow with a
 forward-backward check leads to the neighbourhood, the alignment with a template to the pixel. The
-template stays that of the view in which the fiducial was chosen, so that the pixel does not creep;
-only when the fiducial no longer looks like it is the template renewed, from the last view in which
-it was well seen, and what that adds to the pixel's variance is kept. After a step that the flow
+template stays that of the view in which the fiducial was chosen, so that the pixel does not creep.
+Only when the camera has come so near or gone so far that the template has to be stretched a lot is
+it renewed, from a view in which it is well seen, and what that adds to the pixel's variance is
+kept. A fiducial that no longer looks like its template is not seen. After a step that the flow
 cannot follow, fiducials are found again by their descriptors.
 """
 
@@ -50,8 +51,15 @@ class FiducialTrackerConfig:
         low=0.5,
         high=50.0,
     )
+    max_sigma: float = parameter(
+        0.3,
+        "Fiducials whose pixel is less certain than this are not believed: they slide along edges.",
+        unit="px",
+        low=0.01,
+        high=10.0,
+    )
     max_warp: float = parameter(
-        1.6,
+        1.8,
         "A template is renewed when it has to be stretched or shrunk by more than this factor.",
         low=1.05,
         high=4.0,
@@ -73,7 +81,7 @@ class FiducialTrackerConfig:
         high=1.0,
     )
     sigma_factor: float = parameter(
-        1.5, "Calibrated multiple of the sigma that image noise leaves.", low=0.1, high=20.0
+        3.0, "Calibrated multiple of the sigma that image noise leaves.", low=0.1, high=20.0
     )
     sigma_floor: float = parameter(
         0.05, "Pixel sigmas are never smaller.", unit="px", low=0.001, high=10.0
@@ -157,7 +165,7 @@ class FiducialTracker:
         places = np.where(found[:, None], places, start)
         search = np.where(found | ~known, 0, self.config.search_radius)
         self._recover(view, places, search, found)
-        aligned = self._align(view.image, places, search)
+        aligned = align_templates(view.image, tracks.templates, places, tracks.warps, search)
         seen = self._accept(aligned, places, search)
         self._note(view.image, aligned, seen)
         observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
@@ -205,50 +213,31 @@ class FiducialTracker:
         places[rows] = again.pixels
         search[rows] = min(2, self.config.search_radius)
 
-    def _align(
-        self, image: NDArray[np.uint8], places: FloatArray, search: NDArray[np.int64]
-    ) -> Alignment:
-        """Align with the templates; where that fails, with newer ones, which then stay."""
-        tracks, config = self._tracks, self.config
-        aligned = align_templates(image, tracks.templates, places, tracks.warps, search)
-        scale = np.linalg.norm(aligned.warps, ord=2, axis=(1, 2))
-        shrink = 1.0 / np.linalg.norm(np.linalg.inv(aligned.warps), ord=2, axis=(1, 2))
-        stretched = (scale > config.max_warp) | (shrink < 1.0 / config.max_warp)
-        poor = ~(aligned.correlations >= config.min_correlation) | stretched
-        if not poor.any():
-            return aligned
-        warps = np.tile(np.eye(2), (int(poor.sum()), 1, 1))
-        again = align_templates(image, tracks.newer[poor], places[poor], warps, search[poor])
-        better = again.correlations >= config.good_correlation
-        rows = np.flatnonzero(poor)[better]
-        tracks.templates[rows] = tracks.newer[rows]
-        tracks.creep[rows] = tracks.newer_creep[rows]
-        for whole, part in zip(aligned, again, strict=True):
-            whole[rows] = part[better]
-        return aligned
-
     def _accept(
         self, aligned: Alignment, places: FloatArray, search: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
         """Which alignments are believed, shape (N,)."""
-        allowed = self.config.max_shift + np.sqrt(2.0) * search
+        config = self.config
+        allowed = config.max_shift + np.sqrt(2.0) * search
         with np.errstate(invalid="ignore"):
             near = np.linalg.norm(aligned.pixels - places, axis=1) <= allowed
-        return np.asarray(near & (aligned.correlations >= self.config.min_correlation))
+            sharp = config.sigma_factor * aligned.sigmas <= config.max_sigma
+        return np.asarray(near & sharp & (aligned.correlations >= config.min_correlation))
 
     def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
-        """Keep where fiducials are, and what the well seen ones look like now."""
+        """Keep where fiducials are; renew templates that are stretched a lot but well seen."""
         tracks, config = self._tracks, self.config
         tracks.missed[:] = np.where(seen, 0, tracks.missed + 1)
         tracks.pixels[seen] = aligned.pixels[seen]
         tracks.warps[seen] = aligned.warps[seen]
-        well = np.flatnonzero(seen & (aligned.correlations >= config.good_correlation))
-        upright = np.tile(np.eye(2), (len(well), 1, 1))
-        patches, inside = cut_templates(image, aligned.pixels[well], upright, config.template)
-        rows = well[inside]
-        tracks.newer[rows] = patches[inside]
-        added = np.square(config.sigma_factor * aligned.sigmas[rows])
-        tracks.newer_creep[rows] = tracks.creep[rows] + added
+        stretch = np.abs(np.log(np.linalg.svd(tracks.warps, compute_uv=False))).max(axis=1)
+        well = seen & (stretch > np.log(config.max_warp))
+        well[seen] &= aligned.correlations[seen] >= config.good_correlation
+        upright = np.tile(np.eye(2), (int(well.sum()), 1, 1))
+        patches, inside = cut_templates(image, tracks.pixels[well], upright, config.template)
+        rows = np.flatnonzero(well)[inside]
+        tracks.templates[rows], tracks.warps[rows] = patches[inside], np.eye(2)
+        tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
 
     def _observe(self, view: RangeView, tracks: Tracks, noise: FloatArray) -> FiducialObservations:
         config = self.config

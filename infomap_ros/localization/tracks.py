@@ -23,8 +23,6 @@ class Tracks:
         warps: offsets in the image from offsets in the template, shape (N, 2, 2).
         creep: variance of the pixel by which the template's centre is off the point that was first
             chosen, shape (N,) [px^2]; grows when a template is renewed.
-        newer: what they looked like when they were last well seen, shape (N, P, P).
-        newer_creep: creep of a template made of `newer`, shape (N,) [px^2].
         descriptors: for finding them after a large step, shape (N, D).
     """
 
@@ -34,8 +32,6 @@ class Tracks:
     templates: NDArray[np.float32]
     warps: FloatArray
     creep: FloatArray
-    newer: NDArray[np.float32]
-    newer_creep: FloatArray
     descriptors: NDArray[np.generic]
 
     def __len__(self) -> int:
@@ -67,8 +63,6 @@ def new_tracks(
         np.zeros(count, np.int64),
         templates,
         np.tile(np.eye(2), (count, 1, 1)),
-        np.zeros(count),
-        templates.copy(),
         np.zeros(count),
         descriptors,
     )

@@ -57,6 +57,15 @@ class VoxelMapConfig:
     association_limit: float = parameter(
         3.0, "Limit of that distance, in voxels.", low=0.0, high=64.0
     )
+    free_gap: float = parameter(
+        0.8660254,
+        "A scan without a camera frees nothing so near to the tangent plane of a surface. The "
+        "default is half a voxel's diagonal; 0 is for a sensor without noise whose surfaces are "
+        "faces of voxels.",
+        unit="voxels",
+        low=0.0,
+        high=10.0,
+    )
     error_correlation: float = parameter(
         StereoConfig.error_correlation,
         "Correlation of the range errors of neighbouring points of one scan: the variance of a "

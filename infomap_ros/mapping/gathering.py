@@ -180,8 +180,8 @@ class ScanGatherer:
                 break
             self._parts[0] = scan.empty_rows(2 * len(self._parts[0].keys))
             far = scan.empty_rows(2 * len(far.keys))
-        marks = traversal.empty_marks()
-        while not traversal.mark_free(marks, self._parts[0], far, sensor):
+        marks, gap = traversal.empty_marks(), self._config.free_gap
+        while not traversal.mark_free(marks, self._parts[0], far, sensor, gap):
             self._check_block_count(2 * len(marks.keys))
             marks = traversal.empty_marks(2 * len(marks.keys))
         count = int(marks.used[0])

@@ -191,18 +191,19 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def mark_free(marks: Any, rows: Any, far: Any, sensor: Any) -> bool:
+def mark_free(marks: Any, rows: Any, far: Any, sensor: Any, gap: float) -> bool:
     """Mark what the rays of an unorganised scan cross, one ray per end voxel.
 
     A ray ends as evidence before it comes within reach of its surface: ``k sigma`` of its range,
-    and where it would be within half a voxel's diagonal of the surface's tangent plane, so that a
-    ray that grazes a floor does not free the floor's voxels.
+    and where it would be within `gap` of the surface's tangent plane, so that a ray that grazes a
+    floor does not free the floor's voxels.
 
     Args:
         marks: a `FreeMarks`.
         rows: `ScanRows` of the points in range.
         far: `ScanRows` of the rays that found nothing in range.
         sensor: a `Sensor`.
+        gap: see above [voxels].
 
     Returns:
         False when the scratch storage is full.
@@ -231,7 +232,7 @@ def mark_free(marks: Any, rows: Any, far: Any, sensor: Any) -> bool:
         spread = 0.0
         for i in (4, 7, 9):
             spread += rows.sums[row, i] / count
-        margin = 0.8660254 / incidence + sensor.sigmas * np.sqrt(spread) * sensor.inverse_size
+        margin = gap / incidence + sensor.sigmas * np.sqrt(spread) * sensor.inverse_size
         if length > margin and not mark_ray(marks, start, end, (length - margin) / length):
             return False
     return True

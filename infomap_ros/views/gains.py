@@ -18,6 +18,7 @@ from infomap_ros.views.predicted_field import with_predictions
 from infomap_ros.views.surface_field import with_surfaces
 
 _LEAST_STEPS = 64
+_STEPS_IN_PLANE = 4  # per voxel; a longer step may miss the corner of the one voxel that hides
 
 
 def code_book(config: InformationConfig) -> CodeBook:
@@ -25,12 +26,21 @@ def code_book(config: InformationConfig) -> CodeBook:
     return CodeBook(config.certain_probability, config.wanted_sigma)
 
 
+def shell_volumes(edges: FloatArray, planar: bool) -> FloatArray:
+    """Voxels per steradian between distances, shape (n + 1,) [voxels] -> (n,); in a plane per rad.
+
+    In a plane a ray stands for a sector of one layer of voxels: r dr instead of r^2 dr.
+    """
+    power = 2 if planar else 3
+    return np.asarray(np.diff(edges**power) / power)
+
+
 @dataclass(frozen=True, eq=False)
 class GainTable:
     """What the steps of a ray tell, by the code of the voxel in which they are.
 
     Attributes:
-        gains: bits per steradian, shape (steps, codes), float32.
+        gains: bits per steradian (in a plane per radian), shape (steps, codes), float32.
         before: sum over the steps before, shape (steps + 1, codes), float32.
         clear: probability that a step's way does not hide what is behind it, shape (codes,).
         step: length of a step [voxels].
@@ -51,7 +61,7 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
         config: of the sensor.
     """
     reach = max_range / m.config.voxel_size
-    steps = max(math.ceil(reach), _LEAST_STEPS)
+    steps = max(math.ceil(reach * (_STEPS_IN_PLANE if config.planar else 1)), _LEAST_STEPS)
     edges = np.linspace(0.0, reach, steps + 1)
     middle = 0.5 * (edges[:-1] + edges[1:]) * m.config.voxel_size
     book = code_book(config)
@@ -61,7 +71,7 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
     bits[:, book.known()] *= config.known_weight
     bits += surface_bits(book.sigmas(), middle[:, None], m.config, config)
     bits[middle < config.min_range] = 0.0
-    gains = bits * np.diff(edges**3)[:, None] / 3.0
+    gains = bits * shell_volumes(edges, config.planar)[:, None]
     before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
     step = reach / steps
     clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)

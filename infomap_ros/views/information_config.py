@@ -97,6 +97,11 @@ class InformationConfig:
         low=0.0,
         high=10.0,
     )
+    planar: bool = parameter(
+        False,
+        "The map is one layer of voxels, along which the camera looks: a ray stands for a sector "
+        "of the layer, not for a pyramid, and near space counts accordingly more.",
+    )
     grey_levels: int = parameter(
         32, "Levels of probability that eqs. (7) to (9) as printed tell apart.", low=2, high=1000
     )

@@ -19,7 +19,7 @@ from infomap_ros.views.reach import Reachability
 from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.strategies import make_strategy
-from infomap_ros.views.strategy import Strategy
+from infomap_ros.views.strategy import ProposesViews, Strategy
 from infomap_ros.views.surroundings import Surroundings
 from infomap_ros.views.survey import SurroundingsConfig, horizons, survey
 from infomap_ros.views.terms import RatingTerm
@@ -132,7 +132,10 @@ class NextBestView:
         previous_goal: FloatArray | None,
     ) -> Candidates:
         goal = np.empty((0, 4, 4)) if previous_goal is None else np.array([previous_goal])
-        extra = np.concatenate([situation.arm_views, goal])
+        own = np.empty((0, 4, 4))
+        if isinstance(self._strategy, ProposesViews):
+            own = self._strategy.propose(situation, surroundings, rng)
+        extra = np.concatenate([situation.arm_views, own, goal])
         settings = self.config
         return find_candidates(
             situation, surroundings, rng, settings.candidates, settings.orientations, extra

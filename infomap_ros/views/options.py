@@ -9,16 +9,13 @@ from typing import Protocol
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views import sight_kernels
+from infomap_ros.views.glances import Glances, glance_at
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.surroundings import IntArray, Surroundings
 from infomap_ros.views.voxel_gains import VoxelGains
 from infomap_ros.views.wishes import Wishes, wishes_of
 
-_RAYS = (9, 7)  # of a glance, across and down
-_STEP = 0.1  # [m] of the march along them
 _RECENT = 24  # views of the past that count
-_FADE = 0.5  # [m] of unknown space behind which a glance expects little
 
 
 class InformationSource(Protocol):
@@ -44,23 +41,6 @@ class InformationSource(Protocol):
 
     def full_view(self, situation: Situation) -> float:
         """Of a view into nothing but unknown space; the unit in which the rating counts."""
-
-
-@dataclass(frozen=True, eq=False)
-class Glances:
-    """What a few rays per view meet; volumes as seen through the pyramids that rays stand for.
-
-    Attributes:
-        unknown: unknown volume in sight, shape (M,) [m^3].
-        known: known volume in sight, shape (M,) [m^3].
-        wanted: share of what the view tells of the region that is wanted, by interests, shape (M,).
-        left: share of what is wanted that teammates leave, shape (M,).
-    """
-
-    unknown: FloatArray
-    known: FloatArray
-    wanted: FloatArray
-    left: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +91,7 @@ class Options:
     @cached_property
     def glances(self) -> Glances:
         """What a few rays of each view meet."""
-        return _glances(self)
+        return glance_at(self.situation, self.surroundings, self.wishes, self.poses)
 
     @property
     def recent_views(self) -> FloatArray:
@@ -142,38 +122,3 @@ class Options:
         options.__dict__["wishes"] = self.wishes
         options.__dict__["left_over"] = self.left_over
         return options
-
-
-def _glances(options: Options) -> Glances:
-    situation, surroundings = options.situation, options.surroundings
-    camera, size = situation.camera, surroundings.voxel_size
-    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n for n in _RAYS))
-    pixels = u * camera.width - 0.5, v * camera.height - 0.5
-    rays = np.stack(
-        [
-            (pixels[0] - camera.cx) / camera.fx,
-            (pixels[1] - camera.cy) / camera.fy,
-            np.ones(u.shape),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
-    solid_angle = 1.0 / (camera.fx * camera.fy) * camera.width * camera.height / len(rays)
-    step = max(1.0, _STEP / size)
-    bounds = np.stack([situation.region.low, situation.region.high]) / size
-    sums = np.zeros((len(options), 5))
-    sight_kernels.glance(
-        surroundings.states,
-        options.wishes.kinds,
-        options.wishes.weights,
-        bounds - surroundings.window.first,
-        options.positions / size - surroundings.window.first,
-        np.ascontiguousarray(rays / lengths @ options.poses[:, :3, :3].transpose(0, 2, 1)),
-        situation.max_range / size,
-        step,
-        _FADE / size,
-        sums,
-    )
-    volume = solid_angle * float(np.mean(lengths**-3)) * size**3
-    told, wanted = np.maximum(sums[:, 2], 1e-12), np.maximum(sums[:, 3], 1e-12)
-    return Glances(sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / told, sums[:, 4] / wanted)

@@ -15,6 +15,7 @@ from infomap_ros.views import sight_kernels
 from infomap_ros.views.surroundings import BoolArray, Surroundings
 
 _ROWS, _COLUMNS = 12, 24  # directions are told apart by 15 degrees
+_LEVEL_COLUMNS = 72  # and by 5 where all have the same elevation
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,12 @@ class OrientationConfig:
     targets_per_position: int = parameter(
         300, "At most so many cells are looked for from one position.", low=1, high=1_000_000
     )
+
+    @property
+    def bins(self) -> tuple[int, int]:
+        """Elevations and azimuths by which directions are told apart."""
+        is_level = self.lowest_elevation == self.highest_elevation
+        return (1, _LEVEL_COLUMNS) if is_level else (_ROWS, _COLUMNS)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -121,7 +128,7 @@ def _targets_by_direction(
 ) -> FloatArray:
     """Number of voxels worth looking at in sight, shape (P, rows * columns)."""
     size, window = surroundings.voxel_size, surroundings.window
-    sums = np.zeros((len(positions), _ROWS, _COLUMNS))
+    sums = np.zeros((len(positions), *config.bins))
     sight_kernels.gather_directions(
         surroundings.states,
         positions / size - window.first,
@@ -131,14 +138,17 @@ def _targets_by_direction(
         config.targets_per_position,
         sums,
     )
-    return sums.reshape(len(positions), _ROWS * _COLUMNS)
+    return sums.reshape(len(positions), sums.shape[1] * sums.shape[2])
 
 
-def _bin_directions() -> tuple[FloatArray, FloatArray]:
+def _bin_directions(config: OrientationConfig) -> tuple[FloatArray, FloatArray]:
     """Azimuth and elevation of the middle of each bin, shape (rows * columns,)."""
-    elevations = ((np.arange(_ROWS) + 0.5) / _ROWS - 0.5) * math.pi
-    azimuths = ((np.arange(_COLUMNS) + 0.5) / _COLUMNS - 0.5) * 2.0 * math.pi
-    return np.tile(azimuths, _ROWS), np.repeat(elevations, _COLUMNS)
+    rows, columns = config.bins
+    elevations = ((np.arange(rows) + 0.5) / rows - 0.5) * math.pi
+    if rows == 1:
+        elevations[:] = config.lowest_elevation
+    azimuths = ((np.arange(columns) + 0.5) / columns - 0.5) * 2.0 * math.pi
+    return np.tile(azimuths, rows), np.repeat(elevations, columns)
 
 
 def _best_directions(
@@ -149,7 +159,7 @@ def _best_directions(
     Returns:
         Azimuths, elevations [rad] and whether anything is in view, shape (P, directed) each.
     """
-    bin_azimuths, bin_elevations = _bin_directions()
+    bin_azimuths, bin_elevations = _bin_directions(config)
     axes = np.clip(bin_elevations, config.lowest_elevation, config.highest_elevation)
     rotations = look_rotations(bin_azimuths, axes)
     forward = look_rotations(bin_azimuths, bin_elevations)[..., 2]

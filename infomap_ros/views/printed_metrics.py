@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.field import code_at, workers_of
-from infomap_ros.views.gains import gain_table
+from infomap_ros.views.gains import gain_table, shell_volumes
 from infomap_ros.views.observation_value import entropy_of
 from infomap_ros.views.predicted_field import with_predictions
 from infomap_ros.views.ray_kernels import region_steps, turned
@@ -124,7 +124,8 @@ def _rated(query: ViewQuery, rate: Callable[[SeenVolumes], float]) -> FloatArray
     field = with_predictions(query.finest_field(), m, FINEST)
     table = gain_table(m, query.max_range, query.config)
     edges = np.arange(len(table.gains) + 1) * table.step
-    volumes, middles = np.diff(edges**3) / 3.0, 0.5 * (edges[1:] + edges[:-1])
+    volumes = shell_volumes(edges.astype(np.float64), query.config.planar)
+    middles = 0.5 * (edges[1:] + edges[:-1])
     volumes[middles * m.config.voxel_size < query.config.min_range] = 0.0
     placed = query.placed_in(field)
     p, known = FINEST.probabilities(), FINEST.known()

@@ -12,18 +12,26 @@ from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 
 
-def camera_rays(camera: PinholeCamera, spacing: float) -> tuple[FloatArray, FloatArray]:
+def camera_rays(
+    camera: PinholeCamera, spacing: float, planar: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """Rays through the middles of equal cells of the image.
 
     Args:
         camera: only its opening matters, not its number of pixels.
         spacing: largest angle between neighbouring rays [rad].
+        planar: one row of rays in the plane of x and z of the camera.
 
     Returns:
         Unit directions in the camera frame, shape (N, 3), row by row; and the solid angle of each
-        cell, shape (N,) [sr], whose sum is that of the image.
+        cell, shape (N,) [sr], whose sum is that of the image. Of a plane the angle [rad] instead.
     """
     low_x, high_x = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+    if planar:
+        edges = np.arctan(np.linspace(low_x, high_x, math.ceil((high_x - low_x) / spacing) + 1))
+        azimuths = 0.5 * (edges[:-1] + edges[1:])
+        level = np.stack([np.sin(azimuths), np.zeros_like(azimuths), np.cos(azimuths)], axis=-1)
+        return level, np.diff(edges)
     low_y, high_y = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
     columns = max(1, math.ceil((high_x - low_x) / spacing))
     rows = max(1, math.ceil((high_y - low_y) / spacing))

@@ -68,7 +68,7 @@ def information_of_views(
     if bits.size == 0:
         return bits
     field, table = field_around(m, places, reach, settings, threads), gain_table(m, reach, settings)
-    rays, angles = camera_rays(camera, 0.5 * settings.shared_spacing)
+    rays, angles = camera_rays(camera, 0.5 * settings.shared_spacing, settings.planar)
     middles = cell_middles(cells_per_edge(settings.shared_spacing))
     origins, box = field.relative(places), field.relative(checked_region(region))
 

@@ -101,11 +101,13 @@ def glance(
     reach: float,
     step: float,
     fade: float,
+    power: int,
     sums: Any,
 ) -> None:
     """March a few rays of many views and sum up what lies on them.
 
-    Every ray stands for a thin pyramid, so a step at distance r counts r^2. A ray ends at an
+    Every ray stands for a thin pyramid, so a step at distance r counts r^power, 2 in space and 1 in
+    a plane. A ray ends at an
     occupied voxel; beyond the window all is unknown.
 
     Args:
@@ -119,6 +121,7 @@ def glance(
         reach: length of the rays in voxels.
         step: of the march in voxels.
         fade: unknown space of this depth in voxels hides what is behind it, by 1/e.
+        power: see above.
         sums: shape (V, 5), zero: within the bounds, the unknown and the known volume in sight,
             what they tell, what of that is wanted, and what of that teammates leave.
     """
@@ -134,6 +137,7 @@ def glance(
                 reach,
                 step,
                 fade,
+                power,
                 sums[view],
             )
 
@@ -149,6 +153,7 @@ def _march(
     reach: float,
     step: float,
     fade: float,
+    power: int,
     sums: Any,
 ) -> None:
     nx, ny, nz = states.shape
@@ -162,7 +167,7 @@ def _march(
         state = states[a, b, c] if inside else np.uint8(UNKNOWN)
         within = bounds[0, 0] <= x < bounds[1, 0] and bounds[0, 1] <= y < bounds[1, 1]
         within = within and bounds[0, 2] <= z < bounds[1, 2]
-        volume = r * r * step if within else 0.0
+        volume = r**power * step if within else 0.0
         sums[0 if state == UNKNOWN else 1] += volume
         if state == FREE:
             continue

@@ -172,6 +172,12 @@ class Situation:
         """Where the camera is, shape (3,) [m, map]."""
         return np.asarray(self.T_map_camera[:3, 3])
 
+    @property
+    def is_planar(self) -> bool:
+        """Whether the region of the task is one layer of voxels, along which the camera looks."""
+        depth = float(self.region.high[2] - self.region.low[2])
+        return depth <= self.voxel_map.config.voxel_size * (1.0 + 1e-9)
+
     def heights_of(self, points: FloatArray) -> FloatArray:
         """Heights of points, (N, 3) [m, map] -> (N,) [m], as `heights` counts them."""
         if self.ground_height is None:

@@ -156,7 +156,8 @@ def count_targets(states: Any, edge: int, low: Any, high: Any, counts: Any, sums
     """Count what is worth looking at in cells of ``edge^3`` voxels.
 
     That is voxels on the periphery of the known (free, with an unknown neighbour) and uncertain
-    ones, within the positions from `low` to `high`; obstacles are counted apart.
+    ones, within the positions from `low` to `high`; obstacles are counted apart. What is unknown
+    beyond these positions makes no periphery.
 
     Args:
         states: shape (nx, ny, nz), as `VoxelWindow.states`.
@@ -176,7 +177,7 @@ def count_targets(states: Any, edge: int, low: Any, high: Any, counts: Any, sums
                 cell = (x // edge, y // edge, z // edge)
                 if state == OCCUPIED:
                     counts[cell[0], cell[1], cell[2], 1] += 1
-                elif state == UNCERTAIN or _is_periphery(states, x, y, z):
+                elif state == UNCERTAIN or _is_periphery(states, x, y, z, low, high):
                     counts[cell[0], cell[1], cell[2], 0] += 1
                     sums[cell[0], cell[1], cell[2], 0] += x
                     sums[cell[0], cell[1], cell[2], 1] += y
@@ -184,18 +185,18 @@ def count_targets(states: Any, edge: int, low: Any, high: Any, counts: Any, sums
 
 
 @njit(cache=True, nogil=True)
-def _is_periphery(states: Any, x: int, y: int, z: int) -> bool:
-    """A free voxel with an unknown neighbour; the window's outermost layer is not judged."""
+def _is_periphery(states: Any, x: int, y: int, z: int, low: Any, high: Any) -> bool:
+    """A free voxel with an unknown neighbour that counts; the outermost layer is not judged."""
     nx, ny, nz = states.shape
     if states[x, y, z] != FREE:
         return False
     if x == 0 or y == 0 or z == 0 or x == nx - 1 or y == ny - 1 or z == nz - 1:
         return False
     return bool(
-        states[x - 1, y, z] == UNKNOWN
-        or states[x + 1, y, z] == UNKNOWN
-        or states[x, y - 1, z] == UNKNOWN
-        or states[x, y + 1, z] == UNKNOWN
-        or states[x, y, z - 1] == UNKNOWN
-        or states[x, y, z + 1] == UNKNOWN
+        (x > low[0] and states[x - 1, y, z] == UNKNOWN)
+        or (x + 1 < high[0] and states[x + 1, y, z] == UNKNOWN)
+        or (y > low[1] and states[x, y - 1, z] == UNKNOWN)
+        or (y + 1 < high[1] and states[x, y + 1, z] == UNKNOWN)
+        or (z > low[2] and states[x, y, z - 1] == UNKNOWN)
+        or (z + 1 < high[2] and states[x, y, z + 1] == UNKNOWN)
     )

@@ -19,8 +19,11 @@ _STRETCH = 1.2
 
 
 def cells_per_edge(spacing: float) -> int:
-    """Cells along the edge of a face so that none is wider than `spacing` [rad]."""
-    return max(1, math.ceil(2.0 / _STRETCH / spacing))
+    """Cells along the edge of a face so that none is wider than `spacing` [rad].
+
+    An odd number: level directions lie in the middle of a row of cells, and are cast level.
+    """
+    return math.ceil(2.0 / _STRETCH / spacing) // 2 * 2 + 1
 
 
 def cell_middles(cells: int) -> FloatArray:

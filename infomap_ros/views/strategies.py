@@ -14,6 +14,7 @@ import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.glances import full_volume
 from infomap_ros.views.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
@@ -65,11 +66,8 @@ class SmallestKnown:
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Unknown share of the volume in sight."""
-        glances, situation = options.glances, options.situation
-        camera = situation.camera
-        opening = camera.width * camera.height / (camera.fx * camera.fy)
-        whole = opening * situation.max_range**3 / 3.0
-        seen = glances.known + glances.unknown + 0.1 * whole
+        glances = options.glances
+        seen = glances.known + glances.unknown + 0.1 * full_volume(options.situation)
         return Scores(glances.unknown / seen)
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,4 +43,18 @@ class Strategy(Protocol):
 
         Asked twice: for all views, with information good enough for a first ranking, and for the
         best of these that the robot may reach, with ``options.fine`` set; the second answer counts.
+        """
+
+
+@runtime_checkable
+class ProposesViews(Protocol):
+    """What a strategy may have besides: views of its own to choose from."""
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """Further candidates ``T_map_camera``, shape (E, 4, 4); tested and rated like all others.
+
+        Asked before each choice. A view that passes the tests is found among the options by its
+        unchanged pose.
         """

@@ -41,6 +41,14 @@ class SurroundingsConfig:
         low=1e-6,
         high=0.5,
     )
+    surface_margin: int = parameter(
+        2,
+        "Unknown voxels with both an occupied and a free one within this many count as free: a "
+        "scan leaves the voxels right before a surface unobserved. 0 for a sensor without noise.",
+        unit="voxels",
+        low=0,
+        high=10,
+    )
     camera_radius: float = parameter(
         0.1, "Radius of the ball around the camera that must be free.", unit="m", low=0.0, high=5.0
     )
@@ -76,6 +84,12 @@ class SurroundingsConfig:
     def __post_init__(self) -> None:
         check_config(self)
 
+    @property
+    def thresholds(self) -> OccupancyThresholds:
+        """When a voxel is free and when occupied."""
+        occupied = max(0.5, 2.0 * self.free_probability)
+        return OccupancyThresholds(self.free_probability, occupied, self.surface_margin)
+
 
 def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Surroundings:
     """Copy the map around the camera into a window and find room, ways and things to look at."""
@@ -84,12 +98,12 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     reach = math.ceil(settings.camera_radius / size)
     inner, outer, is_whole = _boxes(situation, settings, (reach + 1) * size)
     window = situation.voxel_map.window(*outer)
-    occupied = max(0.5, 2.0 * settings.free_probability)
-    states = window.states(OccupancyThresholds(settings.free_probability, occupied))
+    states = window.states(settings.thresholds)
     camera = window.positions_of(situation.position[None])[0]
     _clear(window, states, situation.clear_space, states != OCCUPIED)
     _clear(window, states, situation.free_body)
-    _clear_camera(states, camera, settings.camera_radius / size + 1.0)
+    extent = settings.camera_radius / size + 1.0 if settings.camera_radius > 0.0 else 0.0
+    _clear_camera(states, camera, extent)
     first = np.maximum(window.positions_of(inner[:1])[0], 0)
     last = np.minimum(window.positions_of(inner[1:])[0], np.array(states.shape) - 1)
     free = _padded_free(states, first, last, reach)
@@ -158,7 +172,10 @@ def _boxes(
         inner = _common(inner, around)
     inner[0] = np.minimum(inner[0], here - margin)
     inner[1] = np.maximum(inner[1], here + margin)
-    outer = inner + np.array([[-1.0], [1.0]]) * situation.max_range
+    sight = np.full(3, situation.max_range)
+    if situation.is_planar:
+        sight[2] = size
+    outer = inner + np.array([[-1.0], [1.0]]) * sight
     outer = _common(outer, known)
     outer = np.stack([np.minimum(outer[0], inner[0]), np.maximum(outer[1], inner[1])])
     return inner, outer, is_whole

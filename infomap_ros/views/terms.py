@@ -58,6 +58,8 @@ class InterestTerm:
 
     def __call__(self, options: Options) -> FloatArray:
         """Added information of each view, shape (M,); negative where less is wanted."""
+        if not options.situation.interests:
+            return np.zeros(len(options))
         return np.asarray(options.information * (options.glances.wanted - 1.0))
 
 
@@ -68,6 +70,8 @@ class TeammatesTerm:
 
     def __call__(self, options: Options) -> FloatArray:
         """Lost information of each view, shape (M,), at most 0."""
+        if not options.situation.teammates:
+            return np.zeros(len(options))
         glances = options.glances
         return np.asarray(options.information * glances.wanted * (glances.left - 1.0))
 

@@ -50,7 +50,7 @@ class ExpectedInformation:
         self._config = config or InformationConfig()
         spacing = max(quick_ray_spacing, self._config.ray_spacing)
         self._quick_config = replace(self._config, ray_spacing=spacing)
-        self._full_views: dict[tuple[VoxelMapConfig, PinholeCamera, float], float] = {}
+        self._full_views: dict[tuple[VoxelMapConfig, PinholeCamera, float, bool], float] = {}
 
     def quick(
         self, situation: Situation, positions: FloatArray, rotations: FloatArray
@@ -63,7 +63,7 @@ class ExpectedInformation:
                 rotations,
                 situation.camera,
                 situation.max_range,
-                self._config,
+                _fitting(self._config, situation),
                 _region(situation),
                 threads=self._threads,
             )
@@ -83,7 +83,8 @@ class ExpectedInformation:
         By the same metric, so that shares of it do not depend on the metric's unit. 0 for metrics
         that unknown space tells nothing.
         """
-        key = (situation.voxel_map.config, situation.camera, situation.max_range)
+        settings, planar = situation.voxel_map.config, situation.is_planar
+        key = (settings, situation.camera, situation.max_range, planar)
         if key not in self._full_views:
             nothing = VoxelMap(situation.voxel_map.config)
             value = expected_information(
@@ -92,7 +93,7 @@ class ExpectedInformation:
                 situation.camera,
                 situation.max_range,
                 self._metric,
-                self._config,
+                _fitting(self._config, situation),
             )
             self._full_views[key] = float(value[0])
         return self._full_views[key]
@@ -102,9 +103,8 @@ class ExpectedInformation:
         found: dict[int, VoxelGains] = {}
         if len(poses) == 0:
             return []
-        field = field_around(
-            situation.promising_map, poses[:, :3, 3], situation.max_range, self._config
-        )
+        config = _fitting(self._config, situation)
+        field = field_around(situation.promising_map, poses[:, :3, 3], situation.max_range, config)
 
         def gather(_: int, first: int, last: int) -> None:
             for index in range(first, last):
@@ -113,7 +113,7 @@ class ExpectedInformation:
                     poses[index],
                     situation.camera,
                     situation.max_range,
-                    self._config,
+                    config,
                     _region(situation),
                     field,
                 )
@@ -130,10 +130,15 @@ class ExpectedInformation:
             situation.camera,
             situation.max_range,
             self._metric,
-            config,
+            _fitting(config, situation),
             _region(situation),
             self._threads,
         )
+
+
+def _fitting(config: InformationConfig, situation: Situation) -> InformationConfig:
+    """The configuration for a task in a plane or in space."""
+    return replace(config, planar=True) if situation.is_planar else config
 
 
 def _region(situation: Situation) -> FloatArray:

@@ -74,7 +74,7 @@ class ViewQuery:
         Raises:
             InvalidInputError: the region is not a box.
         """
-        rays, angles = camera_rays(self.camera, self.config.ray_spacing)
+        rays, angles = camera_rays(self.camera, self.config.ray_spacing, self.config.planar)
         poses = self.poses.copy()
         poses[:, :3, 3] = field.relative(self.places)
         return PlacedViews(poses, rays, angles, field.relative(checked_region(self.region)))

@@ -86,7 +86,7 @@ def view_gains(
     reach = checked_reach(transform[:3, 3], max_range, size)
     field = field or field_around(m, transform[None, :3, 3], reach, settings)
     table = gain_table(m, reach, settings)
-    rays, angles = camera_rays(camera, min(settings.ray_spacing, size / reach))
+    rays, angles = camera_rays(camera, min(settings.ray_spacing, size / reach), settings.planar)
     placed = transform.copy()
     placed[:3, 3] = field.relative(transform[:3, 3])
     box, corner = field.relative(checked_region(region)), field.first * BLOCK_SIDE

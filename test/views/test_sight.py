@@ -83,6 +83,7 @@ def glance(states: np.ndarray, kinds: np.ndarray, weights: np.ndarray, high: flo
         12.0,
         0.01,
         4.0,
+        2,
         sums,
     )
     return sums[0]
@@ -131,6 +132,6 @@ def test_kernels_mean_the_same_uncompiled(rng: np.random.Generator) -> None:
         (sight_kernels.glance.py_func, plain),
         (sight_kernels.glance, compiled),
     ):
-        function(states, kinds, weights, bounds, origins, directions, 9.0, 0.5, 3.0, sums)
+        function(states, kinds, weights, bounds, origins, directions, 9.0, 0.5, 3.0, 2, sums)
     assert plain.min(axis=0)[:3].max() > 0.0
     np.testing.assert_allclose(compiled, plain, rtol=1e-12)

@@ -98,6 +98,7 @@ def test_targets_are_the_periphery_and_the_uncertain(rng: np.random.Generator) -
         cell = tuple(np.array(place) // 3)
         inside = all(0 < p < n - 1 for p, n in zip(place, states.shape, strict=True))
         around = [tuple(np.array(place) + step) for step in space_kernels.SIX] if inside else []
+        around = [n for n in around if ((np.array(n) >= low) & (np.array(n) < high)).all()]
         periphery = states[place] == FREE and any(states[n] == UNKNOWN for n in around)
         if states[place] == UNCERTAIN or periphery:
             expected[cell][0] += 1

@@ -1,0 +1,114 @@
+"""Frontiers of a planar map: free cells beside unknown ones, in groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import FREE, UNKNOWN
+from infomap_ros.views.orientations import look_rotations
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.surroundings import Surroundings
+
+_EIGHT = np.ones((3, 3), np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Frontier:
+    """One group of frontier cells.
+
+    Attributes:
+        places: centres of its cells, shape (n, 3) [m, map].
+    """
+
+    places: FloatArray
+
+    @property
+    def middle(self) -> FloatArray:
+        """Mean of its cells, shape (3,) [m, map]."""
+        return np.asarray(self.places.mean(axis=0))
+
+    @property
+    def centre(self) -> FloatArray:
+        """The cell nearest to the mean, shape (3,) [m, map]."""
+        gaps = np.linalg.norm(self.places - self.middle, axis=1)
+        return np.asarray(self.places[gaps.argmin()])
+
+
+def frontier_cells(situation: Situation, surroundings: Surroundings) -> NDArray[np.bool_]:
+    """Free cells that can be reached and have an unknown neighbour over an edge.
+
+    Of the camera's layer of the window, shape (nx, ny).
+    """
+    window, states = surroundings.window, surroundings.states
+    layer = int(window.positions_of(situation.position[None])[0, 2])
+    plane = np.pad(states[:, :, layer], 1, constant_values=UNKNOWN)
+    region = situation.region
+    edges = window.centres_of(np.column_stack([np.arange(max(states.shape))] * 3))
+    unknown = plane == UNKNOWN
+    for axis in (0, 1):
+        outside = (edges[: states.shape[axis], axis] < region.low[axis]) | (
+            edges[: states.shape[axis], axis] > region.high[axis]
+        )
+        outside = np.concatenate([[False], outside, [False]])
+        unknown &= ~(outside[:, None] if axis == 0 else outside)
+    near = ndimage.binary_dilation(unknown)[1:-1, 1:-1]
+    reached = np.zeros(states.shape[:2], np.bool_)
+    box, first = surroundings.reached, surroundings.first
+    depth = layer - first[2]
+    part = (slice(first[0], first[0] + box.shape[0]), slice(first[1], first[1] + box.shape[1]))
+    reached[part] = box[:, :, depth]
+    return np.asarray(near & reached & (states[:, :, layer] == FREE))
+
+
+def find_frontiers(
+    situation: Situation, surroundings: Surroundings, least: int = 3, largest: float = np.inf
+) -> list[Frontier]:
+    """Groups of frontier cells that touch each other, also at corners.
+
+    Args:
+        situation: a planar task.
+        surroundings: its known space.
+        least: groups of fewer cells are left out, unless all are.
+        largest: a group is halved along its principal axis until none extends farther than this
+            from its mean [m].
+    """
+    cells = frontier_cells(situation, surroundings)
+    labels, count = ndimage.label(cells, _EIGHT)
+    layer = surroundings.window.positions_of(situation.position[None])[0, 2]
+    found: list[Frontier] = []
+    order = np.argsort(labels[cells], kind="stable")
+    places = np.argwhere(cells)[order]
+    splits = np.cumsum(np.bincount(labels[cells], minlength=count + 1)[1:])[:-1]
+    for part in np.split(places, splits) if len(places) else []:
+        index = np.column_stack([part, np.full(len(part), layer)])
+        found += _halved(surroundings.window.centres_of(index), largest)
+    kept = [frontier for frontier in found if len(frontier.places) >= least]
+    return kept or found
+
+
+def _halved(places: FloatArray, largest: float) -> list[Frontier]:
+    offsets = places - places.mean(axis=0)
+    if len(places) < 2 or np.linalg.norm(offsets, axis=1).max() <= largest:
+        return [Frontier(places)]
+    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+    halves = places[along <= 0.0], places[along > 0.0]
+    return [part for half in halves for part in _halved(half, largest)]
+
+
+def level_views(places: FloatArray, azimuths: FloatArray) -> FloatArray:
+    """``T_map_camera`` of level views, places (N, 3) [m, map] and azimuths (N,) -> (N, 4, 4)."""
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3] = look_rotations(azimuths, np.zeros(len(places)))
+    poses[:, :3, 3] = places
+    return poses
+
+
+def turned_views(places: FloatArray, turns: int) -> FloatArray:
+    """Views all around from places, (N, 3) [m, map] -> (N * turns, 4, 4), place by place."""
+    azimuths = np.tile(2.0 * np.pi * np.arange(turns) / turns - np.pi, len(places))
+    return level_views(np.repeat(places, turns, axis=0), azimuths)

@@ -1,0 +1,168 @@
+"""One exploration of a planar world: look, choose, fly there, look again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
+from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.planar.world import PlanarWorld
+from infomap_ros.views import ExpectedInformation, NextBestView, RegionOfTask, Situation
+from infomap_ros.views.flight import FreeFlight
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.next_best_view import NextBestViewConfig
+from infomap_ros.views.strategy import Strategy
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """One exploration.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    scans: int = parameter(100, "At most so many scans are taken.", low=2, high=100_000)
+    enough: float = parameter(
+        1.0, "The exploration ends when this share of the world is mapped.", low=0.0, high=1.0
+    )
+    seed: int = parameter(0, "Of the candidates.", low=0)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """What became of an exploration; entry k is that after scan k, shape (K,) each.
+
+    Attributes:
+        fraction: share of the mappable cells that are mapped, in [0, 1].
+        distance: moved until then [m].
+        seconds: that the choice of the view took [s]; 0 for the first.
+        corners: of the way flown, shape (N, 2) [m].
+        ended: why it ended: all scans are taken, enough is mapped, or what the choice says.
+    """
+
+    fraction: FloatArray
+    distance: FloatArray
+    seconds: FloatArray
+    corners: FloatArray
+    ended: str
+
+
+class PlanarExplorer:
+    """A sensor in a planar world, with its map and its choice of views.
+
+    Args:
+        world: to be explored.
+        config: sensor and seed.
+        strategy: name of a strategy, dotted path of a class, or a strategy.
+        choice: configuration of the choice; that of the studies by default.
+        voxel_map: to choose by; an own map by default. See `see`.
+    """
+
+    def __init__(
+        self,
+        world: PlanarWorld,
+        config: ExplorationConfig,
+        strategy: str | Strategy,
+        choice: NextBestViewConfig | None = None,
+        start: FloatArray | None = None,
+    ) -> None:
+        self.world, self.config = world, config
+        self.map = VoxelMap(config.sensor.map_config(world.cell))
+        settings = choice or planar_choice(config.sensor.max_range, world.cell)
+        information = ExpectedInformation(
+            config=InformationConfig(min_range=0.0, range_noise=0.0, pixel_angle=1e-4), threads=1
+        )
+        self._thresholds = settings.surroundings.thresholds
+        self._choice = NextBestView(settings, strategy, information)
+        self._rng = np.random.default_rng(config.seed)
+        place = world.start if start is None else start
+        self.pose = level_pose(place, float(self._rng.uniform(-np.pi, np.pi)), world.cell)
+        self.past: list[FloatArray] = []
+        self.distance = 0.0
+
+    def look(self) -> None:
+        """Take a scan."""
+        take_scan(self.world.truth, self.config.sensor, self.pose, self.map)
+        self.past.append(self.pose)
+
+    def situation(self, voxel_map: VoxelMap) -> Situation:
+        """What is known, by a map that may hold more than the own scans."""
+        cell, size = self.world.cell, self.world.size
+        return Situation(
+            voxel_map,
+            self.config.sensor.camera,
+            self.config.sensor.max_range,
+            self.pose,
+            region=RegionOfTask(np.zeros(3), np.array([size[0], size[1], cell])),
+            views_so_far=len(self.past),
+            past_views=np.array(self.past),
+            heights=(0.25 * cell, 0.75 * cell),
+        )
+
+    def move(self, situation: Situation) -> tuple[FloatArray | None, str]:
+        """Choose the next view and fly there.
+
+        Returns:
+            Corners of the way, shape (N, 3) [m]; None where there is no view, and why.
+        """
+        flight = FreeFlight(situation.voxel_map, self.pose, situation.heights, self._thresholds)
+        decision = self._choice.select(situation, flight, self._rng)
+        if decision.chosen is None or decision.reach is None:
+            return None, decision.reason
+        self.pose = decision.chosen.pose
+        self.distance += decision.reach.travel
+        corners = flight.way_to(self.pose[:3, 3])
+        return corners, decision.reason
+
+
+def explore(
+    world: PlanarWorld,
+    strategy: str | Strategy,
+    config: ExplorationConfig | None = None,
+    choice: NextBestViewConfig | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Exploration:
+    """Explore a world with one sensor.
+
+    Args:
+        world: to be explored.
+        strategy: name of a strategy, dotted path of a class, or a strategy.
+        config: sensor, number of scans, seed.
+        choice: configuration of the choice; that of the studies by default.
+        progress: called with the number of scans taken.
+    """
+    settings = config or ExplorationConfig()
+    sensor = PlanarExplorer(world, settings, strategy, choice)
+    rows: list[tuple[float, float, float]] = []
+    way, ended, seconds = [sensor.pose[None, :3, 3]], "all scans are taken", 0.0
+    while True:
+        sensor.look()
+        rows.append((world.fraction_mapped(sensor.map), sensor.distance, seconds))
+        if progress is not None:
+            progress(len(rows))
+        if rows[-1][0] >= settings.enough:
+            ended = "enough is mapped"
+            break
+        if len(rows) == settings.scans:
+            break
+        start = perf_counter()
+        corners, reason = sensor.move(sensor.situation(sensor.map))
+        seconds = perf_counter() - start
+        if corners is None:
+            ended = reason
+            break
+        way.append(corners[1:])
+    fraction, distance, times = np.array(rows).T
+    return Exploration(fraction, distance, times, np.concatenate(way)[:, :2], ended)

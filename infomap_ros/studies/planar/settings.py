@@ -1,0 +1,41 @@
+"""How views are chosen in the planar studies: lengths in units of the sensor's range."""
+
+from __future__ import annotations
+
+from infomap_ros.views.candidates import CandidateConfig
+from infomap_ros.views.look_ahead import LookAheadConfig
+from infomap_ros.views.next_best_view import NextBestViewConfig
+from infomap_ros.views.orientations import OrientationConfig
+from infomap_ros.views.rating import RatingConfig
+from infomap_ros.views.selection import SelectionConfig
+from infomap_ros.views.survey import SurroundingsConfig
+
+
+def planar_choice(max_range: float, cell: float) -> NextBestViewConfig:
+    """The choice for a sensor of this range [m] in a world with cells of this edge [m].
+
+    The sensor has no body, no noise and knows its pose, so that neither room, margins nor the
+    localisation error count. All of the world is searched at once.
+    """
+    return NextBestViewConfig(
+        surroundings=SurroundingsConfig(
+            surface_margin=0, camera_radius=0.0, start_radius=cell, horizon=1000.0, cell=cell
+        ),
+        candidates=CandidateConfig(
+            candidates=600, local_radius=max_range, teammate_clearance=max_range
+        ),
+        orientations=OrientationConfig(
+            directed=3, spread=1, lowest_elevation=0.0, highest_elevation=0.0
+        ),
+        rating=RatingConfig(
+            distance_weight=0.1 / max_range,
+            localisation_weight=0.0,
+            teammate_sigma=0.5 * max_range,
+        ),
+        selection=SelectionConfig(least_rating=-1e6),
+        look_ahead=LookAheadConfig(
+            patience=2.0 * max_range,
+            cost_of_view=0.2 * max_range,
+            unlike_distance=0.15 * max_range,
+        ),
+    )

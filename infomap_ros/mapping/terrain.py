@@ -42,6 +42,14 @@ class TerrainConfig:
         12.0, "Ground is looked for within this square about the robot.", unit="m", low=0.1,
         high=200.0,
     )  # fmt: skip
+    least_radius: float = parameter(
+        1.5,
+        "The grid reaches at least so far about the robot, seen or not: what stands on its edge "
+        "could not leave it.",
+        unit="m",
+        low=0.0,
+        high=200.0,
+    )
     below: float = parameter(
         3.0, "Ground is looked for down to this far below the robot.", unit="m", low=0.1, high=50.0
     )
@@ -171,11 +179,14 @@ def _box(
     first = np.floor((near - reach) / edge).astype(np.int64)
     reach[2] = config.above
     last = np.floor((near + reach) / edge).astype(np.int64)
-    here = np.floor(near / edge).astype(np.int64)
+    least = np.array([config.least_radius, config.least_radius, 0.0])
+    low = np.floor((near - least) / edge).astype(np.int64)
+    high = np.floor((near + least) / edge).astype(np.int64)
     bounds = voxel_map.bounds()
-    low, high = (here, here) if bounds is None else (bounds[0] // ratio - 1, bounds[1] // ratio + 1)
-    first = np.maximum(first, np.minimum(low, here))
-    last = np.minimum(last, np.maximum(high, here))
+    if bounds is not None:
+        low = np.minimum(low, bounds[0] // ratio - 1)
+        high = np.maximum(high, bounds[1] // ratio + 1)
+    first, last = np.maximum(first, low), np.minimum(last, high)
     nx, ny, nz = (int(n) for n in last - first + 1)
     return first, (nx, ny, nz)
 

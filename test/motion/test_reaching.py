@@ -7,6 +7,7 @@ import pytest
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import make_transform
+from infomap_ros.motion.clear_start import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
 from infomap_ros.motion.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult
@@ -239,3 +240,14 @@ def test_ground_searched_before_is_handed_on_by_an_instance_that_did_not_search(
     after = WholeBodyReach(robot, gate._map, BASE, joints, previous=between)
     assert between._last_planner is searched is after._last_planner
     assert after.planner is not searched and after._last_planner is after.planner
+
+
+@pytest.mark.parametrize("x", [1.0, -0.3])
+def test_robot_that_has_only_looked_ahead_can_leave_its_place(
+    robot: RobotModel, joints: dict[str, float], x: float
+) -> None:
+    """Nothing is known where its rear wheels stand, nor beyond."""
+    ahead = map_where(ground, lambda x, y, z: x > 0.3)
+    reach = WholeBodyReach(robot, ahead, BASE, joints, start=ClearStart(BASE, 0.9))
+    result = reach.way_to((x, 0.0, 0.0), {})
+    assert result.reason == "" and result.travel == pytest.approx(abs(x), abs=0.01)

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.replay.localize_command import localize
 from infomap_ros.replay.map_inputs import MapOptions
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.reader import BagReader
@@ -29,6 +30,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(studies, name="study")
+app.command("localize")(localize)
 _PASSED_ON = {
     "allow_extra_args": True,
     "ignore_unknown_options": True,

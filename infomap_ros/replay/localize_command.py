@@ -1,0 +1,113 @@
+"""Command ``infomap localize``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from infomap_ros.replay.localize_inputs import LocalizeOptions
+from infomap_ros.replay.localize_run import LocalizeRun
+from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.settings import setting_names, with_settings
+
+_Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
+
+
+def _list_settings(wanted: bool) -> None:
+    if wanted:
+        typer.echo("\n".join(setting_names(LocalizeOptions())))
+        raise typer.Exit
+
+
+def localize(
+    bag: Annotated[
+        Path, typer.Argument(help="rosbag2 folder, .mcap, .db3, or ROS 1 .bag", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    source: Annotated[str | None, typer.Option(help="auto, stereo or depth")] = None,
+    rectify: Annotated[str | None, typer.Option(help="auto, yes or no")] = None,
+    motion: Annotated[
+        str | None, typer.Option(help="auto, odometry, or none for the images alone")
+    ] = None,
+    target: Annotated[str | None, typer.Option(help="kind of the target, none or tags")] = None,
+    left_image: _Topic = "",
+    right_image: _Topic = "",
+    left_info: _Topic = "",
+    right_info: _Topic = "",
+    depth: _Topic = "",
+    info: _Topic = "",
+    color: _Topic = "",
+    odometry: _Topic = "",
+    joints: _Topic = "",
+    robot: Annotated[
+        str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")
+    ] = "",
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
+    ] = None,
+    settings: Annotated[
+        bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
+    ] = False,
+) -> None:
+    """Follow the camera through a bag: TUM trajectory, 6x6 covariances, picture, summary.json."""
+    del settings  # the callback has answered it
+    shortcuts = {
+        "input.source": source,
+        "input.rectify": rectify,
+        "input.motion": motion,
+        "target.kind": target,
+    }
+    given = [f"{name}={value}" for name, value in shortcuts.items() if value is not None]
+    topics = {
+        "left_image": left_image,
+        "right_image": right_image,
+        "left_info": left_info,
+        "right_info": right_info,
+        "depth": depth,
+        "info": info,
+        "color": color,
+        "odometry": odometry,
+        "joints": joints,
+    }
+    options = with_settings(LocalizeOptions(topics=topics, robot=robot), given + (setting or []))
+    _localize(bag, out, options)
+
+
+def _localize(bag: Path, out: Path, options: LocalizeOptions) -> None:
+    from infomap_ros.replay.localize_files import write_localize_files
+
+    with BagReader(bag) as reader:
+        run = LocalizeRun(reader, options)
+        run_with_progress(run)
+        summary = write_localize_files(run, out)
+        for text in [*reader.problems, *remarks(run)]:
+            typer.echo(f"infomap: {text}", err=True)
+    typer.echo(json.dumps(summary))
+
+
+def run_with_progress(run: LocalizeRun) -> None:
+    """Run, with a bar on standard error."""
+    columns = ("locating", BarColumn(), MofNCompleteColumn(), "views", TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=run.inputs.frames)
+        run.run(lambda done, total: progress.update(task, completed=done, total=total))
+
+
+def remarks(run: LocalizeRun) -> list[str]:
+    """What the user should know beside the figures."""
+    texts = [f"{n} images dropped: {why}" for why, n in run.inputs.source.dropped.items()]
+    texts += [f"{n} records refused: {why}" for why, n in run.refused.items()]
+    texts += [f"{n} views without odometry: {why}" for why, n in run.without_motion.items()]
+    lost = [one for one in run.localisations if one.T_map_camera is None]
+    if lost:
+        first = 1e-9 * (lost[0].stamp - run.localisations[0].stamp)
+        texts.append(
+            f"{len(lost)} of {len(run.localisations)} views could not be located, the first after "
+            f"{first:.2f} s: {lost[0].reason}"
+        )
+    return texts

@@ -12,87 +12,24 @@ cannot follow, fiducials are found again by their descriptors.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.appearance import AppearanceConfig, describe, find_again
+from infomap_ros.localization.appearance import describe, find_again
+from infomap_ros.localization.dormant_fiducials import DormantFiducials, believed
 from infomap_ros.localization.observations import FiducialObservations
-from infomap_ros.localization.optical_flow import OpticalFlow, OpticalFlowConfig
+from infomap_ros.localization.optical_flow import OpticalFlow
 from infomap_ros.localization.patch_alignment import Alignment, align_templates, cut_templates
 from infomap_ros.localization.range_view import RangeView, check_pixels
-from infomap_ros.localization.tracks import Tracks, new_tracks
+from infomap_ros.localization.tracker_config import FiducialTrackerConfig
+from infomap_ros.localization.tracks import Tracks, new_tracks, tracks_from_arrays
 
-
-@dataclass(frozen=True)
-class FiducialTrackerConfig:
-    """How fiducials are followed.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    template: int = parameter(15, "Side of a fiducial's template, odd.", unit="px", low=7, high=41)
-    min_correlation: float = parameter(
-        0.8, "A fiducial must have this normalised correlation with its template.", low=0.3, high=1
-    )
-    good_correlation: float = parameter(
-        0.9, "With this correlation it is well seen, and may give a new template.", low=0.3, high=1
-    )
-    max_shift: float = parameter(
-        3.0,
-        "Flow and template may disagree by this much about where a fiducial is.",
-        unit="px",
-        low=0.5,
-        high=50.0,
-    )
-    max_sigma: float = parameter(
-        0.3,
-        "Fiducials whose pixel is less certain than this are not believed: they slide along edges.",
-        unit="px",
-        low=0.01,
-        high=10.0,
-    )
-    max_warp: float = parameter(
-        1.8,
-        "A template is renewed when it has to be stretched or shrunk by more than this factor.",
-        low=1.05,
-        high=4.0,
-    )
-    search_radius: int = parameter(
-        6,
-        "How far about its predicted place a fiducial is searched for that flow has lost.",
-        unit="px",
-        low=0,
-        high=30,
-    )
-    patience: int = parameter(
-        5, "A fiducial that was not seen in more consecutive views is given up.", low=0, high=1000
-    )
-    large_step: float = parameter(
-        0.5,
-        "Share of fiducials that flow may lose before descriptors are compared.",
-        low=0.0,
-        high=1.0,
-    )
-    sigma_factor: float = parameter(
-        3.0, "Calibrated multiple of the sigma that image noise leaves.", low=0.1, high=20.0
-    )
-    sigma_floor: float = parameter(
-        0.05, "Pixel sigmas are never smaller.", unit="px", low=0.001, high=10.0
-    )
-    flow: OpticalFlowConfig = field(default_factory=OpticalFlowConfig)
-    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
-
-    def __post_init__(self) -> None:
-        check_config(self)
-        if self.template % 2 == 0:
-            raise ConfigError("template", self.template, "an odd number")
+__all__ = ["FiducialTracker", "FiducialTrackerConfig"]
 
 
 class FiducialTracker:
@@ -105,7 +42,8 @@ class FiducialTracker:
     def __init__(self, config: FiducialTrackerConfig | None = None) -> None:
         self.config = config or FiducialTrackerConfig()
         self._flow = OpticalFlow(self.config.flow)
-        self._tracks = self._chosen(np.zeros((64, 64), np.uint8), [], [])
+        self._tracks = _no_tracks(self.config)
+        self._dormant = DormantFiducials(self.config, self._tracks)
 
     @property
     def ids(self) -> NDArray[np.int64]:
@@ -122,7 +60,7 @@ class FiducialTracker:
 
         Args:
             view: the last one that was tracked, or the first.
-            ids: shape (N,), not followed yet.
+            ids: shape (N,), not followed yet; a dormant one of that name is forgotten.
             pixels: where they are in `view`, shape (N, 2) [px].
 
         Returns:
@@ -139,9 +77,9 @@ class FiducialTracker:
         twice = np.intersect1d(names, self._tracks.ids)
         if len(twice) or len(np.unique(names)) < len(names):
             raise InvalidInputError("ids", f"{twice.tolist()} are followed already or given twice")
-        added = self._chosen(view.image, names, places)
-        if len(self._tracks) == 0:
-            self._flow.remember(view.image)
+        added = self._chosen(view, names, places)
+        self._dormant.forget(names)
+        self._flow.remember(view.image)
         self._tracks = self._tracks.joined(added)
         return self._observe(view, added, np.zeros(len(added)))
 
@@ -166,24 +104,90 @@ class FiducialTracker:
         search = np.where(found | ~known, 0, self.config.search_radius)
         self._recover(view, places, search, found)
         aligned = align_templates(view.image, tracks.templates, places, tracks.warps, search)
-        seen = self._accept(aligned, places, search)
+        seen = believed(aligned, places, search, self.config)
         self._note(view.image, aligned, seen)
         observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
-        self._tracks = tracks.select(tracks.missed <= self.config.patience)
+        _note_ranges(tracks, seen, observations.inverse_depths)
+        self._rest(tracks.missed > self.config.patience)
         return observations
 
+    def recall(
+        self,
+        view: RangeView,
+        predicted: Mapping[int, ArrayLike] | None = None,
+        radius: float | None = None,
+    ) -> FiducialObservations:
+        """Find dormant fiducials again, and follow them from now on.
+
+        They are found by descriptor (within a few pixels of their expected place by template) and
+        aligned with their own template, so that the pixel is that of the point first chosen.
+
+        Args:
+            view: the last one that was tracked.
+            predicted: where they are expected, (u, v) by id [px]; only those named are looked for.
+                None: all, anywhere in the image.
+            radius: how far from there they may be [px]; goes with `predicted`.
+
+        Returns:
+            Those that were found.
+
+        Raises:
+            InvalidInputError: a prediction comes without a radius or the other way round.
+        """
+        if (predicted is None) != (radius is None):
+            raise InvalidInputError("radius", "and predicted must come together")
+        if predicted is None or radius is None:
+            found, sigmas = self._dormant.find_anywhere(view)
+        else:
+            found, sigmas = self._dormant.find_near(view, predicted, radius)
+        self._dormant.forget(found.ids)
+        self._flow.remember(view.image)
+        self._tracks = self._tracks.joined(found)
+        return self._observe(view, found, sigmas)
+
+    def set_aside(self, ids: ArrayLike) -> None:
+        """Stop following fiducials, shape (N,), but keep them for `recall`."""
+        self._rest(np.isin(self._tracks.ids, float_array(ids, "ids", np.int64)))
+
     def remove(self, ids: ArrayLike) -> None:
-        """Stop following fiducials, shape (N,); those not followed are ignored."""
+        """Forget fiducials, shape (N,), followed or dormant; those not known are ignored."""
         names = float_array(ids, "ids", np.int64)
         self._tracks = self._tracks.select(~np.isin(self._tracks.ids, names))
+        self._dormant.forget(names)
 
-    def _chosen(self, image: NDArray[np.uint8], ids: ArrayLike, pixels: ArrayLike) -> Tracks:
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All fiducials as named arrays, for a file; see `from_state`."""
+        return self._tracks.joined(self._dormant.tracks).arrays()
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, NDArray[Any]], config: FiducialTrackerConfig | None = None
+    ) -> FiducialTracker:
+        """A tracker that knows the fiducials of another; all are dormant.
+
+        Args:
+            state: made by `state`.
+            config: as the other's; templates and descriptors must have the same size.
+
+        Raises:
+            InvalidInputError: an array is missing or does not fit the configuration.
+        """
+        tracker = cls(config)
+        tracker._dormant.add(tracks_from_arrays(state, like=tracker._tracks))
+        return tracker
+
+    def _rest(self, which: NDArray[np.bool_]) -> None:
+        """Make fiducials dormant, shape (N,)."""
+        self._dormant.add(self._tracks.select(which))
+        self._tracks = self._tracks.select(~which)
+
+    def _chosen(self, view: RangeView, ids: NDArray[np.int64], pixels: FloatArray) -> Tracks:
         """Tracks of the new fiducials whose template lies inside the image."""
-        names, places = np.asarray(ids, np.int64), check_pixels(pixels)
-        warps = np.tile(np.eye(2), (len(names), 1, 1))
-        templates, inside = cut_templates(image, places, warps, self.config.template)
-        descriptors = describe(image, places, self.config.appearance)
-        return new_tracks(names, places, templates, descriptors).select(inside)
+        warps = np.tile(np.eye(2), (len(ids), 1, 1))
+        templates, inside = cut_templates(view.image, pixels, warps, self.config.template)
+        descriptors = describe(view.image, pixels, self.config.appearance)
+        inverse = view.inverse_depths(pixels)[0]
+        return new_tracks(ids, pixels, templates, inverse, descriptors).select(inside)
 
     def _start(
         self, predicted: Mapping[int, ArrayLike] | None
@@ -213,17 +217,6 @@ class FiducialTracker:
         places[rows] = again.pixels
         search[rows] = min(2, self.config.search_radius)
 
-    def _accept(
-        self, aligned: Alignment, places: FloatArray, search: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
-        """Which alignments are believed, shape (N,)."""
-        config = self.config
-        allowed = config.max_shift + np.sqrt(2.0) * search
-        with np.errstate(invalid="ignore"):
-            near = np.linalg.norm(aligned.pixels - places, axis=1) <= allowed
-            sharp = config.sigma_factor * aligned.sigmas <= config.max_sigma
-        return np.asarray(near & sharp & (aligned.correlations >= config.min_correlation))
-
     def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
         """Keep where fiducials are; renew templates that are stretched a lot but well seen."""
         tracks, config = self._tracks, self.config
@@ -237,6 +230,7 @@ class FiducialTracker:
         patches, inside = cut_templates(image, tracks.pixels[well], upright, config.template)
         rows = np.flatnonzero(well)[inside]
         tracks.templates[rows], tracks.warps[rows] = patches[inside], np.eye(2)
+        tracks.inverse_depths[rows] = np.nan
         tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
 
     def _observe(self, view: RangeView, tracks: Tracks, noise: FloatArray) -> FiducialObservations:
@@ -246,3 +240,18 @@ class FiducialTracker:
         return FiducialObservations(
             tracks.ids, tracks.pixels, np.maximum(sigmas, config.sigma_floor), inverse, spread
         )
+
+
+def _note_ranges(tracks: Tracks, seen: NDArray[np.bool_], inverse_depths: FloatArray) -> None:
+    """Where the range of a template is not known, it follows from one now and the warp since."""
+    scale = np.sqrt(np.abs(np.linalg.det(tracks.warps[seen])))
+    known = tracks.inverse_depths[seen]
+    tracks.inverse_depths[seen] = np.where(np.isnan(known), inverse_depths / scale, known)
+
+
+def _no_tracks(config: FiducialTrackerConfig) -> Tracks:
+    nothing = np.zeros((0, 2))
+    image = np.zeros((config.template, config.template), np.uint8)
+    templates = np.zeros((0, config.template, config.template), np.float32)
+    descriptors = describe(image, nothing, config.appearance)
+    return new_tracks(np.zeros(0, np.int64), nothing, templates, np.zeros(0), descriptors)

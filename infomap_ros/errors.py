@@ -78,6 +78,18 @@ class PoseUnavailableError(InfomapError, LookupError):
         self.may_arrive = may_arrive
 
 
+class UpdateRefusedError(InfomapError, ValueError):
+    """A message of another robot must not change the map.
+
+    Attributes:
+        reason: why, in a few fixed words, for counting.
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
 class BagError(InfomapError):
     """A bag cannot be read, is truncated, or lacks the topics that a task needs."""
 

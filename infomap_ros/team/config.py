@@ -59,6 +59,15 @@ class TeamConfig:
         high=3600.0,
     )
 
+    recovery: float = parameter(
+        10.0,
+        "For so long after the start, what others know of this robot's contribution is put into "
+        "its map again; then all of its map is told.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
 

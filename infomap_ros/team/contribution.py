@@ -21,7 +21,7 @@ from infomap_ros.mapping.gaussians import (
     with_gaussian_room,
     with_table_room,
 )
-from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS
 from infomap_ros.mapping.voxel_states import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
 from infomap_ros.team.gaussian_code import code_tables
@@ -33,6 +33,9 @@ BLOCK_BYTES = 5 * BLOCK_VOXELS + 12
 
 CODE_BYTES = 20
 """Memory of a surface point's code [bytes]."""
+
+
+Corners = NDArray[np.int32]
 
 
 class Planes(NamedTuple):
@@ -57,14 +60,12 @@ class Cells(NamedTuple):
     Attributes:
         level: the parts are cubes of 2^level blocks.
         corners: their coordinates in units of their edge, shape (n, 3), int32.
-        hashes: of what is known in them, shape (n,), uint32.
-        newest: newest version in them, shape (n,), uint32; of one of them where versions wrap.
+        hashes: of what is known in them, shape (n,), uint32; 0 where nothing is.
     """
 
     level: int
     corners: NDArray[np.int32]
     hashes: NDArray[np.uint32]
-    newest: NDArray[np.uint32]
 
 
 class Contribution:
@@ -166,30 +167,59 @@ class Contribution:
         kernels.list_told(self._blocks, self._planes, self._codes, slots, *states)
         return update
 
+    def was_told(self, indices: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Whether a state was told of voxels, shape (K, 3) -> (K,)."""
+        slots = np.full(len(indices), -1, np.int64)
+        kernels.find_blocks(self._blocks, indices >> BLOCK_BITS, slots)
+        places = indices & (BLOCK_SIDE - 1)
+        local = places[:, 0] + BLOCK_SIDE * (places[:, 1] + BLOCK_SIDE * places[:, 2])
+        told = np.zeros(len(indices), np.bool_)
+        there = slots >= 0
+        told[there] = self._planes.versions[slots[there], local[there]] != 0
+        return told
+
     def hash(self) -> int:
         """Hash of all that is known, 64 bits; equal where the same is known."""
         hashes = np.zeros(self.blocks, np.uint64)
         kernels.hash_blocks(self._blocks, self._planes, hashes)
         return int(np.add.reduce(hashes, dtype=np.uint64))
 
-    def cells(self, level: int, slots: NDArray[np.int64] | None = None) -> Cells:
+    def cells(self, level: int, within: int = 0, corners: Corners | None = None) -> Cells:
         """Hashes of the cubes of 2^level blocks, of which something is known.
 
         Args:
             level: see above.
-            slots: the blocks that count, all if None.
+            within: level of `corners`.
+            corners: cubes whose blocks count, shape (n, 3); all blocks if None.
         """
-        slots = np.arange(self.blocks) if slots is None else slots
-        hashes = np.zeros(self.blocks, np.uint64)
-        kernels.hash_blocks(self._blocks, self._planes, hashes)
-        slots = slots[hashes[slots] != 0]
-        corners, groups = np.unique(self.coordinates(slots) >> level, axis=0, return_inverse=True)
-        sums = np.zeros(len(corners), np.uint64)
-        newest = np.zeros(len(corners), np.uint32)
-        np.add.at(sums, groups.reshape(-1), hashes[slots])
-        newest[groups.reshape(-1)] = self._planes.newest[slots]
-        folded = (sums ^ (sums >> np.uint64(32))).astype(np.uint32)
-        return Cells(level, corners.astype(np.int32), folded, newest)
+        slots = np.arange(self.blocks) if corners is None else self.slots_in(within, corners)
+        hashes = np.zeros(len(slots), np.uint64)
+        kernels.hash_some(self._blocks, self._planes, slots, hashes)
+        slots, hashes = slots[hashes != 0], hashes[hashes != 0]
+        found, groups = np.unique(self.coordinates(slots) >> level, axis=0, return_inverse=True)
+        sums = np.zeros(len(found), np.uint64)
+        np.add.at(sums, groups.reshape(-1), hashes)
+        return Cells(level, found.astype(np.int32), _folded(sums))
+
+    def compare(self, cells: Cells, version: int | None = None) -> NDArray[np.bool_]:
+        """Where the hashes of cells are not those of what is known here, shape (n,).
+
+        Args:
+            cells: of another replica.
+            version: when they were made: blocks that are newer here are not told of; None to
+                compare all.
+        """
+        own = dict(zip(*_listed(self.cells(cells.level, cells.level, cells.corners)), strict=True))
+        corners, hashes = _listed(cells)
+        pairs = zip(corners, hashes, strict=True)
+        other = np.array([own.get(corner, 0) != value for corner, value in pairs], np.bool_)
+        if version is not None and cells.level == 0:
+            slots = np.full(len(other), -1, np.int64)
+            kernels.find_blocks(self._blocks, cells.corners, slots)
+            for row in np.flatnonzero(other & (slots >= 0)):
+                newest = self._planes.newest[slots[row]]
+                other[row] = not is_newer(newest, np.uint32(version))
+        return other
 
     def coordinates(self, slots: NDArray[np.int64]) -> NDArray[np.int32]:
         """Coordinates of blocks [blocks], shape (n, 3)."""
@@ -207,6 +237,15 @@ class Contribution:
         own = self.coordinates(np.arange(self.blocks)) >> level
         chosen = [tuple(corner) in wanted for corner in own.tolist()]
         return np.flatnonzero(chosen)
+
+
+def _folded(hashes: NDArray[np.uint64]) -> NDArray[np.uint32]:
+    """32 of 64 bits."""
+    return (hashes ^ (hashes >> np.uint64(32))).astype(np.uint32)
+
+
+def _listed(cells: Cells) -> tuple[list[tuple[int, ...]], list[int]]:
+    return [tuple(corner) for corner in cells.corners.tolist()], cells.hashes.tolist()
 
 
 def _empty_codes() -> GaussianArrays:

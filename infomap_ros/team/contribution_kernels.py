@@ -213,3 +213,13 @@ def unpack_keys(keys: Any, coordinates: Any) -> None:
     for row in range(len(keys)):
         x, y, z = unpack(keys[row])
         coordinates[row, 0], coordinates[row, 1], coordinates[row, 2] = x, y, z
+
+
+@njit(cache=True, nogil=True)
+def hash_some(blocks: Any, planes: Any, slots: Any, hashes: Any) -> None:
+    """As `hash_blocks`, of some blocks; 0 where the slot is -1."""
+    for row in range(len(slots)):
+        slot = slots[row]
+        hashes[row] = _ZERO
+        if slot >= 0:
+            hashes[row] = block_hash(blocks.keys[slot], planes.hashes[slot])

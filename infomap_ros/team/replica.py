@@ -65,13 +65,17 @@ class MapReplica:
         return parts + self._map.memory_bytes()
 
     def apply(self, update: MapUpdate) -> int:
+        """As `accept`; returns the number of voxels of which the robot now says something else."""
+        return int(np.count_nonzero(self.accept(update)))
+
+    def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
         """Learn what a robot tells.
 
         Args:
             update: states of voxels, each voxel once, in voxels of the map's size.
 
         Returns:
-            Number of voxels of which the robot now says something else than before.
+            Of which voxels the robot now says something else than before, shape (K,).
 
         Raises:
             InvalidInputError: another voxel size or impossible states. The replica is as it was.
@@ -88,7 +92,7 @@ class MapReplica:
         changed = contribution.accept(update)
         if update.robot not in self._aside:
             self._add_up(update.indices[changed])
-        return int(np.count_nonzero(changed))
+        return changed
 
     def set_aside(self, robot: int, aside: bool) -> None:
         """Leave a robot's contribution out of the map, or put it back; it is kept all the same."""

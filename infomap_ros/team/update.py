@@ -112,6 +112,16 @@ class MapUpdate:
             self.sender,
         )
 
+    def as_told_by(self, session: int, sender: int | None, version: int | None) -> MapUpdate:
+        """The same states in another session, from another sender, at one version if one is given.
+
+        The states' versions are set in place.
+        """
+        if version is not None:
+            self.versions[:] = version
+        states = self.versions, self.indices, self.log_odds, self.codes
+        return MapUpdate(self.voxel_size, self.robot, *states, session, sender)
+
     def check_states(self) -> None:
         """Refuse what no robot can mean.
 

@@ -1,0 +1,189 @@
+"""Digests of contributions, and requests for what is missing: the wire format.
+
+As map updates, they are rows of named fields with the facts in the name of one more field.
+
+- A summary has a row for each contribution that its sender holds: whose, the newest version, the
+  number of blocks, and a hash of all states.
+- Cells are hashes of parts of one contribution: cubes of 2^level blocks of 8^3 voxels.
+- A request asks one robot for the cells or for the states of such cubes; without rows, for all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.mapping.keys import BLOCK_BITS, COORDINATE_LIMIT
+from infomap_ros.team.facts import dtype_with_facts, facts_of, whole_number, without_facts
+from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION
+
+SUMMARY_ROW = np.dtype(
+    [("robot", "<u2"), ("newest", "<u4"), ("blocks", "<u4"), ("hash", "<u4", (2,))]
+)
+CELL_ROW = np.dtype([("corner", "<i4", (3,)), ("hash", "<u4")])
+REQUEST_ROW = np.dtype([("corner", "<i4", (3,))])
+MAX_LEVEL = 8
+_CORNER_LIMIT = COORDINATE_LIMIT >> BLOCK_BITS
+_OVERHEAD = 500  # [bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What a robot holds.
+
+    Attributes:
+        sender: id of the robot.
+        session: number that it drew when it started.
+        rows: of dtype `SUMMARY_ROW`; `hash` is its lower and its upper half.
+    """
+
+    sender: int
+    session: int
+    rows: NDArray[np.void]
+
+    def encode(self) -> NDArray[np.void]:
+        """The rows of a message."""
+        facts = {"digest": "summary", "sender": self.sender, "session": self.session}
+        return self.rows.view(dtype_with_facts(SUMMARY_ROW, facts))
+
+    def hashes(self) -> list[int]:
+        """Hash of each contribution, 64 bits."""
+        low, high = self.rows["hash"].astype(np.uint64).T
+        return [int(value) for value in low | (high << np.uint64(32))]
+
+
+@dataclass(frozen=True, eq=False)
+class CellDigest:
+    """Hashes of parts of a contribution.
+
+    Attributes:
+        sender: id of the robot that tells them.
+        session: number that it drew when it started.
+        robot: id of the robot whose contribution it is.
+        version: newest version of the contribution when they were made.
+        level: see module.
+        corners: of the cubes in units of their edge, shape (n, 3), int32.
+        hashes: shape (n,), uint32; 0 where nothing is known.
+    """
+
+    sender: int
+    session: int
+    robot: int
+    version: int
+    level: int
+    corners: NDArray[np.int32]
+    hashes: NDArray[np.uint32]
+
+    def encode(self, max_bytes: int) -> list[NDArray[np.void]]:
+        """The rows of as many messages as it takes."""
+        facts = {
+            "digest": "cells",
+            "sender": self.sender,
+            "session": self.session,
+            "robot": self.robot,
+            "version": self.version,
+            "level": self.level,
+        }
+        rows = np.zeros(len(self.corners), dtype_with_facts(CELL_ROW, facts))
+        rows["corner"], rows["hash"] = self.corners, self.hashes
+        length = max(1, (max_bytes - _OVERHEAD) // CELL_ROW.itemsize)
+        return [rows[start : start + length] for start in range(0, len(rows), length)]
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What a robot asks another for.
+
+    Attributes:
+        sender: id of the robot that asks.
+        to: id of the robot that is asked.
+        robot: id of the robot whose contribution it is.
+        wants: "cells" or "states".
+        level: of the cells that are wanted; 0 for states.
+        within: level of `corners`.
+        corners: the cubes, in units of their edge, shape (n, 3), int32; none for all.
+    """
+
+    sender: int
+    to: int
+    robot: int
+    wants: str
+    level: int
+    within: int
+    corners: NDArray[np.int32]
+
+    def encode(self, max_bytes: int) -> list[NDArray[np.void]]:
+        """The rows of as many messages as it takes; one row more where all is wanted."""
+        everything = not len(self.corners)
+        facts = {
+            "request": self.wants,
+            "sender": self.sender,
+            "to": self.to,
+            "robot": self.robot,
+            "level": self.level,
+            "within": self.within,
+            "all": int(everything),
+        }
+        rows = np.zeros(max(1, len(self.corners)), dtype_with_facts(REQUEST_ROW, facts))
+        if not everything:
+            rows["corner"] = self.corners
+        length = max(1, (max_bytes - _OVERHEAD) // REQUEST_ROW.itemsize)
+        return [rows[start : start + length] for start in range(0, len(rows), length)]
+
+
+def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
+    """Read a digest.
+
+    Raises:
+        InvalidInputError: it is not one, or holds impossible numbers.
+    """
+    facts = facts_of(rows, "digest")
+    sender = whole_number(facts, "sender", 0, MAX_ROBOT, "digest")
+    session = whole_number(facts, "session", 0, MAX_SESSION, "digest")
+    if facts.get("digest") == "summary":
+        return Summary(sender, session, without_facts(rows, (SUMMARY_ROW,)).copy())
+    if facts.get("digest") != "cells":
+        raise InvalidInputError("digest", f"of kind '{facts.get('digest', '')}'")
+    table = without_facts(rows, (CELL_ROW,))
+    return CellDigest(
+        sender,
+        session,
+        whole_number(facts, "robot", 0, MAX_ROBOT, "digest"),
+        whole_number(facts, "version", 0, MAX_VERSION, "digest"),
+        whole_number(facts, "level", 0, MAX_LEVEL, "digest"),
+        _checked_corners(table, "digest"),
+        table["hash"].copy(),
+    )
+
+
+def decode_request(rows: NDArray[np.void]) -> Request:
+    """Read a request.
+
+    Raises:
+        InvalidInputError: it is not one, or holds impossible numbers.
+    """
+    facts = facts_of(rows, "request")
+    wants = facts.get("request", "")
+    if wants not in ("cells", "states"):
+        raise InvalidInputError("request", f"for '{wants}'")
+    everything = whole_number(facts, "all", 0, 1, "request")
+    corners = _checked_corners(without_facts(rows, (REQUEST_ROW,)), "request")
+    return Request(
+        whole_number(facts, "sender", 0, MAX_ROBOT, "request"),
+        whole_number(facts, "to", 0, MAX_ROBOT, "request"),
+        whole_number(facts, "robot", 0, MAX_ROBOT, "request"),
+        wants,
+        whole_number(facts, "level", 0, MAX_LEVEL, "request"),
+        whole_number(facts, "within", 0, MAX_LEVEL, "request"),
+        corners[:0] if everything else corners,
+    )
+
+
+def _checked_corners(table: NDArray[np.void], what: str) -> NDArray[np.int32]:
+    corners = table["corner"].copy()
+    if ((corners < -_CORNER_LIMIT) | (corners >= _CORNER_LIMIT)).any():
+        raise InvalidInputError(what, "a cell lies outside the coordinate limits")
+    return np.asarray(corners, np.int32)

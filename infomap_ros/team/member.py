@@ -1,0 +1,196 @@
+"""One robot of a team: tells its contribution, hears the others', and mends what was lost.
+
+It knows neither network nor clock: messages are rows that somebody carries, times are handed in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.digest import Summary, decode_digest, decode_request
+from infomap_ros.team.membership import Membership
+from infomap_ros.team.outbox import Outbox, message_bytes
+from infomap_ros.team.reconciler import Reconciler
+from infomap_ros.team.recovery import adopt
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update
+
+Rows = NDArray[np.void]
+
+
+class TeamMember:
+    """A robot of a team.
+
+    What it saw stands in its own map, which tracks its changes and is handed in whenever there is
+    something to tell. For `recovery` seconds after a start, what others still know of its
+    contribution is put into its map again, but for voxels that changed since; then all of its map
+    is told.
+
+    Args:
+        robot: id of this robot, unique in its team.
+        session: number that it draws at each start, see `membership.draw_session`.
+        version: of its last publication, see `versions.version_at`.
+        map_config: of the shared map.
+        config: how it shares.
+        team: ids of the robots that may write; all if empty.
+        tells: whether it has a contribution; otherwise it only listens, and asks.
+
+    Attributes:
+        replica: the shared map.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        session: int,
+        version: int,
+        map_config: VoxelMapConfig,
+        config: TeamConfig | None = None,
+        team: Collection[int] = (),
+        *,
+        tells: bool = True,
+    ) -> None:
+        self._config = config or TeamConfig()
+        self.replica = MapReplica(map_config)
+        self._membership = Membership(robot, session if tells else None, team)
+        self._outbox = Outbox(robot, session, version, self.replica, self._config)
+        self._reconciler = Reconciler(self.replica, self._outbox, self._config, tells)
+        self._tells = tells
+        self._recovered: list[MapUpdate] = []
+        self._started, self._has_begun = np.nan, False
+
+    @property
+    def robot(self) -> int:
+        """Id of this robot."""
+        return self._outbox.robot
+
+    @property
+    def version(self) -> int:
+        """Version of its last publication."""
+        return self._outbox.version
+
+    @property
+    def behind(self) -> bool:
+        """Whether somebody still waits for an answer."""
+        return self._outbox.waiting
+
+    def tell(self, own_map: VoxelMap, now: float) -> list[Rows]:
+        """Map updates to send now: what changed, and what others asked for.
+
+        Args:
+            own_map: what this robot saw; tracks its changes. What others know of it and it does
+                not is added.
+            now: time of any steady clock [s].
+        """
+        self._start(now)
+        for update in self._recovered:
+            adopt(own_map, update)
+        self._recovered.clear()
+        if not self._has_begun and now >= self._reconciler.recovering_until:
+            self._has_begun = True
+            _mark_all(own_map)
+        return self._outbox.tell(own_map, now)
+
+    def tell_everything(self) -> None:
+        """Tell the whole own contribution again, for somebody who cannot ask."""
+        part = self.replica.contribution(self.robot)
+        if part is not None:
+            self._outbox.answer(self.robot, np.arange(part.blocks))
+
+    def replace(self, own_map: VoxelMap) -> None:
+        """From now on another map is told; what was told and it does not know is taken back."""
+        self._reconciler.recovering_until = -np.inf
+        self._recovered.clear()
+        self._has_begun = True
+        _mark_all(own_map)
+        part = self.replica.contribution(self.robot)
+        if part is not None:
+            told = part.states(self.robot)
+            self._outbox.take_back(told.indices[told.log_odds != NOT_OBSERVED])
+
+    def digests(self, now: float) -> list[Rows]:
+        """Digests to send now, to be called every `digest_period`."""
+        self._start(now)
+        return self._spend(self._reconciler.digests(now))
+
+    def requests(self) -> list[Rows]:
+        """Requests to send now."""
+        return self._spend(self._reconciler.requests())
+
+    def hear_update(self, rows: Rows, now: float) -> int:
+        """Learn from a map update.
+
+        Returns:
+            Number of voxels of the shared map that are other than before.
+
+        Raises:
+            InvalidInputError: it is malformed or absurd.
+            UpdateRefusedError: its robot must not write, or not that.
+            CapacityError: the shared map would become too large.
+            In all cases the map is as it was.
+        """
+        update = decode_update(rows)
+        self._start(now)
+        self._membership.check_update(update, now)
+        if update.robot != self.robot or not self._tells:
+            return self.replica.apply(update)
+        if update.sender is not None and update.sender != self.robot:
+            self._recover(update)
+        return 0
+
+    def hear_digest(self, rows: Rows, now: float) -> None:
+        """Learn what another robot holds.
+
+        Raises:
+            InvalidInputError: it is malformed.
+            UpdateRefusedError: its sender must not write.
+        """
+        self._start(now)
+        digest = decode_digest(rows)
+        self._membership.check_robot(digest.sender)
+        self._membership.check_session(digest.sender, digest.session, now)
+        if digest.sender == self.robot and self._tells:
+            return
+        if isinstance(digest, Summary):
+            self._reconciler.hear_summary(digest, now)
+        else:
+            self._reconciler.hear_cells(digest, now)
+
+    def hear_request(self, rows: Rows, now: float) -> None:
+        """Learn what another robot asks for.
+
+        Raises:
+            InvalidInputError: it is malformed.
+            UpdateRefusedError: its sender must not write.
+        """
+        request = decode_request(rows)
+        self._membership.check_robot(request.sender)
+        self._reconciler.hear_request(request, now)
+
+    def _start(self, now: float) -> None:
+        if np.isnan(self._started):
+            self._started = now
+            self._reconciler.recovering_until = now + self._config.recovery
+
+    def _recover(self, update: MapUpdate) -> None:
+        """Keep what others know of this robot's contribution and it did not tell since it began."""
+        part = self.replica.contribution(self.robot)
+        self._outbox.catch_up(int(update.versions.max(initial=1)))
+        if part is not None:
+            update = update.rows(~part.was_told(update.indices))
+        self._recovered.append(update)
+
+    def _spend(self, messages: list[Rows]) -> list[Rows]:
+        self._outbox.budget.spend(sum(message_bytes(rows) for rows in messages))
+        return messages
+
+
+def _mark_all(own_map: VoxelMap) -> None:
+    own_map.mark_changed(0, int(own_map._storage.blocks.counts[BLOCK_COUNT]))

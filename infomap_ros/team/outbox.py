@@ -1,0 +1,197 @@
+"""What a robot tells of the map, within its bandwidth: what carries most information first.
+
+Two streams share the bandwidth: changes of the own contribution, and answers to those who ask for
+what they missed, of any contribution that is held. Both are ordered by bits per byte; what waits
+gains on what is new, so that everything is told once the link allows it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
+from infomap_ros.mapping.changes import changed_blocks, take_changes
+from infomap_ros.mapping.keys import BLOCK_BITS
+from infomap_ros.team.config import Budget, TeamConfig
+from infomap_ros.team.contribution import Contribution
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.versions import is_newer, next_version
+from infomap_ros.team.wire import encode_update
+from infomap_ros.team.worth import worth_of_changes, worth_of_states
+
+_WAIT = 2.0  # [s] after which what waits counts twice
+_MOST_VOXELS = 1 << 20
+Slots = NDArray[np.int64]
+
+
+class Outbox:
+    """Chooses what is sent next.
+
+    Args:
+        robot: id of this robot.
+        session: number that it drew when it started.
+        version: to begin with.
+        replica: what was told and heard.
+        config: of the team.
+    """
+
+    def __init__(
+        self, robot: int, session: int, version: int, replica: MapReplica, config: TeamConfig
+    ) -> None:
+        self.robot, self.session, self.version = robot, session, version
+        self.budget = Budget(config.bandwidth * 1e6)
+        self._replica, self._config = replica, config
+        self._answers: dict[int, set[int]] = {}
+        self._since = np.zeros(0)
+        self._taken_back = np.empty((0, 3), np.int32)
+        self._touched: list[NDArray[np.int32]] = []
+
+    @property
+    def waiting(self) -> bool:
+        """Whether somebody waits for an answer, or voxels wait to be taken back."""
+        return any(self._answers.values()) or len(self._taken_back) > 0
+
+    def catch_up(self, version: int) -> None:
+        """Go on after this version, which others have heard of this robot."""
+        if is_newer(np.uint32(version), np.uint32(self.version)):
+            self.version = version
+
+    def answer(self, robot: int, slots: Slots) -> None:
+        """Tell the blocks of a contribution that is held, when there is room."""
+        self._answers.setdefault(robot, set()).update(slots.tolist())
+
+    def take_back(self, indices: NDArray[np.int32]) -> None:
+        """Say of these voxels, shape (K, 3), that they are not observed, unless they are again."""
+        self._taken_back = np.concatenate([self._taken_back, indices])
+
+    def take_touched(self) -> NDArray[np.int32]:
+        """Blocks of the own contribution that were told since the last call, shape (n, 3)."""
+        touched, self._touched = self._touched, []
+        if not touched:
+            return np.empty((0, 3), np.int32)
+        return np.unique(np.concatenate(touched), axis=0)
+
+    def tell(self, voxel_map: VoxelMap | None, now: float) -> list[NDArray[np.void]]:
+        """The messages that may be sent now.
+
+        Args:
+            voxel_map: own contribution, which tracks its changes; None where there is none.
+            now: time of any steady clock [s].
+
+        Returns:
+            Rows of map updates, one array a message.
+        """
+        room = self.budget.available(now)
+        if room <= 0.0:
+            return []
+        messages = self._tell_answers(0.5 * room if voxel_map is not None else room)
+        if voxel_map is not None:
+            self._tell_taken_back(voxel_map, messages)
+            left = room - sum(rows.nbytes for rows in messages)
+            if left > 0.0:
+                messages += self._tell_changes(voxel_map, left, now)
+        self.budget.spend(sum(message_bytes(rows) for rows in messages))
+        return messages
+
+    def _tell_answers(self, room: float) -> list[NDArray[np.void]]:
+        messages: list[NDArray[np.void]] = []
+        for robot in sorted(self._answers):
+            part = self._replica.contribution(robot)
+            asked, self._answers[robot] = self._answers[robot], set()
+            if part is None or not asked:
+                continue
+            slots = np.array(sorted(asked), np.int64)
+            bits, sizes = worth_of_states(part, slots)
+            left = room - sum(rows.nbytes for rows in messages)
+            chosen = _affordable(bits / np.maximum(sizes, 1.0), sizes, left)
+            self._answers[robot] = set(slots[~chosen].tolist())
+            messages += self._encode_answer(robot, part, slots[chosen])
+        return messages
+
+    def _encode_answer(
+        self, robot: int, part: Contribution, slots: Slots
+    ) -> list[NDArray[np.void]]:
+        update = part.states(robot, slots)
+        if not len(update.versions):
+            return []
+        if robot == self.robot:
+            self.version = next_version(self.version)
+            update = update.as_told_by(self.session, None, self.version)
+            self._replica.accept(update)
+            self._touched.append(part.coordinates(slots))
+        else:
+            update = update.as_told_by(0, self.robot, None)
+        return encode_update(update, self._config.message_size)
+
+    def _tell_changes(self, voxel_map: VoxelMap, room: float, now: float) -> list[NDArray[np.void]]:
+        storage = voxel_map._storage
+        slots, counts = changed_blocks(storage)
+        if not len(slots):
+            return []
+        told = self._replica.contribution(self.robot)
+        if told is not None:
+            bits, sizes = worth_of_changes(voxel_map, told, slots)
+        else:
+            bits, sizes = counts.astype(np.float64), 3.0 * counts.astype(np.float64)
+        waited = self._waited(slots, now)
+        chosen = _affordable(bits / np.maximum(sizes, 1.0) * (1.0 + waited / _WAIT), sizes, room)
+        self._since[slots[chosen]] = np.inf
+        size = voxel_map.config.voxel_size
+        changes = take_changes(storage, size, _MOST_VOXELS, slots[chosen])
+        version = next_version(self.version)
+        return self._publish(MapUpdate.of_changes(changes, size, self.robot, version, self.session))
+
+    def _publish(self, update: MapUpdate) -> list[NDArray[np.void]]:
+        """Encode those states of an update that were not told like that before."""
+        update = update.rows(self._replica.accept(update))
+        if not len(update.versions):
+            return []
+        self.version = update.version
+        self._touched.append(np.unique(update.indices >> BLOCK_BITS, axis=0))
+        return encode_update(update, self._config.message_size)
+
+    def _tell_taken_back(self, voxel_map: VoxelMap, messages: list[NDArray[np.void]]) -> None:
+        if not len(self._taken_back):
+            return
+        size = voxel_map.config.voxel_size
+        indices, self._taken_back = self._taken_back, self._taken_back[:0]
+        indices = indices[~voxel_map.is_known((indices + 0.5) * size)]
+        count, version = len(indices), next_version(self.version)
+        messages += self._publish(
+            MapUpdate(
+                size,
+                self.robot,
+                np.full(count, version, np.uint32),
+                indices,
+                np.full(count, NOT_OBSERVED, np.int8),
+                np.zeros((count, 2), np.uint64),
+                self.session,
+            )
+        )
+
+    def _waited(self, slots: Slots, now: float) -> NDArray[np.float64]:
+        """How long the changes of blocks have waited [s]."""
+        if len(slots) and slots[-1] >= len(self._since):
+            more = np.full(2 * int(slots.max()) + 64 - len(self._since), np.inf)
+            self._since = np.concatenate([self._since, more])
+        self._since[slots] = np.minimum(self._since[slots], now)
+        return now - self._since[slots]
+
+
+def message_bytes(rows: NDArray[np.void]) -> int:
+    """Bytes of the message that holds these rows, about."""
+    return int(rows.nbytes) + 80 + sum(24 + len(name) for name in rows.dtype.names or ())
+
+
+def _affordable(
+    worth: NDArray[np.float64], sizes: NDArray[np.float64], room: float
+) -> NDArray[np.bool_]:
+    """The best of some things that fit in the room, at least one."""
+    order = np.argsort(-worth, kind="stable")
+    fits = np.cumsum(sizes[order]) <= room
+    fits[:1] = True
+    chosen = np.zeros(len(worth), np.bool_)
+    chosen[order[fits]] = True
+    return chosen

@@ -1,0 +1,169 @@
+"""Finds what was missed: compares digests and asks for what differs.
+
+Robots tell from time to time what they hold, as hashes. Who holds something else asks for finer
+hashes of what differs, and at last for the states themselves. The owner of a contribution is
+asked; when it has not been heard for some time, whoever holds something else. All answers go to
+all, so that one answer serves everybody who has missed the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.contribution import Cells, Corners
+from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
+from infomap_ros.team.outbox import Outbox
+from infomap_ros.team.replica import MapReplica
+
+_COARSE = 3  # level of the first cells that are compared
+_DEEP_PERIOD = 2.0  # [s] between two comparisons of a whole contribution
+_EVERYTHING: Corners = np.empty((0, 3), np.int32)
+
+
+class Reconciler:
+    """Makes digests and requests, and answers them.
+
+    Args:
+        replica: what was told and heard.
+        outbox: sends the answers, and knows this robot.
+        config: of the team.
+        holds_own: whether this is where the robot's own contribution is made; a replica that
+            only listens tells no digests.
+    """
+
+    def __init__(
+        self, replica: MapReplica, outbox: Outbox, config: TeamConfig, holds_own: bool
+    ) -> None:
+        self._replica, self._outbox, self._config = replica, outbox, config
+        self._own, self._holds_own = outbox.robot, holds_own
+        self.recovering_until = np.inf
+        self._heard: dict[int, float] = {}
+        self._behind: dict[int, float] = {}
+        self._compared: dict[tuple[int, int], float] = {}
+        self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
+        self._requests: list[Request] = []
+        self._wanted: list[CellDigest] = []
+        self._recent: list[Corners] = []
+        self._summarised = -np.inf
+
+    def digests(self, now: float) -> list[NDArray[np.void]]:
+        """Messages that tell what this robot holds: what was touched, asked for, and a summary."""
+        wanted, self._wanted = self._wanted, []
+        if not self._holds_own:
+            return []
+        self._recent = [*self._recent[-1:], self._outbox.take_touched()]
+        corners = np.unique(np.concatenate(self._recent), axis=0)
+        if len(corners):
+            wanted.append(self._cells(self._own, 0, 0, corners))
+        messages = [rows for d in wanted for rows in d.encode(self._config.message_size)]
+        if now - self._summarised >= self._config.summary_period:
+            self._summarised = now
+            messages.append(self._summary().encode())
+        return messages
+
+    def requests(self) -> list[NDArray[np.void]]:
+        """Messages that ask others for what is missing."""
+        requests, self._requests = self._requests, []
+        return [rows for r in requests for rows in r.encode(self._config.message_size)]
+
+    def hear_summary(self, summary: Summary, now: float) -> None:
+        """Compare what another robot holds with what is held here."""
+        sender = summary.sender
+        self._heard[sender] = now
+        for row, value in zip(summary.rows, summary.hashes(), strict=True):
+            robot, newest = int(row["robot"]), int(row["newest"])
+            if robot == self._own and self._holds_own:
+                self._outbox.catch_up(newest)
+                if now >= self.recovering_until:
+                    continue
+            elif sender != robot and self._is_present(robot, now):
+                continue
+            self._compare_whole(sender, robot, value, now)
+
+    def hear_cells(self, digest: CellDigest, now: float) -> None:
+        """Ask for what differs in some parts of a contribution."""
+        recovers = digest.robot == self._own and self._holds_own
+        if recovers and now >= self.recovering_until:
+            return
+        part = self._replica.contribution(digest.robot)
+        cells = Cells(digest.level, digest.corners, digest.hashes)
+        version = None if recovers else digest.version
+        other = cells.hashes != 0 if part is None else part.compare(cells, version)
+        corners = self._not_yet_asked(digest.robot, cells.corners[other], digest.level, now)
+        if not len(corners):
+            return
+        wants = "states" if digest.level == 0 else "cells"
+        self._ask(digest.sender, digest.robot, wants, 0, digest.level, corners)
+
+    def hear_request(self, request: Request, now: float) -> None:
+        """Answer what this robot is asked; what others ask for need not be asked for again."""
+        if request.to != self._own or not self._holds_own:
+            self._not_yet_asked(request.robot, request.corners, request.within, now)
+            return
+        part = self._replica.contribution(request.robot)
+        if part is None:
+            return
+        corners = request.corners if len(request.corners) else None
+        if request.wants == "cells":
+            within = request.within
+            self._wanted.append(self._cells(request.robot, request.level, within, corners))
+        elif corners is None:
+            self._outbox.answer(request.robot, np.arange(part.blocks))
+        else:
+            self._outbox.answer(request.robot, part.slots_in(request.within, corners))
+
+    def _is_present(self, robot: int, now: float) -> bool:
+        return now - self._heard.get(robot, -np.inf) < self._config.silence
+
+    def _compare_whole(self, sender: int, robot: int, value: int, now: float) -> None:
+        part = self._replica.contribution(robot)
+        if value == (0 if part is None else part.hash()):
+            self._behind.pop(robot, None)
+            return
+        first = self._behind.setdefault(robot, now)
+        last = self._compared.get((sender, robot), -np.inf)
+        if part is None and now - last >= _DEEP_PERIOD:
+            self._compared[sender, robot] = now
+            self._ask(sender, robot, "states", 0, 0, _EVERYTHING)
+        elif now - first >= self._config.patience and now - last >= _DEEP_PERIOD:
+            self._compared[sender, robot] = now
+            self._ask(sender, robot, "cells", _COARSE, 0, _EVERYTHING)
+
+    def _ask(
+        self, to: int, robot: int, wants: str, level: int, within: int, corners: Corners
+    ) -> None:
+        self._requests.append(Request(self._own, to, robot, wants, level, within, corners))
+
+    def _not_yet_asked(self, robot: int, corners: Corners, level: int, now: float) -> Corners:
+        """Those cells for which nobody has asked lately; they count as asked for now."""
+        patience = self._config.patience
+        if len(self._asked) > 100_000:
+            self._asked = {k: t for k, t in self._asked.items() if now - t < patience}
+        fresh = []
+        for row, corner in enumerate(corners.tolist()):
+            key = robot, (level, *corner)
+            if now - self._asked.get(key, -np.inf) >= patience:
+                self._asked[key] = now
+                fresh.append(row)
+        return corners[fresh]
+
+    def _cells(self, robot: int, level: int, within: int, corners: Corners | None) -> CellDigest:
+        part = self._replica.contribution(robot)
+        cells = Cells(level, _EVERYTHING, np.empty(0, np.uint32))
+        if part is not None:
+            cells = part.cells(level, within, corners)
+        newest = 0 if part is None else part.newest
+        parts = level, cells.corners, cells.hashes
+        return CellDigest(self._own, self._outbox.session, robot, newest, *parts)
+
+    def _summary(self) -> Summary:
+        robots = self._replica.robots
+        rows = np.zeros(len(robots), SUMMARY_ROW)
+        for row, robot in enumerate(robots):
+            part = self._replica.contribution(robot)
+            if part is not None:
+                value = part.hash()
+                rows[row] = robot, part.newest, part.blocks, (value & 0xFFFFFFFF, value >> 32)
+        return Summary(self._own, self._outbox.session, rows)

@@ -74,6 +74,7 @@ class Health:
         self._notes: dict[str, str] = {}
         self._quiet_until: dict[str, float] = {}
         self._reported: Counter[str] = Counter()
+        self._condition = ""
         self._outputs = Stream("", required=False, latched=False, since=clock())
 
     def watch(self, topic: str, *, required: bool, latched: bool = False) -> None:
@@ -117,6 +118,11 @@ class Health:
         with self._lock:
             self._notes[name] = value
 
+    def condition(self, text: str) -> None:
+        """Say in words what is wrong with the node's results now; empty when nothing is."""
+        with self._lock:
+            self._condition = text
+
     def drops(self) -> dict[str, int]:
         """Number of drops by reason."""
         with self._lock:
@@ -131,14 +137,15 @@ class Health:
         return [s.topic for s in self._streams.values() if s.required and not s.count]
 
     def complaints(self) -> list[str]:
-        """What is wrong now: inputs missing or stale, and what was dropped since the last call."""
+        """What is wrong now: with results and inputs, and what was dropped since the last call."""
         now = self._clock()
         with self._lock:
             found = [s.complaint(now) for s in self._streams.values()]
             recent = self._drops - self._reported
             self._reported = self._drops.copy()
+            condition = [self._condition] if self._condition else []
         dropped = [f"dropped {count}: {reason}" for reason, count in recent.items()]
-        return [text for text in found if text is not None] + dropped
+        return condition + [text for text in found if text is not None] + dropped
 
     def values(self) -> dict[str, str]:
         """All figures, for a diagnostic message."""

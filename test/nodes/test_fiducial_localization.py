@@ -1,0 +1,185 @@
+"""fiducial_localization over DDS with the shipped bag: poses against its ground truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Path
+from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import ImageRecord, invert_transform
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
+from infomap_ros.nodes.message_types import message_class
+from infomap_ros.replay.messages import TF, decode_transforms, encode_image
+from infomap_ros.replay.messages.keyframes import decode_keyframe_poses
+from infomap_ros.replay.messages.rows import decode_rows
+from test.nodes.bag_stage import IMAGES, INFOS, MOTION, TYPES, BagStage
+
+SECOND = 1_000_000_000
+CAMERA = "left_camera_optical_frame"
+
+
+class Stage(BagStage):
+    """The bag and the node."""
+
+    def __init__(self, graph: Any, motion: str = "odometry", **parameters: Any) -> None:
+        super().__init__(graph, IMAGES + INFOS + (() if motion == "none" else MOTION))
+        self.node = graph.add(FiducialLocalizationNode, rectify=True, motion=motion, **parameters)
+        self.connect()
+
+    def run(self, pairs: int, first: int = 1, shift: int = 0) -> list[int]:
+        """Play pairs and wait for each; stamps of those that were located."""
+        stamps = []
+        for stamp in self.play(pairs, first, shift):
+            if self.located(stamp, self.node) is not None:
+                stamps.append(stamp)
+        return stamps
+
+    def errors(self, stamps: list[int]) -> np.ndarray:
+        """Motion since the first pair against the truth: position errors, shape (n,) [m]."""
+        return np.array(
+            [
+                np.linalg.norm(
+                    invert_transform(self.poses[stamps[0]].transform)[:3]
+                    @ self.poses[stamp].transform[:, 3]
+                    - invert_transform(self.truth[stamps[0]])[:3] @ self.truth[stamp][:, 3]
+                )
+                for stamp in stamps
+            ]
+        )
+
+    def call(self, service: str) -> Trigger.Response:
+        client = self.graph.tester.create_client(Trigger, f"fiducial_localization/{service}")
+        self.graph.spin_until(client.service_is_ready, service)
+        answer = client.call_async(Trigger.Request())
+        self.graph.spin_until(answer.done, f"the answer of {service}")
+        return answer.result()
+
+
+def test_there_is_a_pose_for_every_pair_and_it_is_right(graph: Any) -> None:
+    stage = Stage(graph)
+    stamps = stage.run(8)
+    assert len(stamps) == 8
+    assert {stage.poses[s].frame_id for s in stamps} == {"map"}
+    sigmas = [np.sqrt(np.trace(stage.poses[s].covariance[:3, :3])) for s in stamps]
+    assert (stage.errors(stamps) < 4.0 * np.array(sigmas)).all()
+    assert stage.errors(stamps).max() < 0.02
+    assert max(sigmas) < 0.1
+
+
+def test_the_map_is_where_odometry_begins(graph: Any) -> None:
+    stage = Stage(graph)
+    (stamp,) = stage.run(1)
+    height = stage.poses[stamp].transform[2, 3]
+    assert 0.2 < height < 1.5  # the camera stands above the level ground that the rover is on
+    assert abs(stage.poses[stamp].transform[2, 0]) < 0.1  # its x axis is level
+
+
+def test_images_alone_are_enough(graph: Any) -> None:
+    stage = Stage(graph, motion="none")
+    stamps = stage.run(5)
+    assert len(stamps) == 5
+    assert stage.errors(stamps).max() < 0.02
+
+
+def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph: Any) -> None:
+    frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
+    stage = Stage(graph)
+    stamps = stage.run(3)
+    graph.spin_until(lambda: len(frames) >= 3, "frames")
+    edges = {edge.stamp: edge for message in frames for edge in decode_transforms(message)}
+    for stamp in stamps:
+        edge = edges[stamp]
+        assert (edge.frame_id, edge.child_frame_id) == ("map", "odom")
+        posture = stage.node._postures.posture(stamp)
+        found = edge.transform @ posture.T_odom_camera
+        assert np.allclose(found, stage.poses[stamp].transform, atol=1e-9)
+
+
+def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:
+    frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
+    stage = Stage(graph, motion="none")
+    (stamp,) = stage.run(1)
+    graph.spin_until(lambda: frames, "a frame")
+    (edge,) = decode_transforms(frames[0])
+    assert (edge.stamp, edge.frame_id, edge.child_frame_id) == (stamp, "map", CAMERA)
+
+
+def test_keyframes_and_fiducials_are_told(graph: Any) -> None:
+    keyframes = graph.collect(Path, "keyframe_poses", qos.stream())
+    clouds = graph.collect(PointCloud2, "fiducials", qos.latched())
+    markers = graph.collect(MarkerArray, "fiducial_markers", qos.latched())
+    stage = Stage(graph, fiducials_period=0.0)
+    stamps = stage.run(4)
+    graph.spin_until(lambda: len(clouds) >= 3 and markers and keyframes, "fiducials")
+    heard = decode_keyframe_poses(keyframes[-1])
+    assert heard.frame_id == "map"
+    assert set(heard.stamps.tolist()) <= set(stamps)
+    first = heard.stamps.tolist().index(stamps[0])
+    assert np.allclose(heard.transforms[first], stage.poses[stamps[0]].transform, atol=0.05)
+    stamp, frame, rows = decode_rows(clouds[-1])
+    assert stamp in stamps and frame == "map"
+    assert len(rows) > 20 and len(markers[-1].markers[0].points) > 20
+    assert (rows["sigma"] > 0.0).all()
+    place = stage.poses[stamp].transform[:3, 3]
+    distances = np.linalg.norm(np.stack([rows["x"], rows["y"], rows["z"]], -1) - place, axis=1)
+    assert np.median(distances) < 10.0
+
+
+def test_without_odometry_nothing_begins_where_it_is_wanted(graph: Any) -> None:
+    stage = Stage(graph)
+    for _ in stage.play(1, first=0):  # its stamp is before the first odometry
+        pass
+    reason = "no odometry or joints at the stamp"
+    graph.spin_until(lambda: reason in stage.node.health.drops(), "the drop")
+    assert not stage.poses
+
+
+def test_a_camera_that_sees_nothing_is_lost_and_says_so(graph: Any) -> None:
+    stage = Stage(graph, motion="none", max_coasting=0.4)
+    stamps = stage.run(2)
+    publishers = [graph.publisher(Image, topic.lstrip("/")) for topic in IMAGES]
+    graph.connect(*publishers)
+    values, black = stage.node.health.values, np.zeros((384, 512), np.uint8)
+    for step in range(1, 5):
+        stamp = stamps[-1] + step * SECOND // 5
+        for publisher, side in zip(publishers, ("left", "right"), strict=True):
+            dark = ImageRecord(stamp, f"{side}_camera_optical_frame", black, "mono8")
+            publisher.publish(encode_image(TYPES, dark))
+        graph.spin_until(lambda at=stamp: values().get("stamp") == str(at), "the dark pair")
+    assert values()["state"] == "lost"
+    assert any("lost" in text for text in stage.node.health.complaints())
+    assert max(stage.poses) < stamp
+    assert values()["reason"]
+
+
+def test_reset_begins_anew(graph: Any) -> None:
+    stage = Stage(graph)
+    stage.run(4)
+    assert stage.call("reset").success
+    (stamp,) = stage.run(1, first=8)
+    posture = stage.node._postures.posture(stamp)
+    assert np.allclose(stage.poses[stamp].transform, posture.T_odom_camera, atol=1e-9)
+
+
+def test_when_the_clock_jumps_back_the_map_begins_anew(graph: Any) -> None:
+    stage = Stage(graph)
+    before = stage.run(3, shift=1000 * SECOND)
+    after = stage.run(3)
+    assert len(before) == len(after) == 3
+    assert stage.errors(after).max() < 0.02
+    first = stage.poses[before[0]].transform, stage.poses[after[0]].transform
+    assert np.allclose(*first, atol=1e-3)
+
+
+def test_a_node_does_not_start_with_an_impossible_parameter(graph: Any) -> None:
+    with pytest.raises(ConfigError, match="motion"):
+        graph.add(FiducialLocalizationNode, motion="wishes")
+    with pytest.raises(ConfigError, match="fewest_fiducials"):
+        graph.add(FiducialLocalizationNode, fewest_fiducials=300, wanted_fiducials=100)

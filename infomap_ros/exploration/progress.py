@@ -10,11 +10,13 @@ from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
+from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from infomap_ros.mapping.export import surface_sigmas
 
-_MARGIN = OccupancyThresholds().surface_margin
-_AROUND = ndimage.generate_binary_structure(3, 3)
+_GOES_ON = 2  # [voxels] that a surface is continued
+_WALL = 1.0  # [m] of surface in a column, at which it is a wall,
+_WALL_SHARE = 0.6  # or such a share of the region's height where that is less
+_GAP = 0.2  # [m] width of gaps in walls that count as closed
 _Mask = NDArray[np.bool_]
 
 
@@ -44,13 +46,14 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
     The known fraction is ``K / (K + M)``. K counts the surface voxels that border on the free
     space about the robot. M counts what is missing of the surface, each as one voxel:
 
-    - expanse: columns of the region without any surface, which space that is not known to be
-      occupied joins to the robot. What lies behind closed walls is not missing.
-    - detail: unknown voxels on the border of the free space that are as near to a known surface,
-      which therefore goes on there.
+    - expanse: columns of the region without any surface, between which and the robot stands no
+      wall. What lies behind closed walls is not missing.
+    - detail: unknown voxels on the border of the free space that go on where a known surface with
+      the same free side ends, in its plane or one voxel beside it. The border of free space
+      elsewhere is air that was not seen.
 
     A large hole in a known surface counts with its rim alone, so the fraction errs towards 1 where
-    hidden faces stand upright, and towards 0 where space is walled off by what cannot be seen.
+    hidden faces stand upright. docs/exploration_worlds.md compares it with the truth.
 
     Args:
         voxel_map: the map.
@@ -67,7 +70,7 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
     window = voxel_map.window(box[0], box[1])
     states = window.states()
     start = np.clip(window.positions_of(np.reshape(inside, (1, 3)))[0], 0, _last(states))
-    known, missing = count_surface(states, start)
+    known, missing = count_surface(states, start, voxel_map.config.voxel_size)
     indices, _, covariances = voxel_map.gaussians()
     centres = (indices + 0.5) * voxel_map.config.voxel_size
     chosen = ((centres >= box[0]) & (centres <= box[1])).all(axis=1)
@@ -81,24 +84,44 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
     )
 
 
-def count_surface(states: NDArray[np.uint8], start: NDArray[np.int64]) -> tuple[int, int]:
+def count_surface(
+    states: NDArray[np.uint8], start: NDArray[np.int64], voxel_size: float
+) -> tuple[int, int]:
     """Known and missing surface voxels as `measure_progress` defines them.
 
     Args:
         states: as of `VoxelWindow.states`, shape (nx, ny, nz).
         start: array position of the robot, shape (3,); where it is not in open space, the nearest
             voxel that is.
+        voxel_size: edge of a voxel [m].
     """
     occupied, unknown = states == OCCUPIED, states == UNKNOWN
-    open_space = _component(~occupied, start)
-    free = (states == FREE) & open_space
-    beside_free = _beside(free)
-    known = int((occupied & beside_free).sum())
+    free = (states == FREE) & _component(~occupied, start)
+    known, detail = np.zeros_like(occupied), np.zeros_like(occupied)
+    for axis in range(3):
+        for step in (-1, 1):
+            faces_free = _neighbours(free, axis, step)
+            surface = occupied & faces_free
+            known |= surface
+            beside = [2 * _GOES_ON + 1] * 3
+            beside[axis] = 3
+            detail |= unknown & faces_free & ndimage.maximum_filter(surface, size=beside)
     has_surface = occupied.any(axis=2)
-    expanse = int((~has_surface & (open_space & (unknown | free)).any(axis=2)).sum())
-    near_surface = ndimage.binary_dilation(occupied, _AROUND, iterations=_MARGIN + 1)
-    detail = unknown & beside_free & near_surface & has_surface[:, :, None]
-    return known, expanse + int(detail.sum())
+    expanse = ~has_surface & (states != OCCUPIED).any(axis=2)
+    expanse &= _component(~_walls(occupied, voxel_size), start[:2])
+    return int(known.sum()), int(expanse.sum()) + int((detail & has_surface[:, :, None]).sum())
+
+
+def _walls(occupied: _Mask, voxel_size: float) -> NDArray[np.bool_]:
+    """Columns that the camera cannot look across, shape (nx, ny), narrow gaps closed."""
+    height = min(_WALL, _WALL_SHARE * occupied.shape[2] * voxel_size)
+    walls = occupied.sum(axis=2) * voxel_size >= height - 1e-9
+    reach = int(0.5 * _GAP / voxel_size + 1e-9)
+    if reach == 0:
+        return walls
+    around = np.pad(walls, reach)
+    closed = ndimage.binary_closing(around, np.ones((2 * reach + 1, 2 * reach + 1)))
+    return np.asarray(closed[reach:-reach, reach:-reach])
 
 
 def _component(mask: _Mask, start: NDArray[np.int64]) -> _Mask:
@@ -113,15 +136,14 @@ def _component(mask: _Mask, start: NDArray[np.int64]) -> _Mask:
     return np.asarray(labels == label)
 
 
-def _beside(mask: _Mask) -> _Mask:
-    """Voxels that share a face with one of `mask`."""
-    beside = np.zeros_like(mask)
-    for axis in range(3):
-        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        beside[tuple(ahead)] |= mask[tuple(behind)]
-        beside[tuple(behind)] |= mask[tuple(ahead)]
-    return beside
+def _neighbours(mask: _Mask, axis: int, step: int) -> _Mask:
+    """What `mask` holds one step, -1 or 1, along an axis; False beyond the edge."""
+    shifted = np.zeros_like(mask)
+    here, there = [slice(None)] * 3, [slice(None)] * 3
+    here[axis] = slice(1, None) if step < 0 else slice(None, -1)
+    there[axis] = slice(None, -1) if step < 0 else slice(1, None)
+    shifted[tuple(here)] = mask[tuple(there)]
+    return shifted
 
 
 def _last(states: NDArray[np.uint8]) -> NDArray[np.int64]:

@@ -30,7 +30,7 @@ class TaskConfig:
         (3.0, 3.0, 1.4), "Upper corner of the box that is to be mapped, map frame.", unit="m"
     )
     known_fraction: float = parameter(
-        0.95, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
+        0.97, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
     )
     mean_sigma: float = parameter(
         0.03,

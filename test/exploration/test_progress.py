@@ -11,6 +11,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap, VoxelMapConfig
 
 START = np.array([10, 10, 5])
+SIZE = 0.1  # [m]
 
 
 def floor(known: slice) -> np.ndarray:
@@ -22,11 +23,11 @@ def floor(known: slice) -> np.ndarray:
 
 
 def test_complete_floor_is_known() -> None:
-    assert count_surface(floor(slice(None)), START) == (400, 0)
+    assert count_surface(floor(slice(None)), START, SIZE) == (400, 0)
 
 
 def test_columns_without_surface_are_missing() -> None:
-    known, missing = count_surface(floor(slice(0, 14)), START)
+    known, missing = count_surface(floor(slice(0, 14)), START, SIZE)
     assert known == 14 * 20
     assert missing == 6 * 20
 
@@ -34,38 +35,55 @@ def test_columns_without_surface_are_missing() -> None:
 def test_what_a_closed_wall_hides_is_not_missing() -> None:
     states = floor(slice(0, 14))
     states[13, :, :] = OCCUPIED
-    known, missing = count_surface(states, START)
+    known, missing = count_surface(states, START, SIZE)
     assert known == 13 * 20 + 20 * 5  # the floor, and the wall's face above it
     assert missing == 0
 
 
-def test_gap_in_the_wall_opens_what_is_behind() -> None:
+@pytest.mark.parametrize(("width", "opens"), [(1, False), (2, False), (4, True)])
+def test_gap_in_the_wall_opens_what_is_behind(width: int, opens: bool) -> None:
+    """Gaps of up to 0.2 m are noise: one sees nothing through them, nor goes."""
     states = floor(slice(0, 14))
     states[13, :, :] = OCCUPIED
-    states[13, 7, 3:] = UNKNOWN
-    assert count_surface(states, START)[1] >= 6 * 20
+    states[13, 7 : 7 + width, 3:] = UNKNOWN
+    assert (count_surface(states, START, SIZE)[1] >= 6 * 20) == opens
 
 
-def test_unseen_face_of_a_box_counts_with_its_open_edge() -> None:
+def test_what_is_behind_a_low_wall_is_missing() -> None:
+    states = floor(slice(0, 14))
+    states[13, :, 2:5] = OCCUPIED
+    assert count_surface(states, START, SIZE)[1] >= 6 * 20
+
+
+def test_hole_in_a_wall_counts_with_its_rim_and_what_is_behind_it() -> None:
     states = floor(slice(None))
-    states[5:8, 5:8, 2:5] = OCCUPIED  # a box of which only the top has been seen
-    states[5:8, 5:8, 2:4] = UNKNOWN
-    states[8, 5:8, 3] = UNKNOWN  # and its shadow on one side, floor included
-    states[8, 5:8, 2] = UNKNOWN
-    known, missing = count_surface(states, START)
-    assert missing >= 3
-    assert known < count_surface(floor(slice(None)), START)[0] + 9
+    states[13:, :, :] = UNKNOWN
+    states[13, :, 2:] = OCCUPIED
+    states[13, 5:13, 3:] = UNKNOWN  # 8 wide and up to the top
+    known, missing = count_surface(states, START, SIZE)
+    assert known == 13 * 20 + 12 * 5
+    assert missing == 2 * 2 * 5 + 6 * 20
+
+
+def test_air_that_was_not_seen_beside_a_wall_is_not_missing_surface() -> None:
+    states = floor(slice(0, 14))
+    states[13, :, :] = OCCUPIED
+    states[9:13, :, 6:] = UNKNOWN
+    states[13, :, 6:] = UNKNOWN  # the wall's top neither
+    known, missing = count_surface(states, START, SIZE)
+    assert known == 13 * 20 + 20 * 3
+    assert missing == 0  # where the wall goes on, unseen air is before it
 
 
 def test_unknown_space_above_free_space_is_not_missing_surface() -> None:
     states = floor(slice(None))
     states[:, :, 6:] = UNKNOWN  # sky in which no ray ended
-    assert count_surface(states, START) == (400, 0)
+    assert count_surface(states, START, SIZE) == (400, 0)
 
 
 def test_nothing_known_counts_as_nothing() -> None:
     states = np.full((5, 5, 5), UNKNOWN, np.uint8)
-    known, missing = count_surface(states, np.array([2, 2, 2]))
+    known, missing = count_surface(states, np.array([2, 2, 2]), SIZE)
     assert known == 0
     assert missing == 25
 

@@ -8,6 +8,9 @@ an absolute pose corrects the poses that were kept. Errors are right-invariant
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
@@ -16,9 +19,10 @@ from scipy.special import chdtri
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducial_history import FiducialHistory
 from infomap_ros.localization.filter_config import FiducialFilterConfig
 from infomap_ros.localization.filter_records import Fiducials, FilterUpdate, KeptPoses
-from infomap_ros.localization.hypothesis_choice import choose, hypotheses
+from infomap_ros.localization.hypothesis_choice import CONTESTED, Image, explain
 from infomap_ros.localization.invariant_state import InvariantState
 from infomap_ros.localization.lie import skews
 from infomap_ros.localization.motion_prior import MotionPrior
@@ -51,10 +55,6 @@ class FiducialFilter:
         self.camera = camera
         self.config = config or FiducialFilterConfig()
         self._pose_limit = float(chdtri(6, 1.0 - self.config.joint_gate))
-        self._motion = _REST
-        self._updates = 0
-        self._last_seen: dict[int, int] = {}
-        self._times_seen: dict[int, int] = {}
         self.start(np.eye(4), np.zeros((6, 6)))
 
     def start(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> None:
@@ -69,12 +69,36 @@ class FiducialFilter:
         """
         pose = check_transform(T_map_camera, "T_map_camera")
         over = invariant_from_pose(pose[None])[0]
-        capacity = 2 + self.config.max_fiducials + 2 * (self.config.max_kept_poses + 1)
         errors = over @ check_covariance(covariance, 6) @ over.T
-        self._state = InvariantState(pose, errors, capacity)
+        self._state = InvariantState(pose, errors, self._capacity)
         self._motion = _REST
-        self._last_seen.clear()
-        self._times_seen.clear()
+        self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
+
+    @property
+    def _capacity(self) -> int:
+        return 2 + self.config.max_fiducials + 2 * (self.config.max_kept_poses + 1)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything that it knows, as arrays that can be written to a file."""
+        motion = {
+            "motion": self._motion.T_before_after,
+            "motion_covariance": self._motion.covariance,
+        }
+        return self._state.arrays() | self._history.state() | motion
+
+    def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on where another filter of the same sizes stood.
+
+        Args:
+            state: of that filter's `state`.
+
+        Raises:
+            InvalidInputError: it holds more than this filter can.
+        """
+        self._state = InvariantState.resume(state, self._capacity)
+        self._motion = MotionPrior(state["motion"], state["motion_covariance"])
+        self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
+        self._history.resume(state)
 
     @property
     def pose(self) -> tuple[FloatArray, FloatArray]:
@@ -95,20 +119,23 @@ class FiducialFilter:
         Where it is not consistent nothing changes: the pose stays the predicted one.
         """
         indices, is_known = self._look_up(observations.ids)
-        known = observations.select(is_known)
-        unknown = observations.ids[~is_known]
+        known, unknown = observations.select(is_known), observations.ids[~is_known]
         measured = Measured.of(self.camera, known)
-        found = hypotheses(self._state, self._motion, indices, measured, self.config)
-        chosen, reason = choose(found, len(known), self.config)
-        self._updates += 1
+        image = Image(known.ids, indices, measured)
+        chosen, reason, overruled = explain(
+            self._state, self._motion, image, self._history, self.config
+        )
         if chosen is None:
+            if reason in CONTESTED:
+                self._history.contradicted(known.ids)
             nothing = np.zeros(0, np.int64)
             return FilterUpdate(False, reason, nothing, nothing, unknown, np.nan, 0, np.nan)
+        self._history.agreed(known.ids, chosen.members, chosen.innovations)
         self._apply(chosen, indices)
-        self._note_seen(known.ids[chosen.members])
+        used, rejected = known.ids[chosen.members], known.ids[~chosen.members]
         return FilterUpdate(
-            True, "", known.ids[chosen.members], known.ids[~chosen.members], unknown,
-            chosen.correction.nis, chosen.degrees_of_freedom, chosen.motion_nis,
+            True, "", used, rejected, unknown, chosen.correction.nis,
+            chosen.degrees_of_freedom, chosen.motion_nis, overruled,
         )  # fmt: skip
 
     def add(self, observations: FiducialObservations) -> NDArray[np.int64]:
@@ -132,7 +159,7 @@ class FiducialFilter:
         self._make_room(len(new))
         points, covariances = new.points(self.camera), new.covariances(self.camera)
         self._state.add_fiducials(new.ids, points, covariances)
-        self._note_seen(new.ids)
+        self._history.begin(new.ids)
         return new.ids
 
     def observe_pose(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> bool:
@@ -217,8 +244,7 @@ class FiducialFilter:
     def remove(self, ids: ArrayLike) -> None:
         """Forget fiducials; ids that are not held are ignored."""
         gone = np.isin(self._state.ids, np.asarray(ids, np.int64))
-        for number in self._state.ids[gone].tolist():
-            del self._last_seen[number], self._times_seen[number]
+        self._history.forget(self._state.ids[gone])
         self._state.remove_fiducials(gone)
 
     def _look_up(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -229,18 +255,11 @@ class FiducialFilter:
         known = np.isin(ids, self._state.ids)
         return found[known], known
 
-    def _note_seen(self, ids: NDArray[np.int64]) -> None:
-        for number in ids.tolist():
-            self._last_seen[number] = self._updates
-            self._times_seen[number] = self._times_seen.get(number, 0) + 1
-
     def _make_room(self, count: int) -> None:
         """Forget so many fiducials that new ones find room."""
         surplus = len(self._state.ids) + count - self.config.max_fiducials
         if surplus > 0:
-            ids = self._state.ids.tolist()
-            ids.sort(key=lambda number: (self._times_seen[number], self._last_seen[number]))
-            self.remove(ids[:surplus])
+            self.remove(self._history.least_useful(self._state.ids, surplus))
 
     def _take_motion(self) -> None:
         """Make the predicted motion part of the state."""

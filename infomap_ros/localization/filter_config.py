@@ -33,8 +33,15 @@ class FiducialFilterConfig:
         low=0.5,
         high=0.999999,
     )
-    ambiguity: float = parameter(
+    majority: float = parameter(
         0.6,
+        "Share of the known fiducials in view that must agree, unless the others are seen to move "
+        "in a way that the motion prior excludes.",
+        low=0.0,
+        high=1.0,
+    )
+    ambiguity: float = parameter(
+        0.5,
         "Size of a second group of fiducials that agree on another plausible motion, as a share "
         "of the first, from which on the motion counts as ambiguous.",
         low=0.05,
@@ -46,6 +53,24 @@ class FiducialFilterConfig:
         "when wheels slip.",
         low=0.5,
         high=1.0,
+    )
+    overruling_count: int = parameter(
+        8,
+        "Least number of them that were used in an earlier image.",
+        low=4,
+        high=1000,
+    )
+    drift_memory: float = parameter(
+        0.9,
+        "Share of a fiducial's summed innovations that is left after one more image.",
+        low=0.0,
+        high=0.999,
+    )
+    drift_gate: float = parameter(
+        0.9999,
+        "Probability within which that sum must lie; beyond, the fiducial counts as moving.",
+        low=0.5,
+        high=0.9999999,
     )
     trials: int = parameter(
         100, "Triples of fiducials tried to find a first pose.", low=10, high=10000

@@ -19,11 +19,13 @@ class FilterUpdate:
             pose that agrees with the expected motion; the pose is the predicted one.
         reason: why not; empty if it is consistent.
         used: ids of the fiducials that the pose rests on, shape (U,).
-        rejected: ids of known fiducials that contradict them, shape (R,).
+        rejected: ids of known fiducials that contradict them or move, shape (R,).
         unknown: ids that the filter does not hold, shape (K,).
         nis: normalised innovation squared of the used ones; NaN where there was no update.
         degrees_of_freedom: number of measured values in `nis`, which is its mean if all is right.
         motion_nis: of the motion against its prior, six degrees of freedom; NaN likewise.
+        prior_overruled: whether the images showed the motion prior to be wrong, as when wheels
+            slip.
     """
 
     is_consistent: bool
@@ -34,6 +36,7 @@ class FilterUpdate:
     nis: float
     degrees_of_freedom: int
     motion_nis: float
+    prior_overruled: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +12,72 @@ from scipy.special import chdtri
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.consensus import agreeing, find_pose
+from infomap_ros.localization.fiducial_history import FiducialHistory
 from infomap_ros.localization.filter_config import FiducialFilterConfig
 from infomap_ros.localization.invariant_state import InvariantState
 from infomap_ros.localization.motion_prior import MotionPrior
 from infomap_ros.localization.pose_hypothesis import Expectation, Hypothesis, examine
-from infomap_ros.localization.sight import Measured
+from infomap_ros.localization.sight import BoolArray, Measured
 
+CONTRADICTION = "the motion that the fiducials show contradicts the expected one"
+DISAGREEMENT = "the fiducials do not agree on one pose"
+AMBIGUITY = "two groups of fiducials show different motions"
+MINORITY = "too few of the fiducials agree on one pose"
+CONTESTED = (DISAGREEMENT, AMBIGUITY, MINORITY)
 _MOST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """The known fiducials of an image.
+
+    Attributes:
+        ids: shape (M,).
+        indices: of them in the state, shape (M,).
+        measured: their measurements.
+    """
+
+    ids: NDArray[np.int64]
+    indices: NDArray[np.int64]
+    measured: Measured
+
+
+def explain(
+    state: InvariantState,
+    prior: MotionPrior,
+    image: Image,
+    history: FiducialHistory,
+    config: FiducialFilterConfig,
+) -> tuple[Hypothesis | None, str, bool]:
+    """The explanation of an image, why there is none, and whether it overrules the prior.
+
+    Args:
+        state: before the motion.
+        prior: of the motion.
+        image: known fiducials.
+        history: of the fiducials.
+        config: gates.
+    """
+    admitted = history.is_trusted(image.ids)
+    contested = history.is_contested(image.ids)
+    known = int(admitted.sum())
+    found = hypotheses(state, prior, image, admitted, config)
+    chosen, reason = choose(found, contested, known, config)
+    if reason != CONTRADICTION:
+        return chosen, reason, False
+    established = admitted & history.is_established(image.ids)
+    wider = overruled_prior(prior, found, established, config)
+    if wider is None:
+        return None, reason, False
+    found = hypotheses(state, wider, image, admitted, config)
+    return *choose(found, contested, known, config), True
 
 
 def hypotheses(
     state: InvariantState,
     prior: MotionPrior,
-    indices: NDArray[np.int64],
-    measured: Measured,
+    image: Image,
+    admitted: BoolArray,
     config: FiducialFilterConfig,
 ) -> list[Hypothesis]:
     """Explanations of an image, each by other fiducials: largest group first, as RANSAC finds them.
@@ -32,29 +85,27 @@ def hypotheses(
     Args:
         state: before the motion.
         prior: of the motion.
-        indices: of the image's fiducials in the state, shape (M,).
-        measured: their measurements.
+        image: known fiducials.
+        admitted: those that may serve, shape (M,).
         config: gates.
     """
+    indices, measured = image.indices, image.measured
     turn = state.T_map_camera[:3, :3] @ prior.T_before_after[:3, :3]
     covariances = turn.T @ _relative_covariances(state, indices) @ turn
     positions = state.positions[indices]
     gate = float(chdtri(3, 1.0 - config.fiducial_gate))
-    remaining = np.ones(len(indices), bool)
+    remaining = admitted.copy()
     found: list[Hypothesis] = []
     while len(found) < _MOST and np.count_nonzero(remaining) >= config.least_fiducials:
         some = np.flatnonzero(remaining)
-        pose = find_pose(
-            positions[some], covariances[some], measured.select(some), gate, config.trials
-        )
+        part = (positions[some], covariances[some], measured.select(some), gate)
+        pose = find_pose(*part, config.trials)
         if pose is None:
             break
         members = np.zeros(len(indices), bool)
-        members[some] = agreeing(
-            pose, positions[some], covariances[some], measured.select(some), gate
-        )
+        members[some] = agreeing(pose, *part)
         expectation = Expectation.at(state, prior, invert_transform(pose))
-        hypothesis = examine(state, expectation, indices, measured, members, config)
+        hypothesis = examine(state, expectation, indices, measured, members, admitted, config)
         if hypothesis is None:
             break
         found.append(hypothesis)
@@ -63,27 +114,64 @@ def hypotheses(
 
 
 def choose(
-    found: Sequence[Hypothesis], known: int, config: FiducialFilterConfig
+    found: Sequence[Hypothesis], contested: BoolArray, known: int, config: FiducialFilterConfig
 ) -> tuple[Hypothesis | None, str]:
     """The hypothesis to believe, or None and the reason.
 
     Args:
         found: the hypotheses.
+        contested: fiducials of the image that last contradicted each other, shape (M,).
         known: number of known fiducials in the image.
         config: gates.
     """
     if known < config.least_fiducials:
         return None, f"{known} known fiducials in view, {config.least_fiducials} needed"
     sound = [one for one in found if one.has_plausible_residuals(config)]
-    plausible = [one for one in sound if one.has_plausible_motion(config)]
+    if not sound:
+        return None, DISAGREEMENT
+    plausible = sorted(
+        (one for one in sound if one.has_plausible_motion(config)), key=lambda one: -one.count
+    )
     if not plausible:
-        if sound:
-            return None, "the motion that the fiducials show contradicts the expected one"
-        return None, "the fiducials do not agree on one pose"
-    plausible.sort(key=lambda one: -one.count)
-    if len(plausible) > 1 and plausible[1].count >= config.ambiguity * plausible[0].count:
-        return None, "two groups of fiducials show different motions"
-    return plausible[0], ""
+        return None, CONTRADICTION
+    best = plausible[0]
+    if len(plausible) > 1 and plausible[1].count >= config.ambiguity * best.count:
+        return None, AMBIGUITY
+    # Who wins must not hang on what happens to be in view.
+    was_contested = 2 * np.count_nonzero(best.members & contested) > best.count
+    share = config.overruling_share if was_contested else config.majority
+    excluded = sum(one.count for one in sound if not one.has_plausible_motion(config))
+    if best.count + excluded < share * known:
+        return None, MINORITY
+    return best, ""
+
+
+def overruled_prior(
+    prior: MotionPrior,
+    found: Sequence[Hypothesis],
+    established: BoolArray,
+    config: FiducialFilterConfig,
+) -> MotionPrior | None:
+    """The motion prior with as much uncertainty as the images show that it has.
+
+    Wheels slip and arms are pushed: where nearly all fiducials, and enough that are known for
+    long, agree with each other but not with the prior, it is the prior that is wrong.
+
+    Args:
+        prior: of the motion.
+        found: hypotheses that contradict it.
+        established: fiducials of the image that were seen before they were last, shape (M,).
+        config: shares.
+
+    Returns:
+        The prior that fits; None where the images do not suffice to overrule it.
+    """
+    for one in found:
+        enough = one.count >= config.overruling_share * len(established)
+        known_long = np.count_nonzero(one.members & established) >= config.overruling_count
+        if enough and known_long and one.has_plausible_residuals(config):
+            return MotionPrior(prior.T_before_after, one.motion_nis * prior.covariance)
+    return None
 
 
 def _relative_covariances(state: InvariantState, indices: NDArray[np.int64]) -> FloatArray:

@@ -16,9 +16,13 @@ T. Zhang et al., IEEE RA-L 2(2), 2017, doi:10.1109/LRA.2017.2651376.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.lie import exponential, left_jacobian, renormalised, skews
 
@@ -144,6 +148,38 @@ class InvariantState:
         self._free_blocks(self._kept_blocks[chosen].ravel())
         self.stamps, self.kept = self.stamps[~chosen], self.kept[~chosen]
         self._kept_blocks = self._kept_blocks[~chosen]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Copies of everything, for `resume`."""
+        return {
+            "T_map_camera": self.T_map_camera.copy(),
+            "ids": self.ids.copy(),
+            "positions": self.positions.copy(),
+            "stamps": self.stamps.copy(),
+            "kept": self.kept.copy(),
+            "fiducial_blocks": self._fiducial_blocks.copy(),
+            "kept_blocks": self._kept_blocks.copy(),
+            "covariance": self.P.copy(),
+        }
+
+    @classmethod
+    def resume(cls, arrays: Mapping[str, NDArray[Any]], capacity: int) -> InvariantState:
+        """The state that `arrays` came from.
+
+        Raises:
+            InvalidInputError: it does not fit into the capacity.
+        """
+        blocks = len(arrays["covariance"]) // _BLOCK
+        if blocks > capacity:
+            raise InvalidInputError("covariance", f"{blocks} errors, at most {capacity} fit")
+        state = cls(arrays["T_map_camera"], np.zeros((6, 6)), capacity)
+        state.ids, state.positions = arrays["ids"].copy(), arrays["positions"].copy()
+        state.stamps, state.kept = arrays["stamps"].copy(), arrays["kept"].copy()
+        state._fiducial_blocks = arrays["fiducial_blocks"].copy()
+        state._kept_blocks = arrays["kept_blocks"].copy()
+        state._blocks = blocks
+        state.P[:] = arrays["covariance"]
+        return state
 
     def _copy_blocks(self, sources: IntArray) -> None:
         """Append blocks whose errors equal those of others."""

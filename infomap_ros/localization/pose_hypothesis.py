@@ -20,7 +20,7 @@ from infomap_ros.localization.sight import (
     Measured,
     Sight,
     correct,
-    distances_from,
+    innovations_from,
 )
 
 _ROUNDS = 6
@@ -85,6 +85,7 @@ class Hypothesis:
         correction: by the members.
         degrees_of_freedom: number of the members' values.
         motion_nis: squared distance of the motion from its prior, six degrees of freedom.
+        innovations: of all fiducials against the members, with unit covariance, shape (M, 3).
     """
 
     expectation: Expectation
@@ -92,6 +93,7 @@ class Hypothesis:
     correction: Correction
     degrees_of_freedom: int
     motion_nis: float
+    innovations: FloatArray
 
     @property
     def count(self) -> int:
@@ -115,6 +117,7 @@ def examine(
     indices: NDArray[np.int64],
     measured: Measured,
     members: BoolArray,
+    admitted: BoolArray,
     config: FiducialFilterConfig,
 ) -> Hypothesis | None:
     """Find out which fiducials agree with a group of them.
@@ -125,6 +128,7 @@ def examine(
         indices: of the image's fiducials in the state, shape (M,).
         measured: their measurements.
         members: the group, shape (M,).
+        admitted: fiducials that may join it, shape (M,).
         config: gates.
 
     Returns:
@@ -140,21 +144,20 @@ def examine(
         correction = correct(sight.select(members), np.ones(int(members.sum())))
         if correction is None:
             return None
-        agreeing = distances_from(sight, members, correction) <= gates
-        if np.array_equal(agreeing, members):
+        innovations = innovations_from(sight, members, correction)
+        used, members = members, admitted & ((innovations**2).sum(axis=1) <= gates)
+        if np.array_equal(used, members):
             break
-        last, members = members, agreeing
-    else:
-        members = last
     assert correction is not None
-    rows = state.fiducial_rows(indices[members]).ravel()
+    rows = state.fiducial_rows(indices[used]).ravel()
     noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(rows) // 3, 1))
     return Hypothesis(
         expectation,
-        members,
+        used,
         correction,
-        int(freedom[members].sum()),
+        int(freedom[used].sum()),
         _motion_nis(correction, noise, expectation.motion_covariance),
+        innovations,
     )
 
 

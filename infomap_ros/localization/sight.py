@@ -24,7 +24,7 @@ from infomap_ros.localization.observations import FiducialObservations
 BoolArray = NDArray[np.bool_]
 
 _ITERATIONS = 8
-_CONVERGED = 1e-3  # change of every expected measurement, in standard deviations of it
+_CONVERGED = 1e-2  # change of every expected measurement, in standard deviations of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,16 +155,17 @@ class Correction:
             solve_triangular(self.factor, turned, lower=True, overwrite_b=True, check_finite=False)
         )
 
-    def left_out_distances(self) -> FloatArray:
-        """Squared distance of each fiducial from what the others and the prior say, shape (M,).
+    def left_out_innovations(self) -> FloatArray:
+        """Difference of each fiducial from what the others and the prior say, shape (M, 3).
 
-        With w = S^-1 innovation it is ``w_j^T ((S^-1)_jj)^-1 w_j``.
+        Turned and scaled to unit covariance: with w = S^-1 innovation, whose covariance is S^-1,
+        the difference is ``((S^-1)_jj)^-1 w_j``. Missing values are 0.
         """
         count = len(self.jacobian)
         inverse = cho_solve((self.factor, True), np.eye(3 * count), check_finite=False)
         blocks = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
         w = self.weighted.reshape(count, 3, 1)
-        return np.asarray((w * np.linalg.solve(blocks, w)).sum(axis=(1, 2)))
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(blocks), w)[:, :, 0])
 
 
 def correct(sight: Sight, weights: FloatArray) -> Correction | None:
@@ -220,21 +221,22 @@ def _solve(
     )
 
 
-def distances_from(sight: Sight, members: BoolArray, correction: Correction) -> FloatArray:
-    """Squared distances of all fiducials of a sight from what the members say, shape (M,).
+def innovations_from(sight: Sight, members: BoolArray, correction: Correction) -> FloatArray:
+    """Differences of all fiducials of a sight from what the members say, shape (M, 3).
 
-    Members are compared with what the other members say; infinite behind the camera.
+    Members are compared with what the other members say. Each difference has unit covariance if
+    the fiducial stands still; infinite behind the camera.
 
     Args:
         sight: of all fiducials.
         members: those that the correction rests on, shape (M,).
         correction: with the members alone.
     """
-    distances = np.full(len(members), np.inf)
-    distances[members] = correction.left_out_distances()
+    innovations = np.full((len(members), 3), np.inf)
+    innovations[members] = correction.left_out_innovations()
     others = np.flatnonzero(~members)
     if not len(others):
-        return distances
+        return innovations
     rows_in = (3 * np.flatnonzero(members)[:, None] + np.arange(3)).ravel()
     rows_out = (3 * others[:, None] + np.arange(3)).ravel()
     cross = sight.covariance[np.ix_(rows_in, rows_out)]
@@ -249,19 +251,22 @@ def distances_from(sight: Sight, members: BoolArray, correction: Correction) -> 
     known = sight.covariance[blocks[:, :, None], blocks[:, None, :]]
     columns = white.T.reshape(len(others), 3, -1)
     known = known - columns @ columns.transpose(0, 2, 1)
-    distances[others] = squared_distances(sight.measured.select(others), points, turn, known)
-    return distances
+    innovations[others] = normalised_differences(sight.measured.select(others), points, turn, known)
+    return innovations
 
 
-def squared_distances(
+def normalised_differences(
     measured: Measured, points: FloatArray, turn: FloatArray, covariances: FloatArray
 ) -> FloatArray:
-    """Squared distances of measurements from points of known covariance of d, shape (M,)."""
+    """Differences of measurements from points whose d has known covariances, shape (M, 3).
+
+    Turned and scaled to unit covariance; infinite behind the camera.
+    """
     in_front = points[:, 2] > 0.0
     safe = np.where(in_front[:, None], points, [0.0, 0.0, 1.0])
     jacobian = measured.jacobians(safe) @ turn
     S = jacobian @ covariances @ jacobian.transpose(0, 2, 1)
     S[:, range(3), range(3)] += measured.variances
     residual = (measured.values - measured.expected(safe))[:, :, None]
-    squares = (residual * np.linalg.solve(S, residual)).sum(axis=(1, 2))
-    return np.where(in_front, squares, np.inf)
+    white = np.linalg.solve(np.linalg.cholesky(S), residual)[:, :, 0]
+    return np.where(in_front[:, None], white, np.inf)

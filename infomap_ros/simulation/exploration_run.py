@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -10,24 +11,32 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.control import Control
+from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.report import write_report
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.run_log import RunLogFile
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.error_prediction import ErrorPredictionConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.export import write_ply
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.pose_audit import PoseAudit
 from infomap_ros.simulation.robot import read_description
 from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.self_localisation import SelfLocalisation
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 
 LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
@@ -64,16 +73,21 @@ class ExplorationOptions:
     planner: ViewPlannerConfig = field(default_factory=ViewPlannerConfig)
     robot: ExploringRobotConfig = field(default_factory=ExploringRobotConfig)
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+    prediction: ErrorPredictionConfig = field(default_factory=ErrorPredictionConfig)
 
 
 class _MapPlanner:
     """A `ViewPlanner` with its map: implements `infomap_ros.exploration.robot.Planner`."""
 
-    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap) -> None:
-        self._planner, self._map = planner, voxel_map
+    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap, audit: PoseAudit) -> None:
+        self._planner, self._map, self._audit = planner, voxel_map, audit
 
     def choose(self, state: RobotState) -> Choice:
-        return self._planner.choose(self._map, state)
+        choice = self._planner.choose(self._map, state)
+        terms = choice.explanation.get("terms", {})
+        if "localisation_error" in terms:
+            self._audit.expect(state.pose_covariance, float(terms["localisation_error"]))
+        return choice
 
     def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
         return self._planner.way_home(self._map, state, base, joints)
@@ -92,6 +106,8 @@ class ExplorationRun:
 
     Attributes:
         map: what has been mapped.
+        T_world_map: where the map's frame truly is, shape (4, 4).
+        audit: how wrong the poses were.
         simulator: with its ground truth.
         control: for requests while it runs.
 
@@ -114,18 +130,23 @@ class ExplorationRun:
         size: dict[str, Any] = {"size": options.world.size} if options.world.size else {}
         world = make_world(options.world.name, seed, **size)
         self.simulator = Simulator(world, description, settings)
-        task = task_in(world, options.task)
+        self.T_world_map = _map_frame(world, options.robot)
+        task = task_in(world, options.task, self.T_world_map)
         frames = settings.robot
         robot = RobotModel.from_urdf(
             description, frames.left_camera_frame, frames.base_frame, mimics=frames.leaders
         )
         self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
-        self._robot = SimulatedRobot(self.simulator, robot, self.map, options.robot)
-        planner = ViewPlanner(robot, self._robot.rig, task, options.planner)
+        self.audit = PoseAudit(self.simulator, self.T_world_map)
+        self._robot = SimulatedRobot(
+            self.simulator, robot, self.map, options.robot, self.audit.note
+        )
+        rig, error = self._robot.poses.rig, _localisation_error(self._robot, options)
+        planner = ViewPlanner(robot, rig, task, options.planner, error)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
         self._exploration = Exploration(
-            self._robot, _MapPlanner(planner, self.map), task, self._log, self.control
+            self._robot, _MapPlanner(planner, self.map, self.audit), task, self._log, self.control
         )
         self._write_start(task)
 
@@ -172,6 +193,8 @@ class ExplorationRun:
             "surface_voxels": self.map.surface_voxels,
             "memory_bytes": self.map.memory_bytes(),
             "voxel_size": self.map.config.voxel_size,
+            "pose_source": self.options.robot.pose_source,
+            **self.audit.figures(),
         }
 
     def close(self) -> None:
@@ -179,7 +202,7 @@ class ExplorationRun:
         self.simulator.close()
 
     def _write_start(self, task: TaskConfig) -> None:
-        options, camera = self.options, self._robot.rig.left
+        options, camera = self.options, self._robot.poses.rig.left
         names = ("width", "height", "fx", "fy", "cx", "cy")
         self._log.write(
             "start",
@@ -193,13 +216,44 @@ class ExplorationRun:
         )
 
 
-def task_in(world: World, task: TaskConfig) -> TaskConfig:
-    """The task with the world's own region, unless another than the default was asked for."""
+def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = None) -> TaskConfig:
+    """The task with the world's own region, unless another than the default was asked for.
+
+    Args:
+        world: with its region.
+        task: as asked for, in the map's frame.
+        T_world_map: where the map's frame is, shape (4, 4); the world's where not given. The
+            region becomes the box about the world's region.
+    """
     default = TaskConfig()
     if (task.region_low, task.region_high) != (default.region_low, default.region_high):
         return task
-    low, high = (tuple(float(x) for x in corner) for corner in world.region)
+    corners = np.array(list(itertools.product(*world.region.T)))
+    if T_world_map is not None:
+        corners = transform_points(invert_transform(T_world_map), corners)
+    low, high = (tuple(map(float, end)) for end in (corners.min(axis=0), corners.max(axis=0)))
     return dataclasses.replace(task, region_low=low, region_high=high)
+
+
+def _map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
+    """Where the frame of the robot's map truly is, shape (4, 4): at the target, if there is one."""
+    if robot.pose_source == "simulator":
+        return np.eye(4)
+    if world.T_world_target is None:
+        raise InvalidInputError("world", "has no target to localise by")
+    T_target_map = invert_transform(robot.localization.target.T_map_target)
+    return np.asarray(world.T_world_target @ T_target_map)
+
+
+def _localisation_error(
+    robot: SimulatedRobot, options: ExplorationOptions
+) -> FiducialLocalisationError | None:
+    """What the rating takes for LE; None, for drift, where poses come from the simulator."""
+    poses = robot.poses
+    if not isinstance(poses, SelfLocalisation):
+        return None
+    sigma = options.robot.stereo.pixel_sigma
+    return FiducialLocalisationError(poses.rig, sigma, poses.fiducials, options.prediction)
 
 
 def _description(place: str) -> str:

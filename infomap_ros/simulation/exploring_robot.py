@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.loop import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
-from infomap_ros.geometry import StereoRig, invert_transform
+from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.correctable_map import CorrectableMap
+from infomap_ros.mapping.reintegration import ReintegrationConfig
+from infomap_ros.mapping.scan_store import ScanStoreConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
+from infomap_ros.simulation.pose_source import MeasuredPoses, PosedScan, PoseSource
+from infomap_ros.simulation.self_localisation import SelfLocalisation, SelfLocalisationConfig
 from infomap_ros.simulation.simulator import Simulator
-from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
+from infomap_ros.stereo import StereoConfig
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,14 @@ class ExploringRobotConfig:
     motion_timeout: float = parameter(
         180.0, "A motion that takes longer has failed.", unit="s", low=1.0, high=3600.0
     )
+    pose_source: str = parameter(
+        "localization",
+        "Where the robot has its pose from: localization, by its own images, odometry and joints; "
+        "or the simulator, the truth with a little noise.",
+        choices=("localization", "simulator"),
+    )
+    localization: SelfLocalisationConfig = field(default_factory=SelfLocalisationConfig)
+    correction: ReintegrationConfig = field(default_factory=ReintegrationConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     body: BodyFilterConfig = field(default_factory=BodyFilterConfig)
 
@@ -57,9 +72,10 @@ class SimulatedRobot:
         robot: the robot's model, with its camera frame.
         voxel_map: receives what is seen.
         config: how views are taken.
+        on_scan: called with each scan that was fused.
 
     Attributes:
-        rig: the rectified stereo pair.
+        poses: where it has its pose from.
     """
 
     def __init__(
@@ -68,28 +84,41 @@ class SimulatedRobot:
         robot: RobotModel,
         voxel_map: VoxelMap,
         config: ExploringRobotConfig | None = None,
+        on_scan: Callable[[PosedScan], None] = lambda _: None,
     ) -> None:
-        self._simulator, self._robot, self._map = simulator, robot, voxel_map
-        self._config = config or ExploringRobotConfig()
-        self._rectifier = StereoRectifier(*simulator.calibrations)
-        self.rig: StereoRig = self._rectifier.rig
-        self._sensor = StereoRangeSensor(self.rig, self._config.stereo)
+        self._simulator, self._robot = simulator, robot
+        self._config = config = config or ExploringRobotConfig()
+        self.poses: PoseSource
+        if config.pose_source == "localization":
+            self.poses = SelfLocalisation(simulator, robot, config.stereo, config.localization)
+            store = ScanStoreConfig()
+        else:
+            self.poses = MeasuredPoses(simulator, config.stereo)
+            store = ScanStoreConfig(memory=0.0)
+        self._map = CorrectableMap(voxel_map, store, config.correction)
+        self._on_scan, self._has_begun = on_scan, False
 
     def state(self) -> RobotState:
         """Where it is, as localisation and joint encoders measure it."""
-        pose, joints = self._simulator.camera_pose(), self._joints()
+        self._begin()
+        pose, joints = self.poses.pose(), self._joints()
         T_base_camera = self._robot.forward_kinematics(joints, self._robot.camera_frame)
-        assert pose.covariance is not None
         T_map_base = pose.transform @ invert_transform(T_base_camera)
         return RobotState(T_map_base, pose.transform, pose.covariance, joints)
 
     def look(self, interrupted: Interrupted) -> str:
-        """Take stereo pairs from here and fuse them."""
+        """Take stereo pairs from here and fuse them; tells why where its pose is not known."""
+        self._begin()
         for _ in range(self._config.scans_per_view):
             if interrupted():
                 return "broken off"
             self._simulator.step(self._config.scan_period)
-            self._fuse_pair()
+            try:
+                scan = self.poses.take_scan(self._map.voxel_map)
+            except PoseUnavailableError as error:
+                return str(error)
+            self._fuse(scan)
+        self.poses.correct(self._map)
         return ""
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
@@ -104,6 +133,12 @@ class SimulatedRobot:
         problem, places = self._finish(interrupted, camera=False)
         return Motion(problem, places)
 
+    def _begin(self) -> None:
+        """Find out where the robot is, the first time it is asked for."""
+        if not self._has_begun:
+            self.poses.initialise()
+            self._has_begun = True
+
     def _T_odom_map(self) -> FloatArray:
         """Where localisation and odometry together have the map, level, shape (4, 4)."""
         odometry = self._simulator.odometry().transform
@@ -114,12 +149,15 @@ class SimulatedRobot:
         simulator, begin = self._simulator, self._simulator.time
         places = [self._place(camera)]
         while simulator.is_moving:
-            if interrupted() or simulator.time - begin > self._config.motion_timeout:
+            late = simulator.time - begin > self._config.motion_timeout
+            problem = f"not done after {self._config.motion_timeout:g} s" if late else ""
+            problem = "broken off" if interrupted() else problem
+            simulator.step(self._config.tick)
+            problem = problem or self.poses.watch(self._map.voxel_map)
+            if problem:
                 simulator.stop()
                 simulator.step(1.0)
-                late = f"not done after {self._config.motion_timeout:g} s"
-                return ("broken off" if interrupted() else late), places
-            simulator.step(self._config.tick)
+                return problem, places
             if not camera:
                 simulator.correct_path(self._T_odom_map())
             place = self._place(camera)
@@ -128,24 +166,24 @@ class SimulatedRobot:
         return simulator.problem, places
 
     def _place(self, camera: bool) -> list[float]:
-        simulator = self._simulator
-        pose = simulator.true_camera_pose() if camera else simulator.true_pose()
+        """Where it believes its camera or base to be, shape (3,) [m, map]."""
+        state = self.state()
+        pose = state.T_map_camera if camera else state.T_map_base
         return [float(number) for number in pose[:3, 3]]
 
     def _joints(self) -> dict[str, float]:
         record = self._simulator.joint_state()
         return dict(zip(record.names, map(float, record.positions), strict=True))
 
-    def _fuse_pair(self) -> None:
-        """One stereo pair into the map, without the robot's own body."""
-        pair, joints = self._simulator.capture(), self._joints()
-        pose = self._simulator.camera_pose()
-        cloud = self._sensor.measure(*self._rectifier.rectify(pair.left, pair.right))
+    def _fuse(self, scan: PosedScan) -> None:
+        """One scan into the map, without the robot's own body."""
+        cloud, pose = scan.cloud, scan.pose
         points = cloud.organised_points
-        body = self._robot.solids_in(self._robot.camera_frame, joints)
+        body = self._robot.solids_in(self._robot.camera_frame, self._joints())
         on_body = body_mask(points, cloud.covariance_triangles, body, self._config.body)
         points = np.where(on_body[..., None], np.float32(np.nan), points)
         self._map.integrate(
+            scan.stamp,
             points,
             pose.transform,
             cloud.covariance_triangles,
@@ -153,6 +191,7 @@ class SimulatedRobot:
             camera=cloud.camera,
             error_correlation=cloud.error_correlation,
         )
+        self._on_scan(scan)
 
 
 def _level(transform: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -141,8 +142,8 @@ def covered(
     """Which points of the true surface are in a map.
 
     Args:
-        voxel_map: the map, in the world's frame.
-        points: shape (N, 3) [m].
+        voxel_map: the map.
+        points: shape (N, 3), in the map's frame [m].
         tolerance: largest distance to the mean of a surface voxel [m]; None = the voxel size.
 
     Returns:
@@ -174,7 +175,7 @@ class MapErrors:
     """How far a map's surface is from the true one, along the true normals.
 
     Attributes:
-        points: means of the surface voxels, shape (N, 3) [m].
+        points: means of the surface voxels, in the world, shape (N, 3) [m].
         distances: to the true surface, shape (N,) [m].
         sigmas: what the map says of them, along the true normal, shape (N,) [m].
     """
@@ -198,14 +199,19 @@ class MapErrors:
         return float(np.sqrt(np.mean(self.normalised**2)))
 
 
-def map_errors(voxel_map: VoxelMap, world: World) -> MapErrors:
+def map_errors(
+    voxel_map: VoxelMap, world: World, T_world_map: FloatArray | None = None
+) -> MapErrors:
     """Compare a map with the true surface of its world.
 
     Args:
-        voxel_map: the map, in the world's frame.
+        voxel_map: the map.
         world: the true world.
+        T_world_map: where the map's frame truly is, shape (4, 4); the world's where not given.
     """
     _, means, covariances = voxel_map.gaussians()
+    T = np.eye(4) if T_world_map is None else T_world_map
+    means, covariances = transform_points(T, means), T[:3, :3] @ covariances @ T[:3, :3].T
     match = world.surface.closest(means)
     variances = np.einsum("ni,nij,nj->n", match.normals, covariances, match.normals)
     return MapErrors(means, match.distances, np.sqrt(variances))

@@ -112,6 +112,7 @@ setup(
             "simulator = infomap_ros.nodes.simulator:main",
             "next_best_view = infomap_ros.nodes.next_best_view:main",
             "explorer = infomap_ros.nodes.explorer:main",
+            "fiducial_localization = infomap_ros.nodes.fiducial_localization:main",
             "dead_reckoning = infomap_ros.nodes.dead_reckoning:main",
             "infomap = infomap_ros.cli:main",
         ],

@@ -1,7 +1,7 @@
 """Explore with stereo_range, map_fusion, next_best_view and explorer, in simulation or on a robot.
 
 ros2 launch infomap_ros exploration.launch.py world:=cave seed:=3 rviz:=true
-ros2 launch infomap_ros exploration.launch.py simulator:=false localisation:=odometry
+ros2 launch infomap_ros exploration.launch.py simulator:=false
 """
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
@@ -12,6 +12,7 @@ from launch_ros.actions import Node
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.environment import additions, reliable_inputs
+from infomap_ros.nodes.simulated_localisation import IMAGE_RATE, simulated_localisation
 from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
 
@@ -21,7 +22,15 @@ ARGUMENTS = {
     "world": ("mars", "World of the simulator: mars, office or cave."),
     "seed": ("1", "Seed of the world."),
     "namespace": ("", "Namespace of the robot."),
-    "localisation": ("pose", "pose: camera_pose is published; odometry: dead_reckoning makes it."),
+    "localisation": (
+        "fiducials",
+        "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
+        "elsewhere, in simulation from the simulator.",
+    ),
+    "target": (
+        "none",
+        "What the map's frame is: tags for a board, none for where odometry begins.",
+    ),
     "rectify": ("true", "The images are raw and must be rectified."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
     "strategy": ("largest_information", "How views are ranked; a name or a dotted path."),
@@ -80,9 +89,12 @@ def _processes(context) -> list[Node]:
         node("next_best_view", settings["next_best_view"], [*STATE, "left/camera_info"]),
         node("explorer", settings["explorer"], [*STATE, "left/camera_info"]),
     ]
+    motion = ["odom", "joint_states"]
     if given["localisation"] == "odometry":
-        inputs = ["odom", "joint_states", "left/camera_info"]
-        processes.append(node("dead_reckoning", {}, inputs))
+        processes.append(node("dead_reckoning", {}, [*motion, "left/camera_info"]))
+    if given["localisation"] == "fiducials":
+        name = "fiducial_localization"
+        processes.append(node(name, settings[name], [*IMAGES, *motion]))
     if simulated:
         processes.append(node("simulator", settings["simulator"], []))
     rviz = Node(
@@ -119,6 +131,12 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             "voxel_size": float(given["voxel_size"]),
             "error_correlation": StereoConfig().error_correlation,
         },
+        "fiducial_localization": {
+            "rectify": truth["rectify"],
+            "motion": "odometry",
+            **(simulated_localisation() if truth["simulator"] else {}),
+            "target.kind": given["target"],
+        },
         "next_best_view": {"strategy": given["strategy"], **task},
         "explorer": {
             "autostart": truth["autostart"],
@@ -129,6 +147,7 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             **task,
         },
         "simulator": {
+            "image_rate": IMAGE_RATE,
             "world": given["world"],
             "world_seed": int(given["seed"]),
             "publish_camera_pose": given["localisation"] == "pose",

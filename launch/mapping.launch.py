@@ -23,6 +23,11 @@ ARGUMENTS = {
     "loop": ("false", "Play the bag again and again."),
     "namespace": ("", "Namespace of the robot."),
     "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
+    "localisation": (
+        "fiducials",
+        "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
+        "elsewhere, as from the bag.",
+    ),
     "rectify": ("true", "The images are raw and must be rectified."),
     "map_file": ("map.infomap", "File of ~/save, ~/load and autosave."),
     "resume": ("false", "Load map_file at the start."),
@@ -65,6 +70,7 @@ def _processes(context) -> list[Node]:
         "voxel_size": float(given["voxel_size"]),
         "error_correlation": sensor.error_correlation,
     }
+    locating = _locating(given)
     left_image = "left/image_raw" if truth["rectify"] else "left/image_rect"
     image = "depth/image_rect" if given["source"] == "depth" else left_image
     player_parameters = {
@@ -74,6 +80,8 @@ def _processes(context) -> list[Node]:
         "acknowledged": truth["acknowledged"],
         # One of each node: the first start compiles, and nothing should be played before.
         "wait_for_subscribers": [image, "camera_pose"],
+        "wait_for_publishers": ["camera_pose"] if locating else [],
+        "left_out": ["/camera_pose"] if locating else [],
     }
     clock = {"use_sim_time": bool(bag)}
     if bag:  # all publishers are our own and reliable, so nothing need be lost
@@ -81,10 +89,13 @@ def _processes(context) -> list[Node]:
         range_parameters |= reliable_inputs(images, given["namespace"])
         clouds = ("points2", "camera_pose", "joint_states")
         fusion_parameters |= reliable_inputs(clouds, given["namespace"])
+        inputs = reliable_inputs([*images, "odom", "joint_states"], given["namespace"])
+        locating = {name: parameters | inputs for name, parameters in locating.items()}
     processes = [
         node("stereo_range", range_parameters | clock),
         node("map_fusion", fusion_parameters | clock),
     ]
+    processes += [node(name, parameters | clock) for name, parameters in locating.items()]
     if bag:
         processes.append(node("bag_player", player_parameters))
     rviz = Node(
@@ -98,3 +109,10 @@ def _processes(context) -> list[Node]:
         on_exit=Shutdown(),
     )
     return [*processes, rviz]
+
+
+def _locating(given: dict[str, str]) -> dict[str, dict]:
+    """The node that locates the camera, with its parameters; none where others do."""
+    seeing = {"source": given["source"], "rectify": given["rectify"] == "true"}
+    choices = {"fiducials": {"fiducial_localization": seeing}, "odometry": {"dead_reckoning": {}}}
+    return choices.get(given["localisation"], {})

@@ -13,6 +13,7 @@ EXECUTABLES = {
     "bag_player",
     "dead_reckoning",
     "explorer",
+    "fiducial_localization",
     "infomap",
     "map_fusion",
     "next_best_view",

@@ -44,10 +44,16 @@ class BagPlayerNodeConfig:
 
     bag: str = parameter("", "The bag: rosbag2 folder, .mcap, .db3 or ROS 1 .bag file.")
     topics: tuple[str, ...] = parameter((), "Topics to play, as they are in the bag; empty: all.")
+    left_out: tuple[str, ...] = parameter(
+        (), "Topics not to play, as they are in the bag, where others publish them anew."
+    )
     wait_for_subscribers: tuple[str, ...] = parameter(
         (),
         "Topics that must have a subscriber before the replay starts. Empty: until any has one, "
         "and a second more.",
+    )
+    wait_for_publishers: tuple[str, ...] = parameter(
+        (), "Topics that others must publish before the replay starts, as what they make of it."
     )
     paced_topic: str = parameter(
         "/left/image_raw", "With acknowledged: the topic of the bag whose results are waited for."
@@ -75,7 +81,8 @@ class BagPlayerNode(MonitoredNode):
         self._config = self.config(BagPlayerNodeConfig)
         self.finished: Future = Future()
         self._reader = BagReader(self._config.bag)
-        self._outlets = advertise_topics(self, self._reader, self._config.topics)
+        wanted = set(self._config.topics or self._reader.topics) - set(self._config.left_out)
+        self._outlets = advertise_topics(self, self._reader, wanted)
         self._clock_publisher = self.advertise(Clock, "/clock", qos.stream(depth=1))
         self._types = RclpyMessageTypes()
         self._acknowledged = threading.Condition()
@@ -146,10 +153,13 @@ class BagPlayerNode(MonitoredNode):
             lambda: enough(self.count_subscribers(name) for name in names),
             lambda: [f"a subscriber of {n}" for n in names if not self.count_subscribers(n)],
         )
-        if self._player.config.acknowledged:
-            result = self.resolve_topic_name(self._config.result_topic)
-            text = f"a publisher of {result}"
-            self._wait_until(lambda: self.count_publishers(result) > 0, lambda: [text])
+        results = list(self._config.wait_for_publishers)
+        results += [self._config.result_topic] * self._player.config.acknowledged
+        made = [self.resolve_topic_name(name) for name in results]
+        self._wait_until(
+            lambda: all(self.count_publishers(name) for name in made),
+            lambda: [f"a publisher of {n}" for n in made if not self.count_publishers(n)],
+        )
         if not wanted:
             time.sleep(_SETTLING)
 

@@ -17,7 +17,7 @@ _NOT_PLAYED = ("/clock", "/rosout", "/parameter_events")
 
 
 def advertise_topics(
-    node: MonitoredNode, bag: BagReader, wanted: Collection[str] = ()
+    node: MonitoredNode, bag: BagReader, wanted: Collection[str]
 ) -> dict[str, Publisher]:
     """Make a publisher for each topic of a bag whose message type is installed.
 
@@ -28,7 +28,7 @@ def advertise_topics(
     Args:
         node: that publishes.
         bag: the bag.
-        wanted: topics as they are in the bag; all where empty.
+        wanted: topics as they are in the bag.
 
     Returns:
         Publishers by the topics of the bag.
@@ -38,7 +38,7 @@ def advertise_topics(
     """
     publishers = {}
     for name, channel in bag.topics.items():
-        if name in _NOT_PLAYED or (wanted and name not in wanted):
+        if name in _NOT_PLAYED or name not in wanted:
             continue
         try:
             kind = message_class(channel.type_name)

@@ -1,4 +1,4 @@
-"""``make demo``: a simulated rover explores a rough world, five processes over DDS.
+"""``make demo``: a simulated rover explores a rough world, six processes over DDS.
 
 Leaves the map file, the map as .ply, a picture, the log of the run, summary.json and a
 self-contained report.html in the output folder, and the logs of the nodes below ``log/``. Exits
@@ -41,11 +41,12 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     out: Path = options.out
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    world = task_in(make_world(options.world, options.seed), TaskConfig())
+    world = make_world(options.world, options.seed)
+    region = task_in(world, TaskConfig(), world.T_world_target)
     task = {
         "task.max_views": options.max_views,
-        "task.region_low": list(world.region_low),
-        "task.region_high": list(world.region_high),
+        "task.region_low": list(region.region_low),
+        "task.region_high": list(region.region_high),
     }
     parameters = {
         "simulator": {"world": options.world, "world_seed": options.seed},
@@ -54,7 +55,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         "explorer": task,
     }
     start = time.monotonic()
-    status = Status("starting five nodes; kernels are compiled the first time", console=console)
+    status = Status("starting six nodes; kernels are compiled the first time", console=console)
     with LiveExploration(out, parameters) as run, status:
         run.start()
         run.follow(lambda: status.update(status_line(run)), _TIMEOUT)
@@ -81,7 +82,7 @@ def status_line(run: LiveExploration) -> str:
     """What the explorer is doing, and how far it is."""
     figures = run.figures
     if not figures:
-        return "starting five nodes; kernels are compiled the first time"
+        return "starting six nodes; kernels are compiled the first time"
     parts = [figures["state"], f"{figures['views']} views", f"{figures['distance [m]']} m"]
     if "known fraction" in figures:
         parts += [

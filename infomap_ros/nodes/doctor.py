@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -22,6 +23,7 @@ from infomap_ros.replay.messages import (
     CAMERA_INFO,
     IMAGE,
     JOINT_STATE,
+    ODOMETRY,
     POINT_CLOUD,
     POSE_WITH_COVARIANCE,
     STRING,
@@ -36,13 +38,14 @@ REQUIRED = {
 OPTIONAL = {
     "points2": POINT_CLOUD,
     "joint_states": JOINT_STATE,
+    "odom": ODOMETRY,
     "robot_description": STRING,
 }
 _KEPT = 200  # records of each topic
 
 
 class Doctor(Node):
-    """Listens to everything that stereo_range and map_fusion need.
+    """Listens to everything that the nodes which make a map need, and to what they say themselves.
 
     Args:
         raw: look at image_raw instead of image_rect.
@@ -57,7 +60,11 @@ class Doctor(Node):
         self.topics = dict.fromkeys(self.images, IMAGE) | REQUIRED | OPTIONAL
         self.records: dict[str, deque[Record]] = defaultdict(lambda: deque(maxlen=_KEPT))
         self.errors: dict[str, str] = {}
+        self.conditions: dict[str, DiagnosticStatus] = {}
         self._listening: set[str] = set()
+        self.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.stream(depth=50)
+        )
 
     def listen_to_all(self) -> None:
         """Subscribe to what is published by now, with the durability on offer."""
@@ -81,11 +88,15 @@ class Doctor(Node):
 
         return receive
 
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.conditions[status.hardware_id] = status
+
     def examine(self) -> list[Finding]:
         """What was found so far."""
         found = [self._presence(topic) for topic in self.topics]
         found += [Finding(False, self._full(t), text) for t, text in self.errors.items()]
-        found += self._cameras() + self._poses() + unconnected(self)
+        found += self._cameras() + self._poses() + self._localisation() + unconnected(self)
         return found
 
     def _full(self, topic: str) -> str:
@@ -107,7 +118,18 @@ class Doctor(Node):
         if raw != topic and self.count_publishers(self._full(raw)):
             return f", but {raw} is there: start stereo_range with rectify:=true, look with --raw"
         others = similar_topics(self, topic, self.topics[topic])
+        if topic == "camera_pose" and not others:
+            return ": start fiducial_localization, or dead_reckoning on a robot with odometry alone"
         return f"; remap it: -r {topic}:={others[0]}" if others else ""
+
+    def _localisation(self) -> list[Finding]:
+        """What a node that locates the camera says of its pose."""
+        found = []
+        for name, status in self.conditions.items():
+            values = {pair.key: pair.value for pair in status.values}
+            if "state" in values and "fiducials tracked" in values:
+                found.append(findings.check_localisation(name, values))
+        return found
 
     def _last(self, topic: str) -> Any:
         return self.records[topic][-1] if self.records[topic] else None

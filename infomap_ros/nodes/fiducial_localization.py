@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
@@ -66,9 +65,9 @@ class FiducialLocalizationNode(MonitoredNode):
         reserve_heap(self.config(MemoryConfig))
         config = self._config = self.config(FiducialLocalizationConfig)
         self._source, self._follower = self._make_source(), self._make_follower()
-        self._news = LocalizationNews(self, self._follower)
         warm_up()
         self.get_logger().info("kernels ready")
+        self._news = LocalizationNews(self, self._follower)
         self._newest, self._has_begun = 0, False
         self._without_motion: list[tuple[int, _Pair]] = []
         self._waiting: WaitingQueue[_Pair] = WaitingQueue(
@@ -120,19 +119,22 @@ class FiducialLocalizationNode(MonitoredNode):
         Raises:
             PoseUnavailableError: it is not known for that time.
         """
-        postures = self._postures
-        if postures is None or (self._config.motion == "auto" and not postures.is_heard):
+        if self._postures is None or not self._wants_odometry:
             return None
-        try:
-            return postures.posture(stamp)
-        except RobotModelError as error:
-            raise PoseUnavailableError(str(error), "robot description") from error
+        return self._postures.posture(stamp)
+
+    @property
+    def _wants_odometry(self) -> bool:
+        """Whether the map has to begin with odometry."""
+        if self._postures is None or self._config.motion == "odometry":
+            return self._postures is not None
+        return self._postures.is_offered
 
     def _on_no_odometry(self, pair: _Pair, reason: str) -> None:
         """Go on without odometry, but do not begin without it where it is wanted."""
         if reason == "time went backwards":
             self.drop(reason)
-        elif self._config.motion == "odometry" and not self._has_begun:
+        elif self._wants_odometry and not self._has_begun:
             self.drop("no odometry or joints at the stamp", reason)
         else:
             self._without_motion.append((pair[0][0].stamp, pair))

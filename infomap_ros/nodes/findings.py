@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -144,3 +144,15 @@ def _gray(image: ImageRecord) -> np.ndarray:
         top = float(pixels.max()) or 1.0
         pixels = (pixels.astype(np.float32) * (255.0 / top)).astype(np.uint8)
     return pixels if pixels.ndim == 2 else pixels[..., :3].mean(axis=-1).astype(np.uint8)
+
+
+def check_localisation(name: str, values: Mapping[str, str]) -> Finding:
+    """Whether the camera is located.
+
+    Args:
+        name: of the node that says so.
+        values: state, reason, and how many fiducials are tracked.
+    """
+    state, reason = values["state"], values.get("reason", "")
+    text = f"{state}, {values['fiducials tracked']} fiducials tracked"
+    return Finding(state in ("tracking", "coasting"), name, f"{text}: {reason}" if reason else text)

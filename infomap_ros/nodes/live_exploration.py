@@ -1,4 +1,4 @@
-"""An exploration as five processes over DDS: simulator, range, map, choice, loop."""
+"""An exploration as six processes over DDS: simulator, localisation, range, map, choice, loop."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.environment import reliable_inputs
 from infomap_ros.nodes.live_graph import LiveGraph
+from infomap_ros.nodes.simulated_localisation import IMAGE_RATE, simulated_localisation
 from infomap_ros.replay.map_files import MAP_FILE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
@@ -27,6 +28,7 @@ class LiveExploration(LiveGraph):
     Args:
         out: folder for map, mission, log of the run and logs of the nodes.
         parameters: further parameters by node name.
+        localised: by fiducial_localization; else the simulator tells the camera's pose.
 
     Attributes:
         figures: what exploration_status says, by name.
@@ -34,15 +36,32 @@ class LiveExploration(LiveGraph):
         log_file: log of the run.
     """
 
-    def __init__(self, out: Path, parameters: Mapping[str, Parameters] | None = None) -> None:
+    def __init__(
+        self,
+        out: Path,
+        parameters: Mapping[str, Parameters] | None = None,
+        *,
+        localised: bool = True,
+    ) -> None:
         super().__init__(out)
         out = out.absolute()
         self.figures: dict[str, str] = {}
         self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
         updates = reliable_inputs(("map_updates", "camera_pose", "joint_states"))
         chain = reliable_inputs(("points2", "camera_pose", "joint_states"))
+        robot = {
+            "state_file": out / ROBOT_FILE,
+            "resume": True,
+            "publish_camera_pose": not localised,
+        }
         own: dict[str, dict[str, object]] = {
-            "simulator": {"pace": 0.0, "state_file": out / ROBOT_FILE, "resume": True},
+            "simulator": {"pace": 0.0, "image_rate": IMAGE_RATE, **robot},
+            "fiducial_localization": {
+                "rectify": True,
+                "motion": "odometry",
+                **simulated_localisation(),
+                **reliable_inputs((*_IMAGES, "odom", "joint_states")),
+            },
             "stereo_range": {"rectify": True, **reliable_inputs(_IMAGES)},
             "map_fusion": {
                 "map_file": self.map_file,
@@ -59,6 +78,8 @@ class LiveExploration(LiveGraph):
                 **updates,
             },
         }
+        if not localised:
+            del own["fiducial_localization"]
         given = parameters or {}
         self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
 

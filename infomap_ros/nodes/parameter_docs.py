@@ -18,6 +18,7 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
 from infomap_ros.nodes.explorer import ExplorerNode
+from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.simulator import SimulatorNode
@@ -25,6 +26,7 @@ from infomap_ros.nodes.stereo_range import StereoRangeNode
 
 NODES = {
     "stereo_range": StereoRangeNode.CONFIGS,
+    "fiducial_localization": FiducialLocalizationNode.CONFIGS,
     "map_fusion": MapFusionNode.CONFIGS,
     "bag_player": BagPlayerNode.CONFIGS,
     "simulator": SimulatorNode.CONFIGS,

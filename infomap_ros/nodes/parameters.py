@@ -6,6 +6,7 @@ read-only: a node that runs has the configuration it was started with.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable
 from typing import Any, TypeVar
@@ -48,6 +49,23 @@ def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> 
         descriptor = describe(default, info)
         node.declare_parameter(prefix + name, value, descriptor, ignore_override=True)
     return config
+
+
+def parameter_values(config: object, prefix: str = "") -> dict[str, Any]:
+    """The values of a configuration object by the names of its parameters, as nodes declare them.
+
+    Args:
+        config: its fields are made by `geometry.config.parameter`, or are configurations.
+        prefix: put before each parameter's name.
+    """
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            values |= parameter_values(value, f"{prefix}{field.name}.")
+        else:
+            values[prefix + field.name] = list(value) if isinstance(value, tuple) else value
+    return values
 
 
 def describe(default: Any, info: ParameterInfo) -> ParameterDescriptor:

@@ -8,7 +8,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import OdometryRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.motion_prior import RobotPosture
@@ -34,13 +34,14 @@ class PostureListener:
     """
 
     def __init__(self, node: MonitoredNode, on_news: Callable[[], None], *, required: bool) -> None:
-        self._frames = node.config(RobotTrackerConfig)
+        self._node, self._frames = node, node.config(RobotTrackerConfig)
         self._buffer = node.config(PoseBufferConfig)
         self._on_news, self._log = on_news, node.get_logger()
         self._robot: RobotModel | None = None
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
         self._newest = -1
+        self._useless = False
         self.odom_frame = ""
         node.listen(
             String, "robot_description", self._on_description, qos.latched(), required=required
@@ -51,9 +52,10 @@ class PostureListener:
         node.listen(Odometry, "odom", self._on_odometry, qos.sensor_data(100), required=required)
 
     @property
-    def is_heard(self) -> bool:
-        """Whether odometry, and the robot that it is of, are known."""
-        return self._newest >= 0 and self._robot is not None
+    def is_offered(self) -> bool:
+        """Whether somebody publishes odometry and the description of a robot with this camera."""
+        topics = [self._node.resolve_topic_name(name) for name in ("odom", "robot_description")]
+        return not self._useless and all(self._node.count_publishers(name) for name in topics)
 
     def look_from(self, camera_frame: str) -> None:
         """Tell in which frame images are."""
@@ -66,7 +68,6 @@ class PostureListener:
 
         Raises:
             PoseUnavailableError: it is not known.
-            RobotModelError: a joint is never published.
         """
         if self._motion is None:
             raise PoseUnavailableError("no robot_description", "no odometry", may_arrive=True)
@@ -76,6 +77,11 @@ class PostureListener:
             if stamp < self._newest - _CLOCK_JUMP:  # images have jumped back, odometry will
                 raise PoseUnavailableError(str(error), error.reason, may_arrive=True) from error
             raise
+        except RobotModelError as error:
+            if not self._useless:
+                self._log.warning(f"odometry does not tell where the camera is: {error}")
+            self._useless = True
+            raise PoseUnavailableError(str(error), "robot description") from error
 
     def _on_description(self, message: String) -> None:
         text = decode_text(message).text

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -99,6 +100,20 @@ def test_the_doctor_names_what_a_graph_lacks(graph: Any, rng: np.random.Generato
     assert "tester -> tester never connect" in about("chatter")
 
 
+def test_the_doctor_says_that_the_camera_is_lost(graph: Any) -> None:
+    doctor = graph.add(lambda **arguments: Doctor(False, **arguments))
+    told = graph.tester.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
+    graph.connect(told)
+    values = {"state": "lost", "reason": "3 fiducials in view, 5 needed", "fiducials tracked": "0"}
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    told.publish(DiagnosticArray(status=[DiagnosticStatus(hardware_id="/robot", values=pairs)]))
+
+    graph.spin_until(lambda: doctor.conditions, "the diagnostics")
+
+    wrong = {f.subject: f.text for f in doctor.examine() if not f.good}
+    assert wrong["/robot"] == "lost, 0 fiducials tracked: 3 fiducials in view, 5 needed"
+
+
 def test_the_doctor_tells_raw_from_rectified(graph: Any) -> None:
     doctor = graph.add(lambda **arguments: Doctor(False, **arguments))
     raw = graph.publisher(Image, "left/image_raw")
@@ -118,5 +133,6 @@ def test_the_command_names_what_is_wrong_and_fails(
 
     lines = capsys.readouterr().out.splitlines()
     assert status == 1
-    assert f"WRONG {graph.namespace}/camera_pose: nobody publishes it" in lines
+    remedy = "start fiducial_localization, or dead_reckoning on a robot with odometry alone"
+    assert f"WRONG {graph.namespace}/camera_pose: nobody publishes it: {remedy}" in lines
     assert lines[-1].endswith("things looked at are wrong")

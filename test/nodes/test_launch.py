@@ -16,7 +16,7 @@ import pytest
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.parameter_docs import NODES, node_parameters
 
-EXPLORING = ("stereo_range", "map_fusion", "next_best_view", "explorer")
+EXPLORING = ("stereo_range", "map_fusion", "fiducial_localization", "next_best_view", "explorer")
 
 
 class Recorder(SimpleNamespace):
@@ -73,22 +73,33 @@ def settings_of(node: Recorder) -> dict[str, Any]:
     return {k: v for part in node.parameters if isinstance(part, dict) for k, v in part.items()}
 
 
-def test_a_live_robot_needs_two_nodes(launch_file: ModuleType) -> None:
+def test_a_live_robot_needs_three_nodes(launch_file: ModuleType) -> None:
     nodes = nodes_of(launch_file)
 
-    assert set(nodes) == {"stereo_range", "map_fusion", "rviz2"}
+    assert set(nodes) == {"stereo_range", "map_fusion", "fiducial_localization", "rviz2"}
     assert settings_of(nodes["map_fusion"])["use_sim_time"] is False
 
 
 def test_a_bag_brings_its_player_and_its_clock(launch_file: ModuleType) -> None:
     nodes = nodes_of(launch_file, bag="bags/rover_rocks", namespace="robot1", loop="true")
 
-    assert set(nodes) == {"stereo_range", "map_fusion", "bag_player", "rviz2"}
+    own = {"stereo_range", "map_fusion", "fiducial_localization", "bag_player"}
+    assert set(nodes) == {*own, "rviz2"}
+    player = settings_of(nodes["bag_player"])
+    assert player["left_out"] == player_of_poses(launch_file, localisation="odometry")
+    assert player_of_poses(launch_file, localisation="pose") == []
     assert settings_of(nodes["bag_player"])["loop"] is True
     assert Path(settings_of(nodes["bag_player"])["bag"]).samefile(find_share("bags/rover_rocks"))
     fusion = settings_of(nodes["map_fusion"])
     assert fusion["use_sim_time"] is True
     assert fusion["qos_overrides./robot1/points2.subscription.reliability"] == "reliable"
+
+
+def player_of_poses(launch_file: ModuleType, **given: str) -> list[str]:
+    """Topics of the bag that are left out because a node makes them anew."""
+    nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)
+    left_out: list[str] = settings_of(nodes["bag_player"])["left_out"]
+    return left_out
 
 
 def check_settings(nodes: dict[str, Recorder]) -> None:
@@ -109,8 +120,11 @@ def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleTy
 
 
 @pytest.mark.parametrize("simulator", ["true", "false"])
-def test_exploring_sets_parameters_that_exist(exploration: ModuleType, simulator: str) -> None:
-    check_settings(nodes_of(exploration, simulator=simulator, localisation="odometry"))
+@pytest.mark.parametrize("localisation", ["fiducials", "odometry", "pose"])
+def test_exploring_sets_parameters_that_exist(
+    exploration: ModuleType, simulator: str, localisation: str
+) -> None:
+    check_settings(nodes_of(exploration, simulator=simulator, localisation=localisation))
 
 
 def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: ModuleType) -> None:
@@ -119,7 +133,7 @@ def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: 
     assert set(nodes) == {*EXPLORING, "simulator", "rviz2"}
     world = settings_of(nodes["simulator"])
     assert (world["world"], world["world_seed"]) == ("cave", 4)
-    assert world["publish_camera_pose"] is True
+    assert world["publish_camera_pose"] is False
     for name in EXPLORING:
         assert settings_of(nodes[name])["use_sim_time"] is True
     explorer = settings_of(nodes["explorer"])
@@ -149,6 +163,14 @@ def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
 
     assert settings_of(nodes["simulator"])["publish_camera_pose"] is False
     assert "dead_reckoning" in nodes
+    assert "fiducial_localization" not in nodes
+
+
+def test_a_pose_from_elsewhere_needs_no_localisation(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, localisation="pose")
+
+    assert settings_of(nodes["simulator"])["publish_camera_pose"] is True
+    assert not {"dead_reckoning", "fiducial_localization"} & set(nodes)
 
 
 def test_planner_and_explorer_have_the_same_task(exploration: ModuleType) -> None:

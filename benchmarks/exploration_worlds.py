@@ -1,8 +1,11 @@
 """How well the rover explores seeded worlds: coverage, contacts, errors, why it ended.
 
-Coverage is measured against the true surface that can be seen from reachable views, errors against
-the true surface. One JSON line per world, then a table. Takes minutes per world; `--jobs` runs
-several at once.
+The rover localises by its own images, odometry and joints; its map's frame is that of the board of
+tags near the start. `--set robot.pose_source=simulator` gives it the true pose with a little noise.
+Coverage is measured against the true surface that can be seen from reachable views, errors of poses
+and map against the truth in the target's frame. One JSON line per world, then a table; `--le` adds
+what was predicted of the localisation error, and what came of it. Takes minutes per world; `--jobs`
+runs several at once.
 
     python benchmarks/exploration_worlds.py --worlds mars office cave --seeds 4 --jobs 2
 """
@@ -10,6 +13,7 @@ several at once.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 import tempfile
@@ -17,6 +21,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.replay.settings import with_settings
 from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.visible_surface import map_errors, surface_coverage, visible_surface
@@ -30,15 +37,54 @@ def explore(name: str, seed: int, out: Path, settings: list[str]) -> dict[str, A
     figures = run.write_results(run.run())
     world = run.simulator.world
     visible = visible_surface(world, options.planner.max_range)
-    errors = map_errors(run.map, world)
+    points = transform_points(invert_transform(run.T_world_map), visible.points)
+    errors = map_errors(run.map, world, run.T_world_map)
     run.close()
     return figures | {
-        "coverage": round(surface_coverage(run.map, visible.points), 4),
+        "coverage": round(surface_coverage(run.map, points), 4),
         "within_1_sigma": round(errors.share_within(1.0), 4),
+        "within_2_sigma": round(errors.share_within(2.0), 4),
         "within_3_sigma": round(errors.share_within(3.0), 4),
         "rms_sigmas": round(errors.root_mean_square, 3),
+        "median_error": round(float(np.median(errors.distances)), 5),
+        "predictions": [dataclasses.astuple(each) for each in run.audit.predictions],
         "touched": sorted({f"{c.link} {c.other}" for c in run.simulator.contact_events}),
     }
+
+
+def print_table(rows: list[dict[str, Any]]) -> None:
+    """One row per world."""
+    print(
+        "| world | end | views | way | coverage | contacts | pose error at the end, rms "
+        "| pose NEES / 6 | map within 1 / 2 / 3 sigma | time |"
+    )
+    print("|" + " --- |" * 10)
+    for row in rows:
+        nan = float("nan")
+        within = " / ".join(f"{100 * row[f'within_{n}_sigma']:.0f}" for n in (1, 2, 3))
+        print(
+            f"| {row['world']} {row['seed']} | {row['end']} | {row['views']} | {row['distance']} m "
+            f"| {100 * row['coverage']:.1f} % | {row['contacts']} "
+            f"| {1e3 * row.get('pose_error_end', nan):.0f} mm, "
+            f"{1e3 * row.get('pose_error_rms', nan):.0f} mm "
+            f"| {row.get('pose_nees', nan) / 6.0:.2f} | {within} % | {row['seconds']:.0f} s |"
+        )
+
+
+def print_predictions(rows: list[dict[str, Any]]) -> None:
+    """Position sigmas on arrival: as predicted, as claimed then, and the true errors."""
+    print("| world | views | predicted | claimed | ratio, middle half | true error, rms |")
+    print("|" + " --- |" * 6)
+    for row in rows:
+        if not row["predictions"]:
+            continue
+        _, predicted, claimed, error = np.array(row["predictions"]).T
+        low, high = np.quantile(claimed / predicted, (0.25, 0.75))
+        print(
+            f"| {row['world']} {row['seed']} | {len(error)} | {1e3 * predicted.mean():.1f} mm "
+            f"| {1e3 * claimed.mean():.1f} mm | {low:.2f} to {high:.2f} "
+            f"| {1e3 * np.sqrt(np.mean(error**2)):.1f} mm |"
+        )
 
 
 def main() -> int:
@@ -48,6 +94,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=None, help="keep maps, logs and reports here")
+    parser.add_argument("--le", action="store_true", help="compare predicted errors with real ones")
     parser.add_argument("--set", action="append", default=[], dest="settings")
     options = parser.parse_args()
     out = options.out or Path(tempfile.mkdtemp())
@@ -62,15 +109,9 @@ def main() -> int:
         for job in jobs:
             rows.append(job.result())
             print(json.dumps(rows[-1]), flush=True)
-    print("| world | end | views | way | coverage | contacts | within 1 / 3 sigma | time |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for row in rows:
-        print(
-            f"| {row['world']} {row['seed']} | {row['end']} | {row['views']} | {row['distance']} m "
-            f"| {100 * row['coverage']:.1f} % | {row['contacts']} "
-            f"| {100 * row['within_1_sigma']:.0f} / {100 * row['within_3_sigma']:.0f} % "
-            f"| {row['seconds']:.0f} s |"
-        )
+    print_table(rows)
+    if options.le:
+        print_predictions(rows)
     return 0
 
 

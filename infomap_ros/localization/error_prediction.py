@@ -40,7 +40,7 @@ class ErrorPredictionConfig:
     """
 
     waypoints: int = parameter(
-        4, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
+        3, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
     )
     pixel_sigma: float = parameter(
         0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
@@ -57,15 +57,22 @@ class ErrorPredictionConfig:
     tolerance: float = parameter(
         2.0, "A ray may end so far before a fiducial, in voxels.", low=0.0, high=100.0
     )
+    fiducials: int = parameter(
+        50,
+        "Of the known fiducials, so many are looked at; where there are more, each stands for "
+        "several.",
+        low=1,
+        high=10_000,
+    )
     cell: float = parameter(
-        0.25,
+        0.4,
         "What hides a fiducial from a place hides it from all places in a cube of this size.",
         unit="m",
         low=0.001,
         high=10.0,
     )
     surface_points: int = parameter(
-        100,
+        40,
         "So many points of the mapped surface stand for fiducials that will be found on the way.",
         low=0,
         high=10_000,
@@ -139,18 +146,20 @@ class ErrorPrediction:
             InvalidInputError: shapes do not fit, or a transform or covariance is impossible.
         """
         start, before = check_transform(T_map_camera), check_covariance(covariance, 6)
-        known, spreads = checked_points(*fiducials)
+        known, spreads, share = _thinned(*checked_points(*fiducials), self.config.fiducials)
         new = float_array(new_points, "new_points").reshape(-1, 3)
         points = np.concatenate([known, new])
         shared = shared_variance(before, spreads)
         informations = np.zeros((len(points), 3, 3))
-        informations[: len(known)] = own_informations(spreads, shared)
+        informations[: len(known)] = own_informations(spreads, shared) / share
         before[:3, :3] -= shared * np.eye(3)
         centres, rotations, turns = self._waypoints(start, ways.ends)
         chain = self._chain(before, centres, ways.lengths, turns)
         sight = self._sight(centres, rotations, points, voxel_map)
         sight[:, 0, : len(known)] = False  # what the start tells of them is in the covariances
-        landmarks = points, informations, sight
+        weights = np.ones(len(points))
+        weights[: len(known)] = 1.0 / share
+        landmarks = points, informations, weights, sight
         after = self._at_the_ends(chain, centres, rotations, landmarks)
         after[:, :3, :3] += shared * np.eye(3)
         return after
@@ -224,7 +233,7 @@ class ErrorPrediction:
         chain: FloatArray,
         centres: FloatArray,
         rotations: FloatArray,
-        landmarks: tuple[FloatArray, FloatArray, NDArray[np.bool_]],
+        landmarks: tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]],
     ) -> FloatArray:
         """What is left of the poses when all but the last are eliminated, shape (M, 6, 6)."""
         information = np.empty((len(chain), 6, 6))
@@ -247,6 +256,17 @@ def _hide(
     distances = np.linalg.norm(rays, axis=1)
     reached, _ = voxel_map.cast_rays(origins[place], rays, float(distances.max()))
     sight[place, point] = reached >= distances - tolerance * voxel_map.config.voxel_size
+
+
+def _thinned(
+    positions: FloatArray, covariances: FloatArray, most: int
+) -> tuple[FloatArray, FloatArray, float]:
+    """At most so many of the fiducials, and which share of all they are."""
+    count = len(positions)
+    if count <= most:
+        return positions, covariances, 1.0
+    chosen = np.random.default_rng(0).choice(count, most, replace=False)  # any will do
+    return positions[chosen], covariances[chosen], most / count
 
 
 def _skews(vectors: FloatArray) -> FloatArray:

@@ -48,7 +48,7 @@ def in_view(centres: Any, rotations: Any, points: Any, camera: Any, limits: Any,
 
 @njit(cache=True, nogil=True)
 def end_information(
-    chain: Any, centres: Any, rotations: Any, points: Any, known: Any, sight: Any,
+    chain: Any, centres: Any, rotations: Any, points: Any, known: Any, weights: Any, sight: Any,
     camera: Any, precisions: Any, out: Any,
 ) -> None:  # fmt: skip
     """Information matrices of the last poses.
@@ -59,13 +59,14 @@ def end_information(
         rotations: R_map_camera, shape (M, K, 3, 3).
         points: shape (N, 3) [m].
         known: information about the points before, shape (N, 3, 3) [1/m^2].
+        weights: for how many each point stands, shape (N,).
         sight: which points are seen, shape (M, K, N), bool.
         camera: fx, fy [px], as in `in_view`.
         precisions: 1 / variance of u and v [1/px^2] and of the inverse depth [m^2].
         out: shape (M, 6, 6).
     """
     steps = centres.shape[1]
-    levers, weights = np.empty((steps, 3)), np.empty((steps, 3, 3))
+    levers, measured = np.empty((steps, 3)), np.empty((steps, 3, 3))
     total = np.empty((3, 3))
     for m in range(len(chain)):
         for n in range(len(points)):
@@ -75,11 +76,12 @@ def end_information(
                 if not sight[m, k, n]:
                     continue
                 levers[k] = points[n] - centres[m, k]
-                _point_information(levers[k], rotations[m, k], camera, precisions, weights[k])
-                total += weights[k]
+                _point_information(levers[k], rotations[m, k], camera, precisions, measured[k])
+                measured[k] *= weights[n]
+                total += measured[k]
                 seen += 1
             if seen > 0:
-                _couple(chain[m], sight[m, :, n], levers, weights, _inverse(total))
+                _couple(chain[m], sight[m, :, n], levers, measured, _inverse(total))
         _eliminate(chain[m], POSE * (steps - 1))
         out[m] = chain[m, POSE * (steps - 1) :, POSE * (steps - 1) :]
 

@@ -206,6 +206,17 @@ def test_many_ways_at_once_are_as_one_by_one() -> None:
         np.testing.assert_allclose(covariance, alone, rtol=1e-9, atol=1e-15)
 
 
+def test_a_part_of_many_fiducials_stands_for_all() -> None:
+    points = wall(60)
+    config = ErrorPredictionConfig(waypoints=3, fiducials=30)
+    way = Ways(ahead(0.5), np.array([0.5]))
+    fiducials = points, spread(points)
+    part = ErrorPrediction(CAMERA, SIGMA, config).predict(START, BEFORE, way, fiducials)[0]
+    every = ErrorPrediction(CAMERA, SIGMA, ErrorPredictionConfig(waypoints=3, fiducials=60))
+    whole = every.predict(START, BEFORE, way, fiducials)[0]
+    assert 0.8 < np.trace(part) / np.trace(whole) < 1.25
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     prediction = ErrorPrediction(CAMERA, SIGMA)
     with pytest.raises(InvalidInputError, match="lengths"):

@@ -28,7 +28,7 @@ def find_pose(
     gate: float,
     trials: int,
     seed: int = 0,
-) -> FloatArray | None:
+) -> tuple[FloatArray, NDArray[np.int64]] | None:
     """The pose on which most fiducials agree.
 
     Args:
@@ -41,7 +41,8 @@ def find_pose(
         seed: of their choice.
 
     Returns:
-        ``T_camera_a``, shape (4, 4); None where there are too few fiducials.
+        ``T_camera_a``, shape (4, 4), and the indices of the fiducials that it was made from; None
+        where there are too few.
     """
     ranged = np.flatnonzero(measured.present[:, 2] & (measured.values[:, 2] > 0.0))
     if len(ranged) < _LEAST + 1:
@@ -51,10 +52,12 @@ def find_pose(
     triples = random_triples(len(ranged), trials, seed)
     camera = measured.camera
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    rotation, translation, score = _best_pose(
-        points, seen, measured.values, information, ranged[triples], intrinsics, gate
-    )
-    return make_transform(rotation, translation) if score >= 0.0 else None
+    tried = ranged[triples]
+    best = _best_triple(points, seen, measured.values, information, tried, intrinsics, gate)
+    if best < 0:
+        return None
+    _, rotation, translation = pose_of_triple(points, seen, tried[best])
+    return make_transform(rotation, translation), tried[best]
 
 
 def agreeing(
@@ -90,12 +93,14 @@ def _information(seen: FloatArray, covariances: FloatArray, measured: Measured) 
     return np.asarray(information)
 
 
-def _pose_from_pixels(points: FloatArray, measured: Measured) -> FloatArray | None:
+def _pose_from_pixels(
+    points: FloatArray, measured: Measured
+) -> tuple[FloatArray, NDArray[np.int64]] | None:
     """The pose from pixels of known points alone (P3P in RANSAC)."""
     if len(points) < 2 * _LEAST:
         return None
     cv2.setRNGSeed(0)
-    found, vector, translation, _ = cv2.solvePnPRansac(
+    found, vector, translation, inliers = cv2.solvePnPRansac(
         points.astype(np.float64),
         measured.values[:, :2].astype(np.float64),
         measured.camera.matrix,
@@ -105,24 +110,24 @@ def _pose_from_pixels(points: FloatArray, measured: Measured) -> FloatArray | No
     )
     if not found:
         return None
-    return make_transform(cv2.Rodrigues(vector)[0], translation.ravel())
+    pose = make_transform(cv2.Rodrigues(vector)[0], translation.ravel())
+    return pose, np.asarray(inliers, np.int64).ravel()
 
 
 @njit(cache=True, nogil=True)
-def _best_pose(  # type: ignore[no-untyped-def]
+def _best_triple(  # type: ignore[no-untyped-def]
     points, seen, values, information, triples, intrinsics, gate
 ):
-    """Rotation, translation and score of the best of the triples' poses; score -1 without one."""
-    best_score = -1.0
-    best_rotation, best_translation = np.eye(3), np.zeros(3)
+    """Index of the triple with the best pose; -1 where no triple has an area."""
+    best, best_score = -1, -1.0
     for trial in range(len(triples)):
         valid, rotation, translation = pose_of_triple(points, seen, triples[trial])
         if not valid:
             continue
         score = _score(points, values, information, intrinsics, gate, rotation, translation)
         if score > best_score:
-            best_score, best_rotation, best_translation = score, rotation, translation
-    return best_rotation, best_translation, best_score
+            best, best_score = trial, score
+    return best
 
 
 @njit(cache=True, nogil=True)

@@ -99,11 +99,13 @@ def hypotheses(
     while len(found) < _MOST and np.count_nonzero(remaining) >= config.least_fiducials:
         some = np.flatnonzero(remaining)
         part = (positions[some], covariances[some], measured.select(some), gate)
-        pose = find_pose(*part, config.trials)
-        if pose is None:
+        first = find_pose(*part, config.trials)
+        if first is None:
             break
+        pose, sample = first
         members = np.zeros(len(indices), bool)
         members[some] = agreeing(pose, *part)
+        members[some[sample]] = True
         expectation = Expectation.at(state, prior, invert_transform(pose))
         hypothesis = examine(state, expectation, indices, measured, members, admitted, config)
         if hypothesis is None:

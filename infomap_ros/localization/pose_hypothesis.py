@@ -24,6 +24,7 @@ from infomap_ros.localization.sight import (
 )
 
 _ROUNDS = 6
+_LEAST = 3  # fiducials with which a group may begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,7 @@ def examine(
     gates = chdtri(freedom, 1.0 - config.fiducial_gate)
     correction: Correction | None = None
     for _ in range(_ROUNDS):
-        if np.count_nonzero(members) < config.least_fiducials:
+        if np.count_nonzero(members) < _LEAST:
             return None
         correction = correct(sight.select(members), np.ones(int(members.sum())))
         if correction is None:
@@ -149,6 +150,8 @@ def examine(
         if np.array_equal(used, members):
             break
     assert correction is not None
+    if np.count_nonzero(used) < config.least_fiducials:
+        return None
     rows = state.fiducial_rows(indices[used]).ravel()
     noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(rows) // 3, 1))
     return Hypothesis(

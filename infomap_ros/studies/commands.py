@@ -15,9 +15,13 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from infomap_ros.studies.localization_commands import drift
 from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
+from infomap_ros.studies.planar.commands import planar
 
 app = typer.Typer(help="Experiments with the package, and their figures.", no_args_is_help=True)
+app.command("drift")(drift)
+app.command("planar")(planar)
 
 
 @app.callback()

@@ -1,0 +1,51 @@
+"""The studies of localisation on the command line."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from infomap_ros.studies.drift import (
+    DriftConfig,
+    drift_rows,
+    drift_summary,
+    drift_table,
+    run_drift,
+)
+
+_QUICK_RUNS = 8
+
+
+def drift(
+    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    runs: Annotated[int, typer.Option(help="random walks per panel")] = DriftConfig.runs,
+    seed: Annotated[int, typer.Option(help="of the first walk")] = DriftConfig.seed,
+    quick: Annotated[bool, typer.Option(help=f"{_QUICK_RUNS} walks per panel only")] = False,
+) -> None:
+    """How far the position drifts by scene fiducials alone (Fig. 15), by three methods.
+
+    Exits with 1 if the default's error at the last step is more than half of the printed method's
+    in a panel.
+    """
+    from infomap_ros.studies.drift_figure import draw_drift
+
+    config = DriftConfig(runs=_QUICK_RUNS if quick else runs, seed=seed)
+    total = config.runs * len(config.distances) * len(config.redundancies)
+    start = time.monotonic()
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("walks", total=total)
+        panels = run_drift(config, lambda done: progress.update(task, completed=done))
+    out.mkdir(parents=True, exist_ok=True)
+    draw_drift(panels, [out / "drift.png", out / "drift.svg"])
+    (out / "drift.csv").write_text("\n".join(drift_rows(panels)) + "\n", encoding="utf-8")
+    figures = drift_summary(panels, time.monotonic() - start)
+    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
+    typer.echo(drift_table(panels))
+    typer.echo(json.dumps(figures))
+    raise typer.Exit(0 if all(panel.ratio <= 0.5 for panel in panels) else 1)

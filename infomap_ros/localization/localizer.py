@@ -7,15 +7,16 @@ enough and whether new fiducials are needed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import (
     PinholeCamera,
+    PlacedSolid,
     check_covariance,
     check_transform,
     invert_transform,
@@ -23,8 +24,10 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter_records import Fiducials, KeptPoses
+from infomap_ros.localization.localisation import Choice, Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.motion_prior import MotionPrior, free_motion
+from infomap_ros.localization.observations import FiducialObservations
 from infomap_ros.localization.range_view import RangeView
 from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
@@ -32,34 +35,7 @@ from infomap_ros.localization.target import TargetDetector
 from infomap_ros.localization.target_watch import TargetWatch, moved
 from infomap_ros.mapping import VoxelMap
 
-State = Literal["tracking", "coasting", "lost", "searching"]
-
-
-@dataclass(frozen=True, eq=False)
-class Localisation:
-    """What is known of the camera at the stamp of a view.
-
-    Attributes:
-        stamp: of the view [ns].
-        state: ``tracking``: the pose rests on this view; ``coasting``: on the expected motion
-            since one before; ``lost``: it is not known; ``searching``: it was never known, because
-            the target was not seen yet.
-        T_map_camera: the pose, shape (4, 4); None when lost or searching.
-        covariance: in the map frame, shape (6, 6); None likewise.
-        reason: why it is not tracking, or what happened; empty where there is nothing to say.
-        tracked: number of fiducials that the pose rests on.
-        is_keyframe: whether the pose was kept, see `Localizer.keyframes`.
-        target_seen: whether the target corrected the pose.
-    """
-
-    stamp: int
-    state: State
-    T_map_camera: FloatArray | None
-    covariance: FloatArray | None
-    reason: str = ""
-    tracked: int = 0
-    is_keyframe: bool = False
-    target_seen: bool = False
+__all__ = ["Localisation", "Localizer"]
 
 
 class Localizer:
@@ -101,8 +77,49 @@ class Localizer:
         self._watch.clear()
         self._state: State = "searching"
         self._stamp = self._fixed = -(2**62)
-        self._keyframe = np.eye(4)
+        self._keyframe = self._recalled = np.eye(4)
         self._step = (np.eye(4), 0.0)  # last motion and its duration [s]
+        self._coasted = self._contradicted = 0  # views in a row
+        self._is_resumed = False
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything that it knows, as arrays that can be written to a file; see `resume`."""
+        own = {
+            "stamp": np.array(self._stamp),
+            "was_known": np.array(self._state in ("tracking", "coasting")),
+            "was_placed": np.array(self._state != "searching"),
+            "keyframe": self._keyframe,
+        }
+        return (
+            own | self._scene.state() | {f"filter_{k}": v for k, v in self._filter.state().items()}
+        )
+
+    def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on in the map of a localizer that was ended.
+
+        With a prior of the motion since its last view, the next view goes on from its pose; without
+        one the camera counts as lost until it is found by appearance or by the target.
+
+        Args:
+            state: of that localizer's `state`; made with the same configuration.
+
+        Raises:
+            InvalidInputError: it does not fit this localizer's configuration.
+        """
+        self.reset()
+        if not bool(state["was_placed"]):
+            return
+        filter_state = {
+            name.removeprefix("filter_"): array
+            for name, array in state.items()
+            if name.startswith("filter_")
+        }
+        self._filter.resume(filter_state)
+        self._scene.resume(state)
+        self._keyframe = self._recalled = np.array(state["keyframe"])
+        self._stamp = self._fixed = int(state["stamp"])
+        self._state = "coasting" if bool(state["was_known"]) else "lost"
+        self._is_resumed = True
 
     def keyframes(self) -> KeptPoses:
         """The kept poses as they are known now."""
@@ -119,6 +136,7 @@ class Localizer:
         voxel_map: VoxelMap | None = None,
         *,
         keep: bool = False,
+        body: Sequence[PlacedSolid] = (),
     ) -> Localisation:
         """Tell where the camera was when a view was taken.
 
@@ -128,73 +146,92 @@ class Localizer:
                 where nothing is known of it.
             voxel_map: for the certainty of new fiducials, eq. (19).
             keep: keep the pose as a keyframe wherever it is.
+            body: of the robot, placed in the camera frame: it carries no fiducials.
 
         Raises:
             InvalidInputError: the view is not later than the one before.
         """
         if view.stamp <= self._stamp:
             raise InvalidInputError("view", f"{view.stamp} ns is not later than {self._stamp} ns")
+        chosen = Choice(voxel_map, body)
         if self._state == "searching":
-            return self._initialise(view, voxel_map)
+            return self._initialise(view, chosen)
+        self._wake(view, prior)
         before = self._filter.pose[0]
-        tracked, reason = self._track(view, prior)
+        seen = self._follow(view, prior)
+        tracked, reason = self._solve(view, seen, prior)
         sighted = self._watch.correct(view, self._filter, tracked > 0)
         if sighted == "contradicted":
-            self._state = "searching"
-            return self._initialise(view, voxel_map)
-        self._judge(view, tracked > 0 or sighted == "corrected", prior is not None)
+            return self._initialise(view, chosen)
+        self._judge(view, seen, tracked > 0 or sighted == "corrected")
         self._note_step(view, before)
-        self._replace_fiducials(view, tracked, voxel_map)
+        self._replace_fiducials(view, tracked, chosen)
         return self._conclude(view, reason or self._watch.reason, tracked, sighted != "", keep)
 
-    def _initialise(self, view: RangeView, voxel_map: VoxelMap | None) -> Localisation:
+    def _initialise(self, view: RangeView, chosen: Choice) -> Localisation:
         """Against the target where there is one, else here is where the map begins."""
+        self._stamp, self._state = view.stamp, "searching"
         pose, covariance = self._begin_at, self._begin_covariance
         if self._watch.exists:
             sighting = self._watch.sight(view)
             if sighting is None:
-                self._stamp = view.stamp
                 return Localisation(view.stamp, "searching", None, None, self._watch.reason)
             pose, covariance = sighting.camera_pose()
         self._filter.start(pose, covariance)
         self._scene.clear()
-        self._scene.replenish(view, voxel_map)
-        self._state, self._fixed, self._stamp = "tracking", view.stamp, view.stamp
+        self._scene.replenish(view, self.config.wanted_fiducials, chosen.voxel_map, chosen.body)
+        self._state, self._fixed = "tracking", view.stamp
         return self._conclude(view, "initialised", 0, self._watch.exists, True)
 
-    def _track(self, view: RangeView, prior: MotionPrior | None) -> tuple[int, str]:
-        """Expect the motion, track the fiducials, solve and filter; how many, or why not."""
+    def _wake(self, view: RangeView, prior: MotionPrior | None) -> None:
+        """After `resume`: without a prior the camera may have been carried anywhere."""
+        if self._is_resumed:
+            self._is_resumed, self._fixed = False, view.stamp
+            self._state = "coasting" if prior is not None and self._state != "lost" else "lost"
+
+    def _follow(self, view: RangeView, prior: MotionPrior | None) -> FiducialObservations:
+        """Track the fiducials, from where they are expected."""
+        if self._state == "lost":
+            return self._scene.follow(view, None)
+        pose = self._filter.pose[0]
+        if prior is not None:
+            return self._scene.follow(view, pose @ prior.T_before_after)
+        motion, duration = self._step
         seconds = 1e-9 * (view.stamp - self._stamp)
-        seen = self._scene.follow(view, self._expected_pose(prior, seconds))
+        steady = self._state == "tracking" and 0.5 * duration < seconds < 2.0 * duration
+        return self._scene.follow(view, pose @ motion if steady else pose)
+
+    def _solve(
+        self, view: RangeView, seen: FiducialObservations, prior: MotionPrior | None
+    ) -> tuple[int, str]:
+        """Expect the motion, solve and filter: how many fiducials the pose rests on, or why not."""
         if self._state == "tracking" and self._scene.stands_still(seen, prior):
             return len(seen), ""
+        if prior is not None:
+            self._filter.predict(prior)
+        elif self._state != "lost":
+            seconds = 1e-9 * (view.stamp - self._stamp)
+            self._filter.predict(free_motion(seconds, self.config.free_motion))
         if self._state != "lost":
-            self._filter.predict(prior or free_motion(seconds, self.config.free_motion))
             update = self._filter.update(seen)
             if update.is_consistent:
                 self._scene.note(seen, update)
                 return len(update.used), ""
         return self._recovery.recover(view, seen, self._state == "lost")
 
-    def _expected_pose(self, prior: MotionPrior | None, seconds: float) -> FloatArray | None:
-        """Where to look for the fiducials, shape (4, 4): by the prior, or as the camera moved."""
-        if self._state == "lost":
-            return None
-        pose = self._filter.pose[0]
-        if prior is not None:
-            return pose @ prior.T_before_after
-        motion, duration = self._step
-        steady = self._state == "tracking" and 0.5 * duration < seconds < 2.0 * duration
-        return pose @ motion if steady else pose
-
-    def _judge(self, view: RangeView, is_fixed: bool, is_informed: bool) -> None:
+    def _judge(self, view: RangeView, seen: FiducialObservations, is_fixed: bool) -> None:
         """Is the localisation certain enough?"""
         if is_fixed:
             self._state, self._fixed = "tracking", view.stamp
-            return
-        coasted = 1e-9 * (view.stamp - self._fixed)
-        certain = self._is_certain() and coasted <= self.config.max_coasting
-        self._state = "coasting" if certain and self._state != "lost" else "lost"
+            self._coasted = self._contradicted = 0
+        elif self._state != "lost":
+            self._coasted += 1
+            against = self._recovery.is_contradicted(view, seen)
+            self._contradicted = self._contradicted + 1 if against else 0
+            in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
+            believed = self._contradicted < self.config.patience
+            certain = self._is_certain() and in_time and believed
+            self._state = "coasting" if certain else "lost"
 
     def _is_certain(self) -> bool:
         covariance = self._filter.pose[1]
@@ -208,16 +245,23 @@ class Localizer:
         self._step = (motion, 1e-9 * (view.stamp - self._stamp))
         self._stamp = view.stamp
 
-    def _replace_fiducials(self, view: RangeView, tracked: int, voxel_map: VoxelMap | None) -> None:
-        """Are new fiducials needed? Known ones that ought to be in view go first."""
+    def _replace_fiducials(self, view: RangeView, tracked: int, chosen: Choice) -> None:
+        """Are new fiducials needed? Known ones that ought to be in view go first.
+
+        A pose that rests on the expected motion is built upon only from its second view on, and
+        while nothing contradicts it.
+        """
         if self._state == "lost" or tracked >= self.config.fewest_fiducials:
             return
-        if self._state == "coasting" and not self._recovery.may_go_on(view):
-            self._state = "lost"
-            return
-        if self._state == "tracking":
-            self._recovery.return_to_known(view)
-        self._scene.replenish(view, voxel_map)
+        if self._state == "coasting":
+            if self._coasted < 2 or self._contradicted:
+                return
+            self._scene.set_aside()
+        elif moved(self._recalled, self._filter.pose[0], self.config):
+            self._recalled = self._filter.pose[0]
+            tracked += self._recovery.return_to_known(view)
+        missing = self.config.wanted_fiducials - tracked
+        self._scene.replenish(view, missing, chosen.voxel_map, chosen.body)
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool

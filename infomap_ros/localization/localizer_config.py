@@ -49,11 +49,17 @@ class LocalizerConfig:
         low=0.0,
         high=3600.0,
     )
-    recall_share: float = parameter(
-        0.3,
-        "Share of the known fiducials that ought to be in view which must be found, before new "
-        "ones are added to a pose that rests on the expected motion alone: where fewer are, the "
-        "camera is not where it is thought to be.",
+    patience: int = parameter(
+        3,
+        "Views in a row in which fiducials ought to be seen and are not, after which the camera is "
+        "not where it is thought to be, but lost.",
+        low=1,
+        high=1000,
+    )
+    body_margin: float = parameter(
+        0.03,
+        "No fiducial is chosen this near to the robot's own body.",
+        unit="m",
         low=0.0,
         high=1.0,
     )
@@ -69,13 +75,6 @@ class LocalizerConfig:
         "believed and all else forgotten.",
         low=1,
         high=1000,
-    )
-    start_position_sigma: float = parameter(
-        0.0,
-        "Of the first pose, where no target defines the map; 0 where the pose defines the map.",
-        unit="m",
-        low=0.0,
-        high=10.0,
     )
     selection: FiducialSelectionConfig = field(default_factory=FiducialSelectionConfig)
     tracker: FiducialTrackerConfig = field(default_factory=FiducialTrackerConfig)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from infomap_ros.geometry import PinholeCamera, invert_transform
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.consensus import agreeing, find_pose
 from infomap_ros.localization.fiducial_filter import FiducialFilter
 from infomap_ros.localization.localizer_config import LocalizerConfig
@@ -15,7 +16,9 @@ from infomap_ros.localization.scene_fiducials import SceneFiducials, joined
 from infomap_ros.localization.sight import Measured
 
 _SIGMAS = 3.0  # of the pose, within which a fiducial is looked for
-_EXPECTED = 15  # fiducials that ought to be in view, from which on their absence says something
+_ANYWHERE = 0.2  # of the image's width, a search radius beyond which all of it is searched
+_EXPECTED = 10  # fiducials that ought to be seen, from which on their absence says something
+_FOUND = 0.25  # share of them that must be seen for the camera to be where it is thought to be
 
 
 class Recovery:
@@ -51,17 +54,30 @@ class Recovery:
         Returns:
             Number of fiducials that the pose rests on, 0 and the reason where it was not found.
         """
-        found = self._scene.recall_anywhere(view)
-        every = joined(seen, found)
+        pose, covariance = self._filter.pose
+        radius = self._search_radius(covariance)
+        reason = "no known fiducial recognised"
+        for is_near in (True, False):
+            if is_near and radius > _ANYWHERE * self._camera.width:
+                continue
+            if not is_near and not is_lost:
+                continue
+            near = self._scene.recall(view, pose, radius) if is_near else None
+            found = self._scene.recall_anywhere(view) if near is None else near
+            used, reason = self._update(joined(seen, found), is_lost)
+            if used:
+                return used, "found again" if is_lost else ""
+            self._scene.set_aside(found.ids)
+        return 0, reason
+
+    def _update(self, every: FiducialObservations, is_lost: bool) -> tuple[int, str]:
         if is_lost and self._count_agreeing(every) < self._config.recovery_fiducials:
-            self._scene.drop(found.ids)
-            return 0, f"{len(found)} known fiducials recognised, not enough agree"
+            return 0, f"{len(every)} known fiducials recognised, not enough agree"
         update = self._filter.update(every)
         if not update.is_consistent:
-            self._scene.drop(found.ids)
             return 0, update.reason
         self._scene.note(every, update)
-        return len(update.used), "found again" if is_lost else ""
+        return len(update.used), ""
 
     def return_to_known(self, view: RangeView) -> int:
         """Use known fiducials that ought to be in view but are not followed: removes drift.
@@ -70,28 +86,31 @@ class Recovery:
             Number of those found.
         """
         pose, covariance = self._filter.pose
-        found = self._scene.recall(view, pose, self._search_radius(covariance))
+        radius = min(self._search_radius(covariance), 0.25 * self._camera.width)
+        found = self._scene.recall(view, pose, radius)
         if not len(found):
             return 0
         update = self._filter.update(found)
-        self._scene.note(found, update)
-        if not update.is_consistent:
-            self._scene.drop(found.ids)
+        self._scene.set_aside(np.setdiff1d(found.ids, update.used))
         return len(update.used)
 
-    def may_go_on(self, view: RangeView) -> bool:
-        """Whether a pose that rests on the expected motion alone may be built upon.
+    def is_contradicted(self, view: RangeView, seen: FiducialObservations) -> bool:
+        """Whether a view shows that the camera is not where it is thought to be.
 
-        Where known fiducials ought to be in view, and the view shows enough to choose others, but
-        tracking and recognition did not find them, the camera is not where it is thought to be.
+        Fiducials ought to be seen, by where they are and by the range that is measured there, but
+        neither tracking nor recognition has found them.
+
+        Args:
+            view: the last one.
+            seen: what tracking has found.
         """
-        known = self._filter.fiducials()
-        expected = self._scene.expected_in_view(known, self._filter.pose[0])
-        if np.count_nonzero(expected) < _EXPECTED:
-            return True
-        return not self._scene.shows_enough(view)
+        pose = self._filter.pose[0]
+        wanted = self._scene.ought_to_be_seen(view, pose)
+        if len(wanted) < _EXPECTED or not self._scene.shows_enough(view):
+            return False
+        return bool(np.isin(wanted, seen.ids).mean() < _FOUND)
 
-    def _search_radius(self, covariance: np.ndarray) -> float:
+    def _search_radius(self, covariance: FloatArray) -> float:
         """How far from its expected place a fiducial at the mean distance may appear [px]."""
         known = self._filter.fiducials()
         away = np.linalg.norm(known.positions - self._filter.pose[0][:3, 3], axis=1)
@@ -99,7 +118,7 @@ class Recovery:
         position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1]) ** 0.5
         rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) ** 0.5
         angle = _SIGMAS * float(np.hypot(position / max(distance, 0.1), rotation))
-        return min(self._camera.fx * angle + 4.0, 0.25 * self._camera.width)
+        return self._camera.fx * angle + 4.0
 
     def _count_agreeing(self, observations: FiducialObservations) -> int:
         """How many fiducials agree on one pose, wherever that is."""
@@ -113,9 +132,10 @@ class Recovery:
         measured = Measured.of(self._camera, chosen)
         points, covariances = known.positions[rows], known.covariances[rows]
         gate = float(chdtri(3, 1.0 - self._config.filter.fiducial_gate))
-        pose = find_pose(points, covariances, measured, gate, self._config.filter.trials)
-        if pose is None:
+        found = find_pose(points, covariances, measured, gate, self._config.filter.trials)
+        if found is None:
             return 0
+        pose, _ = found
         turn = invert_transform(pose)[:3, :3]
         inside = turn.T @ covariances @ turn
         return int(np.count_nonzero(agreeing(pose, points, inside, measured, gate)))

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import PinholeCamera, invert_transform, transform_points
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PlacedSolid,
+    invert_transform,
+    points_inside,
+    transform_points,
+)
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.appearance import describe, find_again
 from infomap_ros.localization.fiducial_filter import FiducialFilter
 from infomap_ros.localization.fiducial_selection import select_fiducials
 from infomap_ros.localization.fiducial_tracker import FiducialTracker
@@ -22,7 +28,8 @@ from infomap_ros.localization.range_view import RangeView
 from infomap_ros.mapping import VoxelMap
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
-_FOUND_SIGMA = 1.5  # of a pixel that was found by its descriptor [px]
+_SAME_ANGLE, _SAME_SCALE = 0.35, 1.4  # [rad, 1] within which a fiducial looks the same
+_SAME_RANGE = 0.1  # relative difference of range within which a fiducial is not hidden
 _STILL = 0.3  # [px]
 _EXPECTED_WAY, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
 _BORDER = 12.0  # [px] within which a fiducial need not be seen
@@ -44,14 +51,14 @@ class SceneFiducials:
         self._tracker = FiducialTracker(config.tracker)
         self._next = 0
         self._contradicted: dict[int, int] = {}  # times in a row
-        self._descriptors: dict[int, NDArray[np.generic]] = {}
+        self._seen_from: dict[int, FloatArray] = {}  # where the camera was, in the map [m]
         self._at_update: dict[int, FloatArray] = {}  # pixels in the last update
 
     def clear(self) -> None:
         """Forget all; the filter is left as it is."""
         self._tracker = FiducialTracker(self._config.tracker)
         self._contradicted.clear()
-        self._descriptors.clear()
+        self._seen_from.clear()
         self._at_update.clear()
 
     def follow(self, view: RangeView, T_map_camera: FloatArray | None) -> FiducialObservations:
@@ -83,33 +90,11 @@ class SceneFiducials:
         missing &= ~np.isin(known.ids, self._tracker.ids)
         if not missing.any():
             return no_observations()
-        pixels = self._project(known.positions[missing], T_map_camera)
-        return self._found_again(view, known.ids[missing], pixels, radius)
+        return self._tracker.recall(view, self._pixels_by_id(known, missing, T_map_camera), radius)
 
     def recall_anywhere(self, view: RangeView) -> FiducialObservations:
         """Find again what is not followed, wherever it may be."""
-        ids = self._filter.fiducials().ids
-        return self._found_again(view, ids[~np.isin(ids, self._tracker.ids)], None, None)
-
-    def _found_again(
-        self,
-        view: RangeView,
-        ids: NDArray[np.int64],
-        pixels: FloatArray | None,
-        radius: float | None,
-    ) -> FiducialObservations:
-        if not len(ids):
-            return no_observations()
-        descriptors = np.stack([self._descriptors[number] for number in ids.tolist()])
-        found = find_again(view, descriptors, pixels, radius, self._config.tracker.appearance)
-        seen = self._tracker.add(view, ids[found.indices], found.pixels)
-        return FiducialObservations(
-            seen.ids,
-            seen.pixels,
-            np.full(len(seen), _FOUND_SIGMA),
-            seen.inverse_depths,
-            seen.inverse_depth_sigmas,
-        )
+        return self._tracker.recall(view)
 
     def expected_in_view(self, known: Fiducials, T_map_camera: FloatArray) -> NDArray[np.bool_]:
         """Which fiducials lie within the image of a camera, shape (N,)."""
@@ -119,9 +104,40 @@ class SceneFiducials:
             inside = (pixels >= _BORDER) & (pixels <= size - 1.0 - _BORDER)
         return np.asarray(inside.all(axis=1))
 
-    def drop(self, ids: NDArray[np.int64]) -> None:
-        """Follow these no longer; the filter keeps them."""
-        self._tracker.remove(ids)
+    def ought_to_be_seen(self, view: RangeView, T_map_camera: FloatArray) -> NDArray[np.int64]:
+        """Fiducials that would be found in a view if the camera were at a pose.
+
+        Those that lie within the image, are seen from about where they were seen before, and have
+        the range there that they ought to have: nothing hides them.
+
+        Args:
+            view: the last one.
+            T_map_camera: shape (4, 4).
+
+        Returns:
+            Their ids.
+        """
+        known = self._filter.fiducials()
+        rows = np.flatnonzero(self.expected_in_view(known, T_map_camera))
+        rows = rows[[int(number) in self._seen_from for number in known.ids[rows]]]
+        if not len(rows):
+            return np.zeros(0, np.int64)
+        positions = known.positions[rows]
+        before = np.stack([self._seen_from[int(number)] for number in known.ids[rows]]) - positions
+        now = T_map_camera[:3, 3] - positions
+        lengths = np.linalg.norm(before, axis=1), np.linalg.norm(now, axis=1)
+        cosine = (before * now).sum(axis=1) / (lengths[0] * lengths[1])
+        similar = (cosine > np.cos(_SAME_ANGLE)) & (lengths[1] < _SAME_SCALE * lengths[0])
+        similar &= lengths[0] < _SAME_SCALE * lengths[1]
+        inside = transform_points(invert_transform(T_map_camera), positions)
+        measured = view.inverse_depths(self._camera.project(inside))[0]
+        with np.errstate(invalid="ignore"):
+            open_to_view = np.abs(measured * inside[:, 2] - 1.0) < _SAME_RANGE
+        return np.asarray(known.ids[rows][similar & open_to_view])
+
+    def set_aside(self, ids: NDArray[np.int64] | None = None) -> None:
+        """Follow these, or all, no longer; they may be recalled."""
+        self._tracker.set_aside(self._tracker.ids if ids is None else ids)
 
     def stands_still(self, seen: FiducialObservations, prior: MotionPrior | None) -> bool:
         """Whether the camera is where it was when the filter was last updated.
@@ -154,36 +170,78 @@ class SceneFiducials:
     def note(self, seen: FiducialObservations, update: FilterUpdate) -> None:
         """Remember an update, and give up what contradicts the others again and again."""
         self._at_update = dict(zip(seen.ids.tolist(), seen.pixels, strict=True))
+        place = self._filter.pose[0][:3, 3].copy()
         for number in update.used.tolist():
+            self._seen_from[number] = place
             self._contradicted.pop(number, None)
         for number in update.rejected.tolist():
             self._contradicted[number] = self._contradicted.get(number, 0) + 1
         bad = [n for n, count in self._contradicted.items() if count >= _SEEN_THROUGH]
         self._give_up(np.array(bad, np.int64))
 
-    def replenish(self, view: RangeView, voxel_map: VoxelMap | None = None) -> int:
+    def replenish(
+        self,
+        view: RangeView,
+        count: int,
+        voxel_map: VoxelMap | None = None,
+        body: Sequence[PlacedSolid] = (),
+    ) -> int:
         """Choose new fiducials and tell the filter where they are.
 
         Args:
             view: that was tracked last.
+            count: most new ones.
             voxel_map: for the certainty of eq. (19).
+            body: of the robot, placed in the camera frame: nothing on it is chosen.
 
         Returns:
             Number of new ones.
         """
-        taken = self._tracker.pixels
-        wanted = self._config.wanted_fiducials - len(taken)
         pose = None if voxel_map is None else self._filter.pose[0]
-        pixels = select_fiducials(view, taken, wanted, voxel_map, pose, self._config.selection)
+        pixels = select_fiducials(
+            view, self._tracker.pixels, count, voxel_map, pose, self._config.selection
+        )
         ids = np.arange(self._next, self._next + len(pixels))
         self._next += len(pixels)
+        seen = self._tracker.add(view, ids, pixels)
+        if len(body):
+            on_body = points_inside(seen.points(self._camera), body, self._config.body_margin)
+            seen = seen.select(~on_body)
         held = self._filter.fiducials().ids
-        descriptors = describe(view.image, pixels, self._config.tracker.appearance)
-        self._descriptors.update(zip(ids.tolist(), descriptors, strict=True))
-        added = self._filter.add(self._tracker.add(view, ids, pixels))
+        added = self._filter.add(seen)
         forgotten = np.setdiff1d(held, self._filter.fiducials().ids)
         self._tracker.remove(np.concatenate([np.setdiff1d(ids, added), forgotten]))
+        for number in forgotten.tolist():
+            self._seen_from.pop(number, None)
+        self._seen_from.update(dict.fromkeys(added.tolist(), self._filter.pose[0][:3, 3].copy()))
         return len(added)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that it knows beside the filter, as arrays for a file."""
+        places = list(self._seen_from.values())
+        own = {
+            "scene_next": np.array(self._next),
+            "scene_ids": np.array(list(self._seen_from), np.int64),
+            "scene_seen_from": np.array(places).reshape(-1, 3),
+        }
+        return own | {f"tracker_{name}": array for name, array in self._tracker.state().items()}
+
+    def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on with the fiducials of another one's `state`; none is followed at first.
+
+        Raises:
+            InvalidInputError: an array is missing or does not fit the configuration.
+        """
+        self.clear()
+        tracker = {
+            name.removeprefix("tracker_"): array
+            for name, array in state.items()
+            if name.startswith("tracker_")
+        }
+        self._tracker = FiducialTracker.from_state(tracker, self._config.tracker)
+        self._next = int(state["scene_next"])
+        places = zip(state["scene_ids"].tolist(), state["scene_seen_from"], strict=True)
+        self._seen_from = dict(places)
 
     def _give_up(self, ids: NDArray[np.int64]) -> None:
         if len(ids):
@@ -191,6 +249,7 @@ class SceneFiducials:
             self._filter.remove(ids)
             for number in ids.tolist():
                 self._contradicted.pop(number, None)
+                self._seen_from.pop(number, None)
 
     def _pixels_by_id(
         self, known: Fiducials, chosen: NDArray[np.bool_], T_map_camera: FloatArray

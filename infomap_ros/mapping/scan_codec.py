@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 _LARGEST_CODE = 65535
-_SIGMA_CODES = 255
+_SIGMA_CODES, _SIGMA_STEP = 255, 0.04
 _STEPS_PER_SIGMA = 4.0
 _LEAST_SHARE = 0.01
 _COMPRESSION = 1  # of zlib: the fastest
@@ -31,23 +31,27 @@ class CodedDepth:
         step: of the inverse depth [1/m]; no more than a quarter of its standard deviation in 99 of
             100 pixels, so that rounding adds no more than half a percent to the variance.
         sigma_low: smallest standard deviation of the inverse depth [1/m], 0 where none is kept.
-        sigma_step: of its natural logarithm.
-        payload: compressed codes.
+        sigma_step: of its natural logarithm, 0.04 or more: one part in fifty.
+        planes: compressed codes: is measured, low and high byte of depth, sigma if it is kept.
     """
 
     shape: tuple[int, int]
     step: float
     sigma_low: float
     sigma_step: float
-    payload: bytes
+    planes: tuple[bytes, ...]
+
+    def memory_bytes(self) -> int:
+        """Memory in use by the codes [bytes]."""
+        return sum(len(plane) for plane in self.planes)
 
     def depth(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Depth z, shape (H, W) [m], NaN where there is none, and its variance [m^2] or None."""
-        data = np.frombuffer(zlib.decompress(self.payload), np.uint8)
+        codes = [np.frombuffer(zlib.decompress(plane), np.uint8) for plane in self.planes]
         pixels = self.shape[0] * self.shape[1]
         depth, variance = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
         levels = np.exp(self.sigma_step * np.arange(256)) * self.sigma_low
-        _decode(data.reshape(-1, pixels), self.step, levels.astype(np.float64), depth, variance)
+        _decode(np.stack(codes), self.step, levels.astype(np.float64), depth, variance)
         has_sigma = self.sigma_low > 0.0
         return depth.reshape(self.shape), variance.reshape(self.shape) if has_sigma else None
 
@@ -73,9 +77,8 @@ def code_depth(depth: NDArray[np.float32], variance: NDArray[np.float32] | None)
         1.0 / sigma_step, planes,
     )  # fmt: skip
     height, width = depth.shape
-    return CodedDepth(
-        (height, width), step, low, sigma_step, zlib.compress(planes.data, _COMPRESSION)
-    )
+    codes = tuple(zlib.compress(plane.data, _COMPRESSION) for plane in planes)
+    return CodedDepth((height, width), step, low, sigma_step, codes)
 
 
 def _scales(
@@ -87,11 +90,11 @@ def _scales(
     step = float(rho.max()) / (_LARGEST_CODE - 1)
     if sigma is None:
         return step, 0.0, 1.0
-    typical = float(
-        np.partition(sigma, int(_LEAST_SHARE * len(sigma)))[int(_LEAST_SHARE * len(sigma))]
-    )
+    place = int(_LEAST_SHARE * len(sigma))
+    typical = float(np.partition(sigma, place)[place])
     low, high = float(sigma.min()), float(sigma.max())
-    return max(step, typical / _STEPS_PER_SIGMA), low, max(np.log(high / low), 1e-9) / _SIGMA_CODES
+    sigma_step = max(float(np.log(high / low)) / _SIGMA_CODES, _SIGMA_STEP)
+    return max(step, typical / _STEPS_PER_SIGMA), low, sigma_step
 
 
 @njit(cache=True, nogil=True)

@@ -60,7 +60,7 @@ class ScanRecord:
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""
-        coded = len(self._coded.payload) if self._coded else 0
+        coded = self._coded.memory_bytes() if self._coded else 0
         return _BYTES_OF_OBJECTS + coded + sum(len(data) for _, data in self._arrays)
 
     def restore(self) -> RangeScan:

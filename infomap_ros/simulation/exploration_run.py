@@ -130,7 +130,7 @@ class ExplorationRun:
         size: dict[str, Any] = {"size": options.world.size} if options.world.size else {}
         world = make_world(options.world.name, seed, **size)
         self.simulator = Simulator(world, description, settings)
-        self.T_world_map = _map_frame(world, options.robot)
+        self.T_world_map = map_frame(world, options.robot)
         task = task_in(world, options.task, self.T_world_map)
         frames = settings.robot
         robot = RobotModel.from_urdf(
@@ -235,8 +235,12 @@ def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = Non
     return dataclasses.replace(task, region_low=low, region_high=high)
 
 
-def _map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
-    """Where the frame of the robot's map truly is, shape (4, 4): at the target, if there is one."""
+def map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
+    """Where the frame of a robot's map truly is, shape (4, 4): at the target, if it localises.
+
+    Raises:
+        InvalidInputError: there is no target to localise by.
+    """
     if robot.pose_source == "simulator":
         return np.eye(4)
     if world.T_world_target is None:

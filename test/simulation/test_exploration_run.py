@@ -19,7 +19,13 @@ from infomap_ros.simulation.exploration_run import ExplorationOptions, Explorati
 from infomap_ros.simulation.scenes import make_world
 from infomap_ros.simulation.visible_surface import map_errors, surface_coverage, visible_surface
 
-SETTINGS = ("world.name=mars", "world.seed=2", "world.size=4.5", "task.max_views=8", "robot.pose_source=simulator")
+SETTINGS = (
+    "world.name=mars",
+    "world.seed=2",
+    "world.size=4.5",
+    "task.max_views=8",
+    "robot.pose_source=simulator",
+)
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,11 @@ class TerrainConfig:
         low=0.1, high=50.0,
     )  # fmt: skip
     occupied_probability: float = parameter(
-        0.5, "A known voxel more likely occupied than this is solid.", low=0.05, high=0.999
+        0.75,
+        "A known voxel more likely occupied than this is solid. Right above a surface voxels get "
+        "some hits and as many misses; one of them would be a step in even ground.",
+        low=0.05,
+        high=0.999,
     )
     speck_cells: int = parameter(
         2, "Connected groups of at most so many solid cells are taken for noise.", low=0, high=8

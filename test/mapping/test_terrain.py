@@ -9,6 +9,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.terrain import Terrain, TerrainConfig, terrain_of
+from infomap_ros.mapping.voxel_states import VoxelStates, put_states
 
 from .scenes import Scene, look_at
 from .voxels import map_of
@@ -140,6 +141,21 @@ def test_specks_are_neither_ground_nor_obstacles(rng):
     np.testing.assert_allclose(clean.heights, middle_of(3), atol=1e-6)
     assert np.isinf(clean.overhead).all()
     assert np.isfinite(found(states, (0.5, 0.5, 0.3), speck_cells=0).overhead).sum() == 25
+
+
+@pytest.mark.parametrize(("evidence", "height"), [(3, 3), (9, 4)])
+def test_voxel_that_was_seen_through_as_often_as_hit_is_no_step(evidence, height):
+    """One hit is 9 quanta, one miss takes 6."""
+    voxel_map = map_of(columns((40, 40, 40), 3), (0, 0, 0), SIZE)
+    bump = VoxelStates(
+        np.array([[20, 20, 4]], np.int32),
+        np.ones(1, bool),
+        np.array([evidence], np.int32),
+        np.zeros((1, 9), np.float32),
+    )
+    put_states(voxel_map._storage, bump)
+    terrain = terrain_of(voxel_map, None, (0.5, 0.5, 0.3))
+    assert terrain.height_at((20.5 * SIZE, 20.5 * SIZE)) == pytest.approx(middle_of(height))
 
 
 def test_pole_is_no_speck():

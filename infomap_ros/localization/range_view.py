@@ -113,7 +113,6 @@ class StereoView:
             check_pixels(pixels),
             search,
             self._sparse,
-            self._sensor.config,
         )
         focal_baseline = rig.left.fx * rig.baseline
         return (disparities + rig.principal_offset) / focal_baseline, sigmas / focal_baseline

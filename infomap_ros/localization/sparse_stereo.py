@@ -6,8 +6,14 @@ photometric error of the window over the disparity and its slope across the wind
 Kanade 1981; a slanted surface has another disparity at each pixel of the window), with the mean and
 the contrast of both windows made equal, because the two cameras may be exposed differently.
 
-The sigma is that of the stereo sensor's noise model (docs/stereo_noise.md) for the quality of the
-match, times a factor that is calibrated for this matcher (docs/localization.md).
+With R the rms photometric difference that the match leaves and g the rms gradient along the row,
+image noise displaces a match by R / g over the square root of the number of independent samples.
+What real images add (lenses, calibration, reflections, shape within the window) is correlated
+across the window, so that far fewer samples than pixels are independent:
+
+    sigma_d^2 = sigma_floor^2 + (sigma_residual R / g)^2
+
+Both numbers are calibrated on pairs with true disparity (docs/localization.md).
 """
 
 from __future__ import annotations
@@ -22,9 +28,6 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.patch_kernels import sample_patch
-from infomap_ros.stereo.config import StereoConfig
-from infomap_ros.stereo.noise import match_terms, sigma_from_terms
-from infomap_ros.stereo.quality import MatchQuality
 
 _ITERATIONS = 8
 _CONVERGED = 0.01  # [px]
@@ -32,6 +35,8 @@ _CONVERGED = 0.01  # [px]
 _SLOPE_SIGMA = 0.3
 # Variance of the photometric noise that the prior is weighed against [grey levels^2].
 _PHOTOMETRIC_VARIANCE = 9.0
+# Quantisation of 8-bit images [grey levels^2], [(grey levels/px)^2].
+_RESIDUAL_NOISE, _GRADIENT_NOISE = 0.1, 0.1
 # Matches this near to the best one do not rival it [px].
 _SAME_PEAK = 2
 
@@ -58,8 +63,18 @@ class SparseStereoConfig:
     left_right_tolerance: int = parameter(
         1, "Largest difference of the match found from the right image.", unit="px", low=0, high=8
     )
-    sigma_factor: float = parameter(
-        1.0, "Calibrated multiple of the stereo sensor's disparity sigma.", low=0.1, high=10.0
+    sigma_floor: float = parameter(
+        0.08,
+        "Disparity sigma of a perfect match: what calibration, lenses and surfaces add.",
+        unit="px",
+        low=0.001,
+        high=10.0,
+    )
+    sigma_residual: float = parameter(
+        0.2,
+        "Disparity sigma as a share of the photometric residual over the gradient.",
+        low=0.01,
+        high=10.0,
     )
 
     def __post_init__(self) -> None:
@@ -74,7 +89,6 @@ def match_pixels(
     pixels: FloatArray,
     search: tuple[int, int],
     config: SparseStereoConfig,
-    noise: StereoConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """Measure the disparity of single pixels.
 
@@ -83,22 +97,22 @@ def match_pixels(
         right: rectified image, shape (H, W).
         pixels: (u, v) in the left image, anywhere between pixel centres, shape (N, 2) [px].
         search: smallest and largest disparity that may occur [px].
-        config: of the matching.
-        noise: the stereo sensor's noise model.
+        config: of the matching and its noise.
 
     Returns:
         Disparities and their standard deviations, shape (N,) each [px]; NaN where there is no
         match that can be trusted.
     """
-    quality = np.full((len(pixels), 4), np.nan, np.float32)
+    quality = np.full((len(pixels), 3), np.nan)
     limits = (config.min_correlation, config.max_rivalry, float(config.left_right_tolerance))
     places = np.ascontiguousarray(pixels, dtype=np.float64)
     _match_all(left, right, places, search, config.window // 2, limits, quality)
-    found = np.isfinite(quality[:, 0])
-    sigmas = np.full(len(pixels), np.nan)
-    matched = MatchQuality(*quality[found].T)
-    sigmas[found] = config.sigma_factor * sigma_from_terms(match_terms(matched, noise), noise)
-    return quality[:, 0].astype(np.float64), sigmas
+    disparity, residual, gradient = quality.T
+    residual = residual + _RESIDUAL_NOISE
+    # Noise in both images adds an eighth of its variance to the mean squared gradient.
+    slope = np.maximum(gradient - residual / 8.0, gradient / 4.0) + _GRADIENT_NOISE
+    matching = config.sigma_residual**2 * residual / slope
+    return disparity.copy(), np.sqrt(config.sigma_floor**2 + matching)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -168,7 +182,7 @@ def _best_match(scores, least, rivalry):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _refine(left, right, u, v, start, reach, least, quality):  # type: ignore[no-untyped-def]
-    """Sub-pixel disparity by Gauss-Newton; writes disparity, residual, gradient, curvature."""
+    """Sub-pixel disparity by Gauss-Newton; writes disparity, residual, squared gradient."""
     size = 2 * reach + 1
     template, warped = np.empty((size, size)), np.empty((size, size))
     slope = np.empty((size, size))
@@ -194,8 +208,7 @@ def _refine(left, right, u, v, start, reach, least, quality):  # type: ignore[no
     residual = ((template - warped) ** 2).mean()
     if (template * warped).mean() * size * size < least * energy:
         return
-    quality[0], quality[1] = p[0], residual
-    _texture(template, quality)
+    quality[0], quality[1], quality[2] = p[0], residual, _mean_gradient(template)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -251,14 +264,11 @@ def _normal_step(template, warped, slope, gain, p, step):  # type: ignore[no-unt
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _texture(template, quality):  # type: ignore[no-untyped-def]
-    """Mean squared first and second derivative along rows, into quality[2] and quality[3]."""
+def _mean_gradient(template):  # type: ignore[no-untyped-def]
+    """Mean squared derivative along rows."""
     size = template.shape[0]
-    first, second = 0.0, 0.0
+    total = 0.0
     for j in range(size):
         for i in range(1, size - 1):
-            left, middle, right = template[j, i - 1], template[j, i], template[j, i + 1]
-            first += (0.5 * (right - left)) ** 2
-            second += (left - 2.0 * middle + right) ** 2
-    quality[2] = first / (size * (size - 2))
-    quality[3] = second / (size * (size - 2))
+            total += (0.5 * (template[j, i + 1] - template[j, i - 1])) ** 2
+    return total / (size * (size - 2))

@@ -22,8 +22,10 @@ from infomap_ros.geometry import (
     invert_transform,
 )
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.adaptive_noise import AdaptiveNoise
 from infomap_ros.localization.fiducial_filter import FiducialFilter
-from infomap_ros.localization.filter_records import Fiducials, KeptPoses
+from infomap_ros.localization.filter_records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.hypothesis_choice import DISAGREEMENT, MINORITY
 from infomap_ros.localization.localisation import Choice, Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.motion_prior import MotionPrior, free_motion
@@ -81,6 +83,7 @@ class Localizer:
         self._step = (np.eye(4), 0.0)  # last motion and its duration [s]
         self._coasted = self._contradicted = 0  # views in a row
         self._is_resumed = False
+        self._noise = AdaptiveNoise(self.config.max_noise_factor)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that it knows, as arrays that can be written to a file; see `resume`."""
@@ -213,11 +216,23 @@ class Localizer:
             seconds = 1e-9 * (view.stamp - self._stamp)
             self._filter.predict(free_motion(seconds, self.config.free_motion))
         if self._state != "lost":
-            update = self._filter.update(seen)
+            update = self._update(seen)
             if update.is_consistent:
+                self._noise.note(update)
                 self._scene.note(seen, update)
                 return len(update.used), ""
+        seen = self._noise.applied(seen)
         return self._recovery.recover(view, seen, self._state == "lost")
+
+    def _update(self, seen: FiducialObservations) -> FilterUpdate:
+        """Filter; where the fiducials disagree, with larger sigmas."""
+        usual = self._noise.factor
+        update = self._filter.update(self._noise.applied(seen))
+        while update.reason in (DISAGREEMENT, MINORITY) and self._noise.grow():
+            update = self._filter.update(self._noise.applied(seen))
+        if not update.is_consistent:
+            self._noise.factor = usual
+        return update
 
     def _judge(self, view: RangeView, seen: FiducialObservations, is_fixed: bool) -> None:
         """Is the localisation certain enough?"""

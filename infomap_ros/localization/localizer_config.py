@@ -63,6 +63,13 @@ class LocalizerConfig:
         low=0.0,
         high=1.0,
     )
+    max_noise_factor: float = parameter(
+        8.0,
+        "Sigmas of measurements are enlarged by at most this factor where fiducials disagree by "
+        "more than their sigmas, as with imperfect calibration; 1 believes the stated noise.",
+        low=1.0,
+        high=100.0,
+    )
     recovery_fiducials: int = parameter(
         12, "Fiducials that must agree to find a lost camera again.", low=5, high=1000
     )

@@ -55,6 +55,7 @@ def map_bag(
     max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
     source: Annotated[Optional[str], typer.Option(help="auto, stereo or depth")] = None,
     rectify: Annotated[Optional[str], typer.Option(help="auto, yes or no")] = None,
+    poses: Annotated[Optional[str], typer.Option(help="auto, bag or localize")] = None,
     left_image: _Topic = "",
     right_image: _Topic = "",
     left_info: _Topic = "",
@@ -84,6 +85,7 @@ def map_bag(
         "map.max_range": max_range,
         "input.source": source,
         "input.rectify": rectify,
+        "input.poses": poses,
         "input.map_frame": map_frame,
         "input.pose_frame": pose_frame,
     }

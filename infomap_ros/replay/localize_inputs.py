@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
-from infomap_ros.geometry.config import parameter
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.sparse_stereo import SparseStereoConfig
@@ -33,8 +33,8 @@ from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 
 @dataclass(frozen=True)
-class LocalizeInputConfig(ImageInputConfig):
-    """Which of a bag's data tell where the camera was.
+class MotionInputConfig:
+    """What is known of the camera's motion.
 
     Raises:
         ConfigError: a value is not among its choices or out of its range.
@@ -55,6 +55,14 @@ class LocalizeInputConfig(ImageInputConfig):
         high=1.6,
     )
 
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class LocalizeInputConfig(MotionInputConfig, ImageInputConfig):
+    """Which of a bag's data tell where the camera was."""
+
 
 @dataclass(frozen=True)
 class LocalizeOptions:
@@ -69,7 +77,7 @@ class LocalizeOptions:
     input: LocalizeInputConfig = field(default_factory=LocalizeInputConfig)
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
-    motion: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
+    odometry: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     sparse: SparseStereoConfig = field(default_factory=SparseStereoConfig)
     depth: DepthCameraConfig = field(default_factory=DepthCameraConfig)

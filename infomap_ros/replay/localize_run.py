@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import BagError, InfomapError
-from infomap_ros.geometry import PoseRecord, WaitingQueue, make_transform
+from infomap_ros.geometry import PlacedSolid, PoseRecord, WaitingQueue, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.motion_prior import KinematicMotion, MotionPrior, RobotPosture
@@ -57,7 +57,7 @@ class LocalizeRun:
         self.refused: Counter[str] = Counter()
         self.without_motion: Counter[str] = Counter()
         self.seconds = self.seconds_locating = 0.0
-        self._motion = KinematicMotion(self._options.motion)
+        self._motion = KinematicMotion(self._options.odometry)
         self._posture: RobotPosture | None = None
         self._localizer: Localizer | None = None
         self._recorder = TrajectoryRecorder()
@@ -130,7 +130,8 @@ class LocalizeRun:
         if self._localizer is None:
             self._localizer = self._begin(framed)
         try:
-            result = self._localizer.locate(framed.view, prior)
+            body = self._body(framed.stamp) if has_motion else []
+            result = self._localizer.locate(framed.view, prior, body=body)
         except InfomapError as error:
             self.refused[str(error)] += 1
             return
@@ -147,6 +148,9 @@ class LocalizeRun:
             return None
         self._posture = self.inputs.motion.posture(stamp)
         return None if before is None else self._motion.between(before, self._posture)
+
+    def _body(self, stamp: int) -> list[PlacedSolid]:
+        return [] if self.inputs.motion is None else self.inputs.motion.body(stamp)
 
     def _begin(self, framed: FramedView) -> Localizer:
         """A localizer whose map is the target's frame, or odometry's, or level by assumption."""

@@ -6,9 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 
+from infomap_ros.errors import BagError
 from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
-from infomap_ros.geometry.config import parameter
+from infomap_ros.geometry.config import parameter, parameters_of
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.target_config import TargetConfig
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.body import BodyFilterConfig
 from infomap_ros.motion.description_config import DescriptionConfig
@@ -21,12 +26,18 @@ from infomap_ros.replay.bag_contents import (
     types_of,
 )
 from infomap_ros.replay.camera_poses import CameraPoses
+from infomap_ros.replay.localize_inputs import (
+    LocalizeInputConfig,
+    LocalizeOptions,
+    MotionInputConfig,
+)
 from infomap_ros.replay.range_meters import DepthMeter, Measurement, RangeMeter, StereoMeter
 from infomap_ros.replay.range_sources import RangeSource
 from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.robot_body import RobotBody
 from infomap_ros.replay.source_choice import ImageInputConfig, find_source
 from infomap_ros.replay.topics import Topics, find_pose_topic
+from infomap_ros.replay.trajectory_poses import TrajectoryPoses
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 _LOOKED_AT = 2000  # transforms from which the map frame is chosen
@@ -40,6 +51,12 @@ class MapInputConfig(ImageInputConfig):
         ConfigError: a value is not among its choices or out of its range.
     """
 
+    poses: str = parameter(
+        "auto",
+        "Where poses come from: the bag, or localisation by its images; auto takes the bag's where "
+        "it has some.",
+        choices=("auto", "bag", "localize"),
+    )
     map_frame: str = parameter("", "Frame of the map; empty for that in which poses are told.")
     pose_frame: str = parameter(
         "", "Frame of which the pose topic tells the pose; empty for what it says or the camera."
@@ -55,7 +72,8 @@ class MapOptions:
 
     Attributes:
         topics: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
-            ``right_info``, ``depth``, ``info``, ``pose``, ``joints``.
+            ``right_info``, ``depth``, ``info``, ``pose``, ``joints``; for localisation also
+            ``color`` and ``odometry``.
         robot: path or text of a URDF; the bag's robot description where empty.
     """
 
@@ -68,6 +86,11 @@ class MapOptions:
     waiting: WaitingQueueConfig = field(default_factory=WaitingQueueConfig)
     body: BodyFilterConfig = field(default_factory=BodyFilterConfig)
     description: DescriptionConfig = field(default_factory=DescriptionConfig)
+    motion: MotionInputConfig = field(default_factory=MotionInputConfig)
+    odometry: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    sparse: SparseStereoConfig = field(default_factory=SparseStereoConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
     topics: Mapping[str, str] = field(default_factory=dict)
     robot: str = ""
 
@@ -78,8 +101,8 @@ class MapInputs:
 
     Attributes:
         source: turns images into range clouds.
-        pose_topic: what tells the pose.
-        poses: of the camera.
+        pose_topic: what tells the pose; empty where that is localisation.
+        poses: of the camera; with localisation they have to be found first.
         body: of the robot.
         topics: all topics that are to be read.
         frames: number of images that should become scans.
@@ -87,7 +110,7 @@ class MapInputs:
 
     source: RangeSource[Measurement]
     pose_topic: str
-    poses: CameraPoses
+    poses: CameraPoses | TrajectoryPoses
     body: RobotBody
     topics: tuple[str, ...]
     frames: int
@@ -102,27 +125,48 @@ def find_inputs(bag: BagReader, options: MapOptions) -> MapInputs:
     """
     types = types_of(bag)
     source = _find_source(types, options)
-    pose_topic = find_pose_topic(types, options.topics.get("pose"))
+    pose_topic = _pose_topic(types, options)
     tf_topics = tf_topics_of(types)
+    joint_topics = joint_topics_of(types, options.topics.get("joints", ""))
+    moving = [name for name in tf_topics if not name.endswith("tf_static")]
+    told = [pose_topic, *moving] if pose_topic else []
+    topics = dict.fromkeys([*source.topics, *told, *joint_topics])
+    return MapInputs(
+        source=source,
+        pose_topic=pose_topic,
+        poses=_find_poses(bag, options, frame_of(bag, source.image_topic), pose_topic),
+        body=_find_body(bag, types, options, bool(joint_topics)),
+        topics=tuple(topics),
+        frames=bag.topics[source.image_topic].count,
+    )
+
+
+def _pose_topic(types: Topics, options: MapOptions) -> str:
+    """The topic that tells the pose; empty where localisation does."""
+    if options.input.poses == "localize":
+        return ""
+    try:
+        return find_pose_topic(types, options.topics.get("pose"))
+    except BagError:
+        if options.input.poses == "bag" or options.topics.get("pose"):
+            raise
+        return ""
+
+
+def _find_poses(
+    bag: BagReader, options: MapOptions, camera_frame: str, pose_topic: str
+) -> CameraPoses | TrajectoryPoses:
+    if not pose_topic:
+        return TrajectoryPoses(camera_frame)
+    tf_topics = tf_topics_of(types_of(bag))
     by_tf = pose_topic in tf_topics
-    poses = CameraPoses(
-        frame_of(bag, source.image_topic),
+    return CameraPoses(
+        camera_frame,
         options.poses,
         by_tf=by_tf,
         map_frame=options.input.map_frame or (_tf_map_frame(bag, tf_topics) if by_tf else ""),
         pose_frame=options.input.pose_frame,
         static=static_transforms(bag, tf_topics),
-    )
-    joint_topics = joint_topics_of(types, options.topics.get("joints", ""))
-    moving = [name for name in tf_topics if not name.endswith("tf_static")]
-    topics = dict.fromkeys([*source.topics, pose_topic, *moving, *joint_topics])
-    return MapInputs(
-        source=source,
-        pose_topic=pose_topic,
-        poses=poses,
-        body=_find_body(bag, types, options, bool(joint_topics)),
-        topics=tuple(topics),
-        frames=bag.topics[source.image_topic].count,
     )
 
 
@@ -156,3 +200,28 @@ def _find_body(bag: BagReader, types: Topics, options: MapOptions, has_joints: b
         body = RobotBody(None)
         body.note = "no joint states"
     return body
+
+
+def localize_options(options: MapOptions) -> LocalizeOptions:
+    """The settings of localising the camera of a bag that is to be mapped."""
+    given = options.input
+    motion = {name: getattr(options.motion, name) for name in parameters_of(MotionInputConfig)}
+    return LocalizeOptions(
+        input=LocalizeInputConfig(
+            source=given.source,
+            rectify=given.rectify,
+            pairing_tolerance=given.pairing_tolerance,
+            **motion,
+        ),
+        localizer=options.localizer,
+        target=options.target,
+        odometry=options.odometry,
+        stereo=options.stereo,
+        sparse=options.sparse,
+        depth=options.depth,
+        poses=options.poses,
+        waiting=options.waiting,
+        description=options.description,
+        topics=options.topics,
+        robot=options.robot,
+    )

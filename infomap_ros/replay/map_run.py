@@ -11,10 +11,12 @@ from infomap_ros.errors import BagError, CapacityError, InfomapError
 from infomap_ros.geometry import PoseRecord, WaitingQueue
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.background import in_background
-from infomap_ros.replay.map_inputs import MapInputs, MapOptions, find_inputs
+from infomap_ros.replay.localize_run import LocalizeRun
+from infomap_ros.replay.map_inputs import MapInputs, MapOptions, find_inputs, localize_options
 from infomap_ros.replay.range_meters import Measurement
 from infomap_ros.replay.range_sources import measure_all
 from infomap_ros.replay.reader import BagReader, BagRecord
+from infomap_ros.replay.trajectory_poses import TrajectoryPoses
 
 Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
@@ -34,6 +36,7 @@ class MapRun:
         seconds: how long `run` took [s].
         full: why the map could not take more, empty while it could.
         assumed_poses: number of poses whose covariance was assumed.
+        localisation: how the camera was located, None where the bag tells its poses.
     """
 
     def __init__(self, bag: BagReader, options: MapOptions | None = None) -> None:
@@ -53,6 +56,7 @@ class MapRun:
         self.first: Measurement | None = None
         self.seconds = 0.0
         self.full = ""
+        self.localisation: LocalizeRun | None = None
         self._waiting: WaitingQueue[Measurement] = WaitingQueue(
             self._pose_at, self._options.waiting
         )
@@ -71,6 +75,7 @@ class MapRun:
             CapacityError: the first frame is too large for the map's memory limit.
         """
         start = time.perf_counter()
+        self._locate()
         records = self._bag.records(self.inputs.topics)
         with closing(in_background(measure_all(records, self.inputs.source))) as entries:
             for entry in entries:
@@ -81,6 +86,13 @@ class MapRun:
                     break
         self._finish()
         self.seconds = time.perf_counter() - start
+
+    def _locate(self) -> None:
+        """Find the camera's poses, where the bag does not tell them: as corrected in the end."""
+        if isinstance(self.inputs.poses, TrajectoryPoses):
+            self.localisation = LocalizeRun(self._bag, localize_options(self._options))
+            self.localisation.run()
+            self.inputs.poses.take(self.localisation.corrected_trajectory)
 
     def _take(self, entry: BagRecord | Measurement) -> None:
         if isinstance(entry, Measurement):
@@ -160,12 +172,16 @@ class MapRun:
             "voxel_size": self.map.config.voxel_size,
             "map_frame": self.inputs.poses.map_frame,
             "range_topic": self.inputs.source.image_topic,
-            "pose_topic": self.inputs.pose_topic,
+            "pose_topic": self.inputs.pose_topic or "(localisation)",
             "assumed_poses": self.assumed_poses,
             "poses_refused": sum(self.refused.values()),
             "body_points_dropped": self.inputs.body.dropped_points,
             "messages_skipped": sum(self._bag.skipped.values()),
             "bag_problems": len(self._bag.problems),
         }
+        if self.localisation is not None:
+            located = self.localisation.summary()
+            names = ("tracking", "coasting", "lost", "keyframes", "path_length")
+            figures |= {f"localisation_{name}": located[name] for name in names}
         figures |= {f"dropped: {reason}": count for reason, count in self.dropped.items()}
         return figures

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import (
     OdometryRecord,
+    PlacedSolid,
+    PlacedSolid,
     PoseBufferConfig,
     Record,
     TransformRecord,
@@ -74,6 +76,40 @@ class RobotMotion:
             raise PoseUnavailableError("no odometry has arrived", "no odometry", may_arrive=True)
         T_odom_base = self._tree.at(self._odom, self._base, stamp).transform
         return RobotPosture(T_odom_base, self._T_base_camera(stamp))
+
+    def body(self, stamp: int) -> list[PlacedSolid]:
+        """The robot's solids in the camera frame; none where its description does not tell.
+
+        Args:
+            stamp: [ns].
+
+        Raises:
+            PoseUnavailableError: joints are not known at that time.
+        """
+        robot = self._robot
+        if robot is None or self._camera_frame not in robot.frames:
+            return []
+        joints = self._joints.at(stamp) if robot.joints else {}
+        try:
+            return robot.solids_in(self._camera_frame, joints)
+        except RobotModelError:  # a joint that is never published
+            return []
+
+    def body(self, stamp: int) -> list[PlacedSolid]:
+        """Solids of the robot in the camera's frame; none where its description is not known.
+
+        Args:
+            stamp: [ns].
+
+        Raises:
+            PoseUnavailableError: joints are not known at that time.
+            RobotModelError: a joint is never published.
+        """
+        robot = self._robot
+        if robot is None or self._camera_frame not in robot.frames:
+            return []
+        joints = self._joints.at(stamp) if robot.joints else {}
+        return robot.solids_in(self._camera_frame, joints)
 
     def _T_base_camera(self, stamp: int) -> FloatArray:
         robot = self._robot

@@ -24,6 +24,7 @@ from infomap_ros.replay.sequences.entries import (
     read_image,
     read_text_table,
 )
+from infomap_ros.replay.sequences.registration import ColorCamera, register_depth
 
 _FRAME = "camera_optical_frame"
 _PERIOD = 1e9 / 30.0  # recorded at 30 Hz; the file names count the frames of the recording [ns]
@@ -36,16 +37,29 @@ _POSITION_SIGMA, _ROTATION_SIGMA = 0.005, 0.002  # assumed [m, rad]
 _KITCHEN_DOWN, _KITCHEN_FLOOR = (0.0, 0.893, 0.450), 1.53
 
 
+# The kitchen's colour camera: its images are not registered to the depth images, so that a pixel's
+# depth is up to 35 px away. Found by laying the depth edges of 50 frames onto the edges of their
+# colour images (117,000 pixels; two halves of them agree within 0.3 px and 1 mm).
+_KITCHEN_COLOR = ColorCamera(
+    PinholeCamera(640, 480, 526.2, 526.2, 322.1, 235.9), (-0.0304, 0.0065, 0.0)
+)
+
 _COVARIANCE = np.diag([_POSITION_SIGMA**2] * 3 + [_ROTATION_SIGMA**2] * 3)
 
 
 def kitchen(folder: Path) -> Entries:
-    """The kitchen sequence, turned so that z is up and the floor is at z = 0; see `rgbd_frames`."""
-    return rgbd_frames(folder, _KITCHEN_DOWN, _KITCHEN_FLOOR)
+    """The kitchen sequence, turned so that z is up and the floor is at z = 0; see `rgbd_frames`.
+
+    Depth is registered to the colour image, and the poses are those of the colour camera.
+    """
+    return rgbd_frames(folder, _KITCHEN_DOWN, _KITCHEN_FLOOR, _KITCHEN_COLOR)
 
 
 def rgbd_frames(
-    folder: Path, down: tuple[float, float, float] = (0.0, 1.0, 0.0), floor: float = 0.0
+    folder: Path,
+    down: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    floor: float = 0.0,
+    color: ColorCamera | None = None,
 ) -> Entries:
     """Read ``frames/frame-NNNNNN.{color.jpg,depth.png,pose.txt}`` and ``camera-intrinsics.txt``.
 
@@ -55,6 +69,7 @@ def rgbd_frames(
         folder: of the sequence.
         down: direction of gravity in the frame of the poses.
         floor: how far below its origin the map's z = 0 is to be [m].
+        color: the colour camera, where depth has to be registered to it.
 
     Raises:
         BagError: a file is missing or holds something else.
@@ -67,7 +82,7 @@ def rgbd_frames(
     for pose_file in pose_files:
         name = pose_file.name.removesuffix(".pose.txt")
         stamp = FIRST_STAMP + round(int(name.rpartition("-")[2]) * _PERIOD)
-        yield from _frame(folder / "frames" / name, stamp, intrinsics, T_map_world)
+        yield from _frame(folder / "frames" / name, stamp, intrinsics, T_map_world, color)
 
 
 def _levelled(down: tuple[float, float, float], floor: float) -> FloatArray:
@@ -78,9 +93,15 @@ def _levelled(down: tuple[float, float, float], floor: float) -> FloatArray:
     return make_transform([np.cross(left, up), left, up], [0.0, 0.0, floor])
 
 
-def _frame(stem: Path, stamp: int, intrinsics: FloatArray, T_map_world: FloatArray) -> Entries:
+def _frame(
+    stem: Path,
+    stamp: int,
+    intrinsics: FloatArray,
+    T_map_world: FloatArray,
+    color_camera: ColorCamera | None,
+) -> Entries:
     pose_file = stem.with_name(f"{stem.name}.pose.txt")
-    depth = read_image(stem.with_name(f"{stem.name}.depth.png"))
+    depth = read_image(stem.with_name(f"{stem.name}.depth.png")).astype(np.uint16)
     color = read_image(stem.with_name(f"{stem.name}.color.jpg"))
     try:
         pose = check_transform(_orthonormal(read_text_table(pose_file)), pose_file.name)
@@ -90,12 +111,15 @@ def _frame(stem: Path, stamp: int, intrinsics: FloatArray, T_map_world: FloatArr
     camera = PinholeCamera(
         width, height, intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     )
+    if color_camera is not None:
+        depth = register_depth(depth, camera, color_camera)
+        camera, pose = color_camera.camera, pose @ color_camera.T_depth_color
     info = CameraInfoRecord(stamp, _FRAME, pinhole_calibration(camera))
     yield "/depth/camera_info", info
     yield "/rgb/camera_info", info
     yield "/camera_pose", PoseRecord(stamp, "map", T_map_world @ pose, _COVARIANCE)
     yield "/rgb/image_rect", image_record(stamp, _FRAME, color)
-    yield "/depth/image_rect", ImageRecord(stamp, _FRAME, depth.astype(np.uint16), "16UC1")
+    yield "/depth/image_rect", ImageRecord(stamp, _FRAME, depth, "16UC1")
 
 
 def _orthonormal(matrix: FloatArray) -> FloatArray:

@@ -130,7 +130,8 @@ class Correction:
     Attributes:
         jacobian: of the values by d, one block per fiducial, shape (M, 3, 3).
         innovation: of the values against the prior, shape (3M,).
-        factor: lower Cholesky factor of the innovation's covariance S, shape (3M, 3M).
+        factor: its lower triangle is the Cholesky factor of the innovation's covariance S, shape
+            (3M, 3M).
         weighted: S^-1 innovation, shape (3M,).
         d: corrected d, shape (3M,) [m].
         theta: corrected theta, shape (3,) [rad].

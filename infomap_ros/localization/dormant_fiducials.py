@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.appearance import find_again
+from infomap_ros.localization.appearance import AppearanceMatches, find_again
 from infomap_ros.localization.patch_alignment import Alignment, align_templates
 from infomap_ros.localization.range_view import RangeView, check_pixels
 from infomap_ros.localization.tracker_config import FiducialTrackerConfig
@@ -16,6 +16,8 @@ from infomap_ros.localization.tracks import Tracks
 
 # Descriptors find a corner near the fiducial, not the fiducial itself [px].
 _DESCRIPTOR_SEARCH = 3
+# Largest difference between the scale that descriptors and ranges tell, as a logarithm.
+_SCALE_TOLERANCE = 0.5
 # A template is not compared at a scale further off than this.
 _LARGEST_SCALE = 3.0
 
@@ -49,8 +51,9 @@ class DormantFiducials:
             The tracks of those found, as of this view, and the sigmas that image noise leaves,
             shape (M,) [px].
         """
+        rows = np.arange(len(self.tracks))
         found = find_again(view, self.tracks.descriptors, config=self.config.appearance)
-        return self._aligned(view, found.indices, found.pixels, _DESCRIPTOR_SEARCH)
+        return self._verified(view, rows, found)
 
     def find_near(
         self, view: RangeView, predicted: Mapping[int, ArrayLike], radius: float
@@ -71,16 +74,30 @@ class DormantFiducials:
             return self._aligned(view, rows, places, int(np.ceil(radius)))
         descriptors = self.tracks.descriptors[rows]
         found = find_again(view, descriptors, places, radius, self.config.appearance)
-        return self._aligned(view, rows[found.indices], found.pixels, _DESCRIPTOR_SEARCH)
+        return self._verified(view, rows, found)
+
+    def _verified(
+        self, view: RangeView, rows: NDArray[np.int64], found: AppearanceMatches
+    ) -> tuple[Tracks, FloatArray]:
+        """Align what descriptors have found, if it is as much nearer or farther as it looks."""
+        rows = rows[found.indices]
+        scale = self._scale(view, rows, found.pixels)
+        fits = ~(np.abs(np.log(scale / found.scales)) > _SCALE_TOLERANCE)
+        return self._aligned(view, rows[fits], found.pixels[fits], _DESCRIPTOR_SEARCH)
+
+    def _scale(self, view: RangeView, rows: NDArray[np.int64], places: FloatArray) -> FloatArray:
+        """How much nearer the camera is now by the ranges, shape (M,); NaN without a range."""
+        inverse = view.inverse_depths(places)[0]
+        near = np.where(inverse > 0.0, inverse, np.nan)
+        return np.asarray(near / self.tracks.inverse_depths[rows])
 
     def _aligned(
         self, view: RangeView, rows: NDArray[np.int64], places: FloatArray, reach: int
     ) -> tuple[Tracks, FloatArray]:
         """Align with the templates, scaled by how much nearer or farther the camera is now."""
         tracks = self.tracks.select(rows)
-        with np.errstate(invalid="ignore"):
-            scale = view.inverse_depths(places)[0] / tracks.inverse_depths
-        scale = np.where(np.isfinite(scale), scale, 1.0)
+        scale = self._scale(view, rows, places)
+        scale = np.where(scale > 0.0, scale, 1.0)
         scale = np.clip(scale, 1.0 / _LARGEST_SCALE, _LARGEST_SCALE)
         search = np.full(len(rows), reach)
         warps = scale[:, None, None] * np.eye(2)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.appearance import describe, find_again
+from infomap_ros.localization.appearance import describe, descriptor_size, find_again
 from infomap_ros.localization.dormant_fiducials import DormantFiducials, believed
 from infomap_ros.localization.observations import FiducialObservations
 from infomap_ros.localization.optical_flow import OpticalFlow
@@ -251,7 +251,6 @@ def _note_ranges(tracks: Tracks, seen: NDArray[np.bool_], inverse_depths: FloatA
 
 def _no_tracks(config: FiducialTrackerConfig) -> Tracks:
     nothing = np.zeros((0, 2))
-    image = np.zeros((config.template, config.template), np.uint8)
     templates = np.zeros((0, config.template, config.template), np.float32)
-    descriptors = describe(image, nothing, config.appearance)
+    descriptors = np.zeros((0, descriptor_size()), np.uint8)
     return new_tracks(np.zeros(0, np.int64), nothing, templates, np.zeros(0), descriptors)

@@ -37,7 +37,7 @@ class Tracks:
     warps: FloatArray
     creep: FloatArray
     inverse_depths: FloatArray
-    descriptors: NDArray[np.generic]
+    descriptors: NDArray[np.uint8]
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -61,7 +61,7 @@ def new_tracks(
     pixels: FloatArray,
     templates: NDArray[np.float32],
     inverse_depths: FloatArray,
-    descriptors: NDArray[np.generic],
+    descriptors: NDArray[np.uint8],
 ) -> Tracks:
     """Tracks of fiducials that were just chosen."""
     count = len(ids)

@@ -27,18 +27,23 @@ FRAME = "left_optical_frame"
 POSE_COVARIANCE = np.diag([1e-5] * 3 + [1e-6] * 3)
 
 
-def write_stereo_bag(path: Path, frames: int = 100) -> Path:
+def write_stereo_bag(
+    path: Path, frames: int = 100, turns: float = 1.0, radius: float = 1.0
+) -> Path:
     """Write the bag unless it is there.
 
     Args:
         path: of the bag.
         frames: number of pairs.
+        turns: how often the camera goes round.
+        radius: of its circle [m].
     """
     if (path / "metadata.yaml").exists():
         return path
     with BagWriter(path, overwrite=True) as writer:
         for index in range(frames):
-            write_pair(writer, START + index * PERIOD, pose_at(index, frames), seed=index)
+            pose = pose_at(turns * index, frames, radius)
+            write_pair(writer, START + index * PERIOD, pose, seed=index)
     return path
 
 
@@ -54,15 +59,15 @@ def write_pair(writer: BagWriter, stamp: int, T_map_left: np.ndarray, seed: int)
     writer.write("/camera_pose", PoseRecord(stamp, "map", T_map_left, POSE_COVARIANCE))
 
 
-def pose_at(index: int, frames: int) -> np.ndarray:
-    """T_map_left on a circle of 1 m radius, looking outwards and a little down."""
+def pose_at(index: float, frames: int, radius: float = 1.0) -> np.ndarray:
+    """T_map_left on a circle of `radius` [m], looking outwards and a little down."""
     angle = 2.0 * np.pi * index / frames
     pitch = 0.2
     forward = [np.cos(angle) * np.cos(pitch), np.sin(angle) * np.cos(pitch), -np.sin(pitch)]
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-    return make_transform(rotation, [np.cos(angle), np.sin(angle), 1.0])
+    return make_transform(rotation, [radius * np.cos(angle), radius * np.sin(angle), 1.0])
 
 
 def calibration_of(offset: float) -> CameraCalibration:

@@ -1,0 +1,168 @@
+"""Trajectory errors of localisation on real and simulated sequences, against baselines.
+
+Every sequence goes through `infomap_ros.replay.localize_run.LocalizeRun` with the default settings;
+the rover's bag with its odometry and from the images alone. The baselines (`odometry_baselines.py`)
+follow the same views from frame to frame without odometry. Errors are those of evo
+(`trajectory_errors.py`) against the sequence's truth. Prints a table and one JSON line.
+
+    python benchmarks/localize_sequences.py [--data FOLDER] [--work FOLDER] [--only NAME ...]
+
+Real sequences are looked for in `--data` (default: INFOMAP_DATA or ../shared/data) and converted
+into bags in `--work`; those that are absent are named and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from odometry_baselines import BASELINES, follow
+from stereo_bag import write_stereo_bag
+from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
+
+from infomap_ros.geometry import PoseRecord
+from infomap_ros.localization.range_view import RangeView
+from infomap_ros.replay.localize_inputs import LocalizeOptions, find_localize_inputs
+from infomap_ros.replay.localize_run import LocalizeRun
+from infomap_ros.replay.range_sources import measure_all
+from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.sequences import convert
+from infomap_ros.replay.settings import with_settings
+from infomap_ros.replay.view_meters import FramedView
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """What is compared.
+
+    Attributes:
+        form: of `infomap convert`; ``loop`` is drawn here, ``bag`` is a bag already.
+        folder: below the data folder, or of the bag below the checkout.
+        truth: topic.
+        delta: length of the pieces over which relative errors are taken [m].
+        settings: other than the defaults.
+    """
+
+    form: str
+    folder: str
+    truth: str
+    delta: float
+    settings: tuple[str, ...] = ()
+
+
+SEQUENCES = {
+    "rover_rocks": Sequence("bag", "bags/rover_rocks", "/ground_truth/camera_pose", 0.5),
+    "rover_rocks, images alone": Sequence(
+        "bag", "bags/rover_rocks", "/ground_truth/camera_pose", 0.5, ("input.motion=none",)
+    ),
+    "room loop": Sequence("loop", "room_loop", "/camera_pose", 0.5),
+    "tumvi_room1": Sequence("kalibr", "tumvi_room1", "/camera_pose", 0.03),
+    "rgbd_kitchen": Sequence("kitchen", "rgbd_kitchen", "/camera_pose", 0.5),
+}
+
+
+def bag_of(sequence: Sequence, data: Path, work: Path) -> Path | None:
+    """The sequence as a bag; None where its data are absent."""
+    if sequence.form == "bag":
+        return ROOT / sequence.folder
+    bag = work / sequence.folder
+    if sequence.form == "loop":
+        return write_stereo_bag(bag, frames=120, turns=1.2, radius=0.6)
+    if not (data / sequence.folder).is_dir():
+        return None
+    if not (bag / "metadata.yaml").exists():
+        convert(sequence.form, data / sequence.folder, bag, overwrite=True)
+    return bag
+
+
+def views_of(bag: BagReader, options: LocalizeOptions) -> Iterator[RangeView]:
+    """The views that localisation sees."""
+    inputs = find_localize_inputs(bag, options)
+    for entry in measure_all(bag.records(inputs.source.topics), inputs.source):
+        if isinstance(entry, FramedView):
+            yield entry.view
+
+
+def compare(path: Path, sequence: Sequence) -> dict[str, dict[str, float]]:
+    """Figures of localisation and of each baseline, by name."""
+    options = with_settings(LocalizeOptions(), sequence.settings)
+    with BagReader(path) as bag:
+        records = [entry.record for entry in bag.records([sequence.truth])]
+        truth = [record for record in records if isinstance(record, PoseRecord)]
+        start = time.perf_counter()
+        run = LocalizeRun(bag, options)
+        run.run()
+        seconds = time.perf_counter() - start
+    total = len(run.localisations)
+    results = {}
+    for name, trajectory in (
+        ("localisation", run.trajectory),
+        ("localisation, corrected", run.corrected_trajectory),
+    ):
+        errors = errors_of(truth, trajectory.stamps.tolist(), trajectory.transforms, sequence.delta)
+        located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}
+        results[name] = asdict(errors) | located
+    for name, motion in BASELINES.items():
+        start = time.perf_counter()
+        with BagReader(path) as bag:
+            stamps, poses, failures = follow(views_of(bag, options), motion)
+        errors = errors_of(truth, stamps, poses, sequence.delta)
+        seconds = time.perf_counter() - start
+        results[name] = asdict(errors) | {
+            "views": len(stamps),
+            "not_located": failures,
+            "seconds": seconds,
+        }
+    return results
+
+
+def errors_of(
+    truth: list[PoseRecord], stamps: list[int], poses: np.ndarray, delta: float
+) -> TrajectoryErrors:
+    known, reference = truth_at(truth, stamps)
+    return trajectory_errors(np.array(stamps)[known], reference, poses[known], delta)
+
+
+def row(name: str, method: str, figures: dict[str, float]) -> str:
+    """One line of the table in docs/localization.md."""
+    return (
+        f"| {name} | {method} | {int(figures['views'])} | {int(figures['not_located'])} "
+        f"| {1e3 * figures['ape']:.1f} | {figures['rpe_percent']:.2f} "
+        f"| {figures['rpe_degrees']:.2f} | {1e3 * figures['frame_rpe']:.2f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    default = os.environ.get("INFOMAP_DATA", str(ROOT.parent / "shared" / "data"))
+    parser.add_argument("--data", type=Path, default=Path(default))
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
+    parser.add_argument("--only", nargs="*", default=list(SEQUENCES), choices=list(SEQUENCES))
+    arguments = parser.parse_args()
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    print(
+        "| sequence | method | views | not located | APE [mm] | RPE [%] | RPE [deg] | frame [mm] |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    results: dict[str, object] = {}
+    for name in arguments.only:
+        bag = bag_of(SEQUENCES[name], arguments.data, arguments.work)
+        if bag is None:
+            print(f"| {name} | absent | | | | | | |")
+            continue
+        results[name] = compared = compare(bag, SEQUENCES[name])
+        for method, figures in compared.items():
+            print(row(name, method, figures), flush=True)
+    print(json.dumps({"benchmark": "localize_sequences", "results": results}))
+
+
+if __name__ == "__main__":
+    main()

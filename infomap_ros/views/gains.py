@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.views.codes import CodeBook
 from infomap_ros.views.field import VisibleField, visible_field
 from infomap_ros.views.information_config import InformationConfig
@@ -60,16 +61,21 @@ def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> Gain
         max_range: [m].
         config: of the sensor.
     """
-    reach = max_range / m.config.voxel_size
+    return _gain_table(m.config, max_range, config)
+
+
+@lru_cache(maxsize=16)
+def _gain_table(grid: VoxelMapConfig, max_range: float, config: InformationConfig) -> GainTable:
+    reach = max_range / grid.voxel_size
     steps = max(math.ceil(reach * (_STEPS_IN_PLANE if config.planar else 1)), _LEAST_STEPS)
     edges = np.linspace(0.0, reach, steps + 1)
-    middle = 0.5 * (edges[:-1] + edges[1:]) * m.config.voxel_size
+    middle = 0.5 * (edges[:-1] + edges[1:]) * grid.voxel_size
     book = code_book(config)
     p = book.probabilities()
-    bits = voxel_bits(p, middle[:, None], m.config, config)
+    bits = voxel_bits(p, middle[:, None], grid, config)
     bits[:, (p == 0.0) | (p == 1.0)] = 0.0
     bits[:, book.known()] *= config.known_weight
-    bits += surface_bits(book.sigmas(), middle[:, None], m.config, config)
+    bits += surface_bits(book.sigmas(), middle[:, None], grid, config)
     bits[middle < config.min_range] = 0.0
     gains = bits * shell_volumes(edges, config.planar)[:, None]
     before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])

@@ -119,8 +119,8 @@ class _Search:
         self._safe = 1.0 - ratings.terms["risk"][chosen]
         self._ratings = ratings.ratings[chosen]
         self._first = ratings.terms["distance"][chosen]
-        self._between = _distances(options, ratings, chosen)
-        self._places, self._gains, self._size = _shared_voxels(options, chosen)
+        self._between = distances_between(options, ratings, chosen)
+        self._places, self._gains, self._size = shared_voxels(options, chosen)
 
     def run(self) -> Scores:
         """Worth of every view, and the followers of those that were looked into."""
@@ -173,7 +173,7 @@ class _Sequence:
     way: float
 
 
-def _distances(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
+def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
     """Distance of eq. (10) from each of the chosen views to each, shape (K, K)."""
     config, poses = ratings.config, options.poses[chosen]
     distance = Distance(config.position_weights, config.rotation_weights)
@@ -184,7 +184,7 @@ def _distances(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArr
     return np.array(rows).reshape(len(poses), len(poses))
 
 
-def _shared_voxels(
+def shared_voxels(
     options: Options, chosen: IntArray
 ) -> tuple[list[IntArray], list[FloatArray], int]:
     """What voxels each view informs: their places in an array, and by how much.

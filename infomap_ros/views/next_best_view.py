@@ -24,6 +24,7 @@ from infomap_ros.views.surroundings import Surroundings
 from infomap_ros.views.survey import SurroundingsConfig, horizons, survey
 from infomap_ros.views.terms import RatingTerm
 from infomap_ros.views.view_information import ExpectedInformation
+from infomap_ros.views.view_tour import ViewTourConfig
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class NextBestViewConfig:
     rating: RatingConfig = field(default_factory=RatingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     look_ahead: LookAheadConfig = field(default_factory=LookAheadConfig)
+    view_tour: ViewTourConfig = field(default_factory=ViewTourConfig)
 
 
 class NextBestView:
@@ -65,7 +67,7 @@ class NextBestView:
         self.config = config or NextBestViewConfig()
         if isinstance(strategy, str):
             self.strategy_name = strategy
-            self._strategy = make_strategy(strategy, self.config.look_ahead)
+            self._strategy = make_strategy(strategy, self.config.look_ahead, self.config.view_tour)
         else:
             self.strategy_name, self._strategy = type(strategy).__name__, strategy
         self._information = information or ExpectedInformation()

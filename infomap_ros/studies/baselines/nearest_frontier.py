@@ -18,6 +18,7 @@ from infomap_ros.views.strategy import Scores
 from infomap_ros.views.surroundings import Surroundings
 
 _TURNS = 12
+_NOTHING = 0.002  # a view that tells less shows nothing of a frontier [full views]
 
 
 class NearestFrontier:
@@ -42,8 +43,12 @@ class NearestFrontier:
         return self._proposed
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
-        """Minus the way to the frontier [m]; of directions at one place, by information."""
+        """Minus the way to the frontier [m]; of directions at one place, by information.
+
+        Views that tell nothing, or were taken in vain, come last.
+        """
         places = places_of(options, self._proposed)
-        lengths = options.path_lengths[places]
-        values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * ratings.shares[places]
+        told = ratings.shares[places]
+        lengths = np.where(told > _NOTHING, options.path_lengths[places], np.inf)
+        values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * told
         return Scores(scores_of(options, places, values, ratings.ratings))

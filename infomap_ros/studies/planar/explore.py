@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -14,7 +14,13 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views import ExpectedInformation, NextBestView, RegionOfTask, Situation
+from infomap_ros.views import (
+    ExpectedInformation,
+    NextBestView,
+    RegionOfTask,
+    Situation,
+    Teammate,
+)
 from infomap_ros.views.flight import FreeFlight
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
@@ -49,6 +55,7 @@ class Exploration:
         distance: moved until then [m].
         seconds: that the choice of the view took [s]; 0 for the first.
         corners: of the way flown, shape (N, 2) [m].
+        views: place [m] and azimuth [rad] of each scan, shape (K, 3).
         ended: why it ended: all scans are taken, enough is mapped, or what the choice says.
     """
 
@@ -56,6 +63,7 @@ class Exploration:
     distance: FloatArray
     seconds: FloatArray
     corners: FloatArray
+    views: FloatArray
     ended: str
 
 
@@ -67,7 +75,7 @@ class PlanarExplorer:
         config: sensor and seed.
         strategy: name of a strategy, dotted path of a class, or a strategy.
         choice: configuration of the choice; that of the studies by default.
-        voxel_map: to choose by; an own map by default. See `see`.
+        start: where it begins, shape (2,) [m]; the world's start by default.
     """
 
     def __init__(
@@ -97,8 +105,19 @@ class PlanarExplorer:
         take_scan(self.world.truth, self.config.sensor, self.pose, self.map)
         self.past.append(self.pose)
 
-    def situation(self, voxel_map: VoxelMap) -> Situation:
-        """What is known, by a map that may hold more than the own scans."""
+    def views(self) -> FloatArray:
+        """Place [m] and azimuth [rad] of the scans so far, shape (K, 3)."""
+        poses = np.array(self.past)
+        azimuths = np.arctan2(poses[:, 1, 2], poses[:, 0, 2])
+        return np.column_stack([poses[:, :2, 3], azimuths])
+
+    def situation(self, voxel_map: VoxelMap, teammates: Sequence[Teammate] = ()) -> Situation:
+        """What is known, by a map that may hold more than the own scans.
+
+        Args:
+            voxel_map: to choose by; the own one, or that of a team.
+            teammates: other sensors.
+        """
         cell, size = self.world.cell, self.world.size
         return Situation(
             voxel_map,
@@ -109,6 +128,7 @@ class PlanarExplorer:
             views_so_far=len(self.past),
             past_views=np.array(self.past),
             heights=(0.25 * cell, 0.75 * cell),
+            teammates=teammates,
         )
 
     def move(self, situation: Situation) -> tuple[FloatArray | None, str]:
@@ -165,4 +185,5 @@ def explore(
             break
         way.append(corners[1:])
     fraction, distance, times = np.array(rows).T
-    return Exploration(fraction, distance, times, np.concatenate(way)[:, :2], ended)
+    corners_flown = np.concatenate(way)[:, :2]
+    return Exploration(fraction, distance, times, corners_flown, sensor.views(), ended)

@@ -9,20 +9,26 @@ from infomap_ros.views.orientations import OrientationConfig
 from infomap_ros.views.rating import RatingConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.survey import SurroundingsConfig
+from infomap_ros.views.view_tour import ViewTourConfig
 
 
-def planar_choice(max_range: float, cell: float) -> NextBestViewConfig:
+def planar_choice(max_range: float, cell: float, candidates: int = 400) -> NextBestViewConfig:
     """The choice for a sensor of this range [m] in a world with cells of this edge [m].
 
     The sensor has no body, no noise and knows its pose, so that neither room, margins nor the
     localisation error count. All of the world is searched at once.
+
+    Args:
+        max_range: see above.
+        cell: see above.
+        candidates: number of candidate views.
     """
     return NextBestViewConfig(
         surroundings=SurroundingsConfig(
             surface_margin=0, camera_radius=0.0, start_radius=cell, horizon=1000.0, cell=cell
         ),
         candidates=CandidateConfig(
-            candidates=600, local_radius=max_range, teammate_clearance=max_range
+            candidates=candidates, local_radius=max_range, teammate_clearance=max_range
         ),
         orientations=OrientationConfig(
             directed=3, spread=1, lowest_elevation=0.0, highest_elevation=0.0
@@ -38,4 +44,5 @@ def planar_choice(max_range: float, cell: float) -> NextBestViewConfig:
             cost_of_view=0.2 * max_range,
             unlike_distance=0.15 * max_range,
         ),
+        view_tour=ViewTourConfig(patience=6.0 * max_range, cost_of_view=0.05 * max_range),
     )

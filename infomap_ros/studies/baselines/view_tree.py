@@ -1,0 +1,79 @@
+"""The receding-horizon next-best-view planner.
+
+A. Bircher, M. Kamel, K. Alexis, H. Oleynikova, R. Siegwart, "Receding Horizon 'Next-Best-View'
+Planner for 3D Exploration", ICRA 2016, doi:10.1109/ICRA.2016.7487281.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.studies.baselines.frontiers import level_views
+from infomap_ros.studies.baselines.proposals import places_of, scores_of
+from infomap_ros.studies.baselines.tree import Tree, grow_tree
+from infomap_ros.views.options import Options
+from infomap_ros.views.rating import Ratings
+from infomap_ros.views.situation import Situation
+from infomap_ros.views.strategy import Scores
+from infomap_ros.views.surroundings import Surroundings
+
+_NODES, _MORE_NODES = 100, 400
+_EDGE = 0.5  # [ranges]
+_DECAY = 2.5  # of the gain over one range of way: 0.5 per metre and 5 m of range in the paper
+_NOTHING = 0.01  # a best branch of less gives rise to a larger tree [full views]
+
+
+class ViewTree:
+    """Takes the first view of the best branch of a random tree of views.
+
+    The gain of a node is that of its parent plus the information of its view times exp(-lambda c),
+    c the way from the root; eq. (1) of the paper. The rest of the best branch begins the next tree.
+    """
+
+    needs_worth = False
+
+    def __init__(self) -> None:
+        self._tree = Tree(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0))
+        self._azimuths = np.empty(0)
+        self._kept, self._kept_azimuths = np.empty((0, 3)), np.empty(0)
+        self._values = np.empty(0)
+        self._nodes = _NODES
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """A view in a random direction from every node."""
+        edge = _EDGE * situation.max_range
+        self._tree = grow_tree(situation, surroundings, rng, self._nodes, edge, kept=self._kept)
+        azimuths = rng.uniform(-np.pi, np.pi, len(self._tree.places))
+        again = min(len(self._kept), len(azimuths) - 1)
+        same = np.all(self._tree.places[1 : again + 1] == self._kept[:again], axis=1)
+        azimuths[1 : again + 1][same] = self._kept_azimuths[:again][same]
+        self._azimuths = azimuths
+        return level_views(self._tree.places, azimuths)
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """1 for the first view of the best branch, 0 for the rest of the tree."""
+        places = places_of(options, level_views(self._tree.places, self._azimuths))
+        if not options.fine:
+            self._plan(options, ratings, places)
+        return Scores(scores_of(options, places, self._values, ratings.ratings))
+
+    def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> None:
+        tree, found = self._tree, places >= 0
+        told = np.where(found, ratings.shares[places], 0.0)
+        told *= np.exp(-_DECAY * tree.lengths / options.situation.max_range)
+        gains = np.zeros(len(told))
+        for node in range(len(told)):
+            parent = tree.parents[node]
+            gains[node] = told[node] + (gains[parent] if parent >= 0 else 0.0)
+        best = int(gains.argmax())
+        branch = tree.branch(best)
+        self._nodes = _NODES if gains[best] > _NOTHING else _MORE_NODES
+        self._values = np.full(len(told), -1e7)
+        if gains[best] > 0.0 and found[branch[0]]:
+            self._values = np.zeros(len(told))
+            self._values[branch[0]] = 1.0
+        self._kept, self._kept_azimuths = tree.places[branch[1:]], self._azimuths[branch[1:]]

@@ -1,0 +1,112 @@
+"""``infomap study planar`` and ``infomap study two``."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+
+from infomap_ros.errors import InfomapError, InvalidInputError
+from infomap_ros.studies.planar import report
+from infomap_ros.studies.planar.planar_study import PlanarStudyConfig, quick, tasks_of
+from infomap_ros.studies.planar.tasks import run_tasks
+
+Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
+Quick = Annotated[bool, typer.Option("--quick", help="a small study, in less than a minute")]
+Jobs = Annotated[int, typer.Option(help="processes; 0 for one per core")]
+FloorPlans = Annotated[
+    Path | None, typer.Option(help="folder with ROS maps (.yaml) to explore besides")
+]
+Strategies = Annotated[
+    str,
+    typer.Option(help="names or dotted paths of classes, with commas; the study's own if empty"),
+]
+DrawOnly = Annotated[bool, typer.Option("--draw-only", help="compute nothing, use what is there")]
+
+
+def planar(
+    out: Out,
+    worlds: Annotated[int, typer.Option(help="of each kind")] = PlanarStudyConfig.worlds,
+    seed: Annotated[int, typer.Option(help="of the first world")] = PlanarStudyConfig.seed,
+    strategies: Strategies = "",
+    scans: Annotated[int, typer.Option(help="of the figures")] = PlanarStudyConfig.scans,
+    cell: Annotated[float, typer.Option(help="edge of a cell [m]")] = PlanarStudyConfig.cell,
+    floor_plans: FloorPlans = None,
+    jobs: Jobs = 0,
+    is_quick: Quick = False,
+    draw_only: DrawOnly = False,
+) -> None:
+    """Figs. 10, 11, 13, 14: one sensor in planar worlds, many strategies.
+
+    What is done is kept in OUT/runs, and not done again when the command is repeated.
+    """
+    sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
+    with _refusals():
+        config = replace(PlanarStudyConfig(), worlds=worlds, seed=seed, scans=scans, cell=cell)
+        if strategies:
+            config = replace(config, strategies=tuple(strategies.split(",")))
+        if is_quick:
+            given = config.strategies if strategies else None
+            config = quick(config)
+            config = replace(config, strategies=given) if given else config
+        tasks = tasks_of(config, _plans_in(floor_plans))
+        start = time.monotonic()
+        with _progress("explorations", len(tasks)) as advance:
+            records = run_tasks(
+                tasks, out / "runs", jobs or os.cpu_count() or 1, advance, compute=not draw_only
+            )
+    rows = report.rows_of(records, config)
+    report.write_csv(rows, out / "planar.csv")
+    report.write_curves(records, out / "planar_curves.csv")
+    report.draw_figures(records, config, out)
+    tables = report.overview(rows, config) + "\n" + report.comparisons(rows, config)
+    (out / "planar.md").write_text(tables, encoding="utf-8")
+    _finish(tables, report.summary(rows, time.monotonic() - start), out)
+
+
+def _finish(tables: str, figures: dict[str, float | str], out: Path) -> None:
+    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
+    typer.echo(tables)
+    typer.echo(json.dumps(figures))
+
+
+def _plans_in(folder: Path | None) -> Sequence[Path]:
+    """The floor plans of a folder.
+
+    Raises:
+        InvalidInputError: there are none.
+    """
+    if folder is None:
+        return ()
+    found = sorted(folder.glob("*.yaml"))
+    if not found:
+        raise InvalidInputError("floor plans", f"no .yaml file in {folder}")
+    return found
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """One clear line instead of a traceback for what the library refuses."""
+    try:
+        yield
+    except InfomapError as error:
+        typer.echo(f"infomap study: {error}", err=True)
+        raise typer.Exit(1) from error
+
+
+@contextmanager
+def _progress(name: str, total: int) -> Iterator[Callable[[int], None]]:
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=total)
+        yield lambda done: bar.update(task, completed=done)

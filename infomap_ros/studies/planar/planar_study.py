@@ -1,0 +1,228 @@
+"""Figs. 10, 11, 13 and 14, with more worlds and beside baselines: what is run, and what it says.
+
+infomap study planar --out DIR
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.studies.planar.explore import ExplorationConfig
+from infomap_ros.studies.planar.measures import (
+    Band,
+    area_under_coverage,
+    band,
+    distance_to,
+    savings,
+)
+from infomap_ros.studies.planar.sensor import SensorConfig
+from infomap_ros.studies.planar.tasks import Record, Task, WorldName
+
+PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
+"""The five strategies of the paper."""
+
+_HERE = "infomap_ros.studies.baselines"
+BASELINES = (
+    f"{_HERE}.nearest_frontier.NearestFrontier",
+    f"{_HERE}.frontier_tour.FrontierTour",
+    f"{_HERE}.view_tree.ViewTree",
+    f"{_HERE}.autonomous.AutonomousExploration",
+)
+"""What the package's strategies are compared with, by dotted path."""
+
+OWN = ("largest_information", "look_ahead")
+
+
+@dataclass(frozen=True)
+class PlanarStudyConfig:
+    """Size of the study.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
+    worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
+    seed: int = parameter(0, "Of the first world of each kind.", low=0)
+    strategies: tuple[str, ...] = parameter(
+        (*PAPER, "look_ahead", *BASELINES), "Names of strategies, or dotted paths of classes."
+    )
+    scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
+    most_scans: int = parameter(
+        500,
+        "So many scans the strategies that are compared by the distance to `share` may take; the "
+        "other four of the paper stop after `scans`.",
+        low=2,
+        high=10_000,
+    )
+    share: float = parameter(
+        0.9, "Share of a world to which distances are compared.", low=0.01, high=1.0
+    )
+    reach: float = parameter(
+        1000.0,
+        "Coverage is averaged over so much way.",
+        unit="m",
+        low=1.0,
+        high=1e6,
+    )
+    cell: float = parameter(
+        0.5, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
+    )
+    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
+    """A study of the same form that takes less than a minute."""
+    return replace(
+        config,
+        worlds=min(config.worlds, 1),
+        kinds=config.kinds[:1],
+        strategies=("random", "largest_information", "look_ahead"),
+        scans=12,
+        most_scans=15,
+        cell=1.0,
+        candidates=120,
+    )
+
+
+def tasks_of(config: PlanarStudyConfig, floor_plans: Sequence[Path] = ()) -> list[Task]:
+    """All explorations, world by world and of each kind in turn."""
+    worlds = [WorldName("fig10", config.seed, cell=config.cell)]
+    for number in range(config.worlds):
+        seed = config.seed + number
+        worlds += [WorldName(kind, seed, cell=config.cell) for kind in config.kinds]
+        if number == 0:
+            worlds += [WorldName("floor plans", 0, str(path), config.cell) for path in floor_plans]
+    return [_task(world, strategy, config) for world in worlds for strategy in config.strategies]
+
+
+def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
+    stops = strategy in PAPER and strategy not in OWN
+    exploration = ExplorationConfig(
+        scans=config.scans if stops else config.most_scans,
+        enough=config.share,
+        seed=world.seed,
+        sensor=config.sensor,
+    )
+    return Task(world, strategy, exploration, config.candidates)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one exploration.
+
+    Attributes:
+        world: its name.
+        kind: of the world.
+        strategy: label.
+        scans: taken.
+        fraction: mapped after the scans of the figures.
+        fraction_end: mapped at the end.
+        area: mean fraction mapped over the first `reach` metres.
+        distance: moved until the end [m].
+        distance_to_share: moved until `share` was mapped [m]; inf where it never was.
+        seconds: of the choice of a view, mean [s].
+        seconds_most: the longest [s].
+    """
+
+    world: str
+    kind: str
+    strategy: str
+    scans: int
+    fraction: float
+    fraction_end: float
+    area: float
+    distance: float
+    distance_to_share: float
+    seconds: float
+    seconds_most: float
+
+
+def row_of(record: Record, config: PlanarStudyConfig) -> Row:
+    """Figures of one record."""
+    task, result = record.task, record.result
+    last = min(config.scans, len(result.fraction)) - 1
+    chosen = result.seconds[1:]
+    return Row(
+        str(task.world),
+        task.world.kind,
+        task.label,
+        len(result.fraction),
+        float(result.fraction[last]),
+        float(result.fraction[-1]),
+        area_under_coverage(result.distance[: last + 1], result.fraction[: last + 1], config.reach),
+        float(result.distance[-1]),
+        distance_to(result.distance, result.fraction, config.share),
+        float(chosen.mean()) if len(chosen) else 0.0,
+        float(chosen.max(initial=0.0)),
+    )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One strategy against another over the worlds that both have explored.
+
+    Attributes:
+        kind: of the worlds, or "all".
+        own: label.
+        other: label.
+        area: difference of the areas under the coverage curve.
+        saved: share of the distance to `share` that is saved.
+        bounds: worlds in which the other did not get so far; its whole way counts there, so that
+            what is saved is at least this.
+        failed: worlds in which the own strategy did not get so far; they do not count in `saved`.
+    """
+
+    kind: str
+    own: str
+    other: str
+    area: Band
+    saved: Band
+    bounds: int
+    failed: int
+
+
+def compare(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> Comparison:
+    """Compare two strategies, paired over worlds."""
+    by_world: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if kind in ("all", row.kind):
+            by_world.setdefault(row.world, {})[row.strategy] = row
+    pairs = [(w[own], w[other]) for w in by_world.values() if own in w and other in w]
+    areas = np.array([mine.area - theirs.area for mine, theirs in pairs])
+    arrived = [(a, b) for a, b in pairs if np.isfinite(a.distance_to_share)]
+    mine = np.array([a.distance_to_share for a, _ in arrived])
+    theirs = np.array([_way(b) for _, b in arrived])
+    bounds = sum(not np.isfinite(b.distance_to_share) for _, b in arrived)
+    saved = band(savings(mine, theirs)) if len(mine) else band(np.empty(0))
+    return Comparison(kind, own, other, band(areas), saved, bounds, len(pairs) - len(arrived))
+
+
+def _way(row: Row) -> float:
+    return row.distance_to_share if np.isfinite(row.distance_to_share) else row.distance
+
+
+def kinds_in(rows: Sequence[Row]) -> list[str]:
+    """Kinds of worlds in order of appearance."""
+    return list(dict.fromkeys(row.kind for row in rows))
+
+
+def values_of(rows: Sequence[Row], strategy: str, name: str, kind: str = "all") -> FloatArray:
+    """One figure of a strategy in all worlds of a kind, shape (n,)."""
+    return np.array(
+        [
+            float(getattr(row, name))
+            for row in rows
+            if row.strategy == strategy and kind in ("all", row.kind)
+        ]
+    )

@@ -128,6 +128,10 @@ class Localizer:
         """The kept poses as they are known now."""
         return self._filter.kept_poses()
 
+    def forget_keyframes(self) -> None:
+        """Forget the kept poses, as when the clock that they were stamped by is no more."""
+        self._filter.forget_poses(self._filter.kept_poses().stamps)
+
     def fiducials(self) -> Fiducials:
         """The scene's fiducials as they are known now."""
         return self._filter.fiducials()

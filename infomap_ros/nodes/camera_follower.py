@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.localization.filter_records import Fiducials, KeptPoses
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.motion_prior import KinematicMotion, RobotPosture
 from infomap_ros.localization.range_view import RangeView
 from infomap_ros.localization.target import TargetDetector
+from infomap_ros.nodes.saved_localisation import SavedLocalisation
 from infomap_ros.replay.localize_run import looking_along_x
 
 _LEAST_SIGMA = 1e-4
@@ -45,28 +47,54 @@ class CameraFollower:
         self._localizer: Localizer | None = None
         self._camera: PinholeCamera | None = None
         self._posture: RobotPosture | None = None
+        self._saved: SavedLocalisation | None = None
 
-    def follow(self, view: RangeView, posture: RobotPosture | None) -> Localisation:
+    def follow(
+        self,
+        view: RangeView,
+        posture: RobotPosture | None,
+        body: Sequence[PlacedSolid] = (),
+    ) -> Localisation:
         """Locate the camera.
 
         Args:
             view: later than those before.
             posture: of the robot at that time, None where it is not known.
+            body: of the robot, placed in the camera's frame.
 
         Raises:
             InvalidInputError: the view is not later than those before.
+            MapFileError: what was saved does not fit; it is given up.
         """
         if self._localizer is None or view.camera != self._camera:
-            self._localizer = self._begin(view.camera, posture)
+            self._begin(view, posture)
+        assert self._localizer is not None
         before, self._posture = self._posture, posture
         prior = None
         if before is not None and posture is not None:
             prior = self._config.motion.between(before, posture)
-        return self._localizer.locate(view, prior)
+        return self._localizer.locate(view, prior, body=body)
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""
-        self._localizer = self._posture = None
+        self._localizer = self._posture = self._saved = None
+
+    def lose_track(self) -> None:
+        """Keep the map; where the camera is in it has to be found out."""
+        saved = self.saved()
+        self.reset()
+        self._saved = saved.without_pose() if saved is not None else None
+
+    def saved(self) -> SavedLocalisation | None:
+        """What is known, for a file; None before the first view."""
+        if self._localizer is None:
+            return self._saved
+        return SavedLocalisation(self._localizer.state(), self._posture)
+
+    def resume(self, saved: SavedLocalisation) -> None:
+        """Go on from what was saved, with the next view."""
+        self.reset()
+        self._saved = saved
 
     def keyframes(self) -> KeptPoses | None:
         """The kept poses as they are known now, None before the first view."""
@@ -76,7 +104,19 @@ class CameraFollower:
         """The scene's fiducials as they are known now, None before the first view."""
         return None if self._localizer is None else self._localizer.fiducials()
 
-    def _begin(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
+    def _begin(self, view: RangeView, posture: RobotPosture | None) -> None:
+        """Make a localizer for a camera; it goes on from what was saved, if anything was."""
+        self._localizer, self._posture = self._make(view.camera, posture), None
+        self._camera = view.camera
+        saved, self._saved = self._saved, None
+        if saved is None:
+            return
+        if saved.stamp >= view.stamp:
+            saved = saved.without_pose()
+        saved.resume(self._localizer)
+        self._posture = saved.posture
+
+    def _make(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
         """A localizer whose map is the target's frame, or odometry's, or level by assumption."""
         start, sigmas = looking_along_x(self._config.start_tilt), [_LEAST_SIGMA] * 6
         if posture is not None:
@@ -84,5 +124,4 @@ class CameraFollower:
             sigmas = [kinematics.kinematics_position_sigma] * 3
             sigmas += [kinematics.kinematics_rotation_sigma] * 3
         covariance = np.diag(np.square(sigmas))
-        self._camera, self._posture = camera, None
         return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)

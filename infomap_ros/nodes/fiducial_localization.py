@@ -4,43 +4,44 @@ There is one pose for every pair of images whose camera is located, with the pai
 is not located there is none: the node says that it is lost, or still searching for the target, and
 why, on /diagnostics and in its log.
 
-Callbacks only receive and pair; a pair waits until odometry and joints are known at its stamp, and
-goes to the worker thread, which locates the camera and publishes. Where odometry does not come in
-time the pair is used without it.
+Callbacks only receive and pair; a pair waits until odometry and joints are known at its stamp
+(`infomap_ros.nodes.view_gate`) and goes to the worker thread, which locates the camera and
+publishes. Another thread writes what is known to a file, so that a node that is killed goes on in
+the same map.
 
 When the clock jumps back (a bag that loops), everything is forgotten and the map begins anew, at
-the target where there is one.
+the target where there is one. With `resume` the map is kept, and the camera has to be found in it.
 """
 
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+from rclpy.clock import Clock, ClockType
 
-from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import KinematicMotion, RobotPosture
+from infomap_ros.localization.motion_prior import KinematicMotion
 from infomap_ros.localization.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.target_config import TargetConfig, make_detector
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.camera_follower import CameraFollower, CameraFollowerConfig
-from infomap_ros.nodes.image_inputs import CLOCK_JUMP, ImageInputs, Images, Infos
-from infomap_ros.nodes.localization_news import FiducialLocalizationConfig, LocalizationNews
+from infomap_ros.nodes.image_inputs import ImageInputs
+from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.localization_news import LocalizationNews
 from infomap_ros.nodes.localization_warm_up import warm_up
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.orders import offer_order
-from infomap_ros.nodes.posture_listener import PostureListener
 from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.saved_localisation import SavedLocalisation
+from infomap_ros.nodes.view_gate import Look, ViewGate
 from infomap_ros.nodes.view_sources import ViewSource
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-
-_Pair = tuple[Images, Infos]
 
 
 class FiducialLocalizationNode(MonitoredNode):
@@ -64,24 +65,21 @@ class FiducialLocalizationNode(MonitoredNode):
         super().__init__("fiducial_localization", **node_arguments)
         reserve_heap(self.config(MemoryConfig))
         config = self._config = self.config(FiducialLocalizationConfig)
+        self._path = Path(config.state_file).absolute() if config.state_file else None
         self._source, self._follower = self._make_source(), self._make_follower()
         warm_up()
         self.get_logger().info("kernels ready")
         self._news = LocalizationNews(self, self._follower)
-        self._newest, self._has_begun = 0, False
-        self._without_motion: list[tuple[int, _Pair]] = []
-        self._waiting: WaitingQueue[_Pair] = WaitingQueue(
-            self._odometry_at, self.config(WaitingQueueConfig), self._on_no_odometry
-        )
         self._worker = self.start_worker(config.queue_size)
-        self._postures = None
-        if config.motion != "none":
-            required = config.motion == "odometry"
-            self._postures = PostureListener(self, self._hand_over, required=required)
+        self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
         topics = self._source.image_topics, self._source.info_topics
         waiting = config.pairing_tolerance, config.queue_size
-        self._inputs = ImageInputs(self, *topics, self._on_images, *waiting)
+        self._inputs = ImageInputs(self, *topics, self._gate.add, *waiting)
         offer_order(self, "~/reset", self._worker, self._reset)
+        if self._path is not None:
+            self._writer = self.start_worker(1)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(config.save_period, self._save_when_idle, clock=steady)
 
     def _make_source(self) -> ViewSource:
         if self._config.source == "depth":
@@ -93,75 +91,55 @@ class FiducialLocalizationNode(MonitoredNode):
         motion = KinematicMotion(self.config(DeadReckoningConfig))
         detector = make_detector(self.config(TargetConfig))
         localizer, tilt = self.config(LocalizerConfig), self._config.start_tilt
-        return CameraFollower(CameraFollowerConfig(localizer, motion, detector, tilt))
+        follower = CameraFollower(CameraFollowerConfig(localizer, motion, detector, tilt))
+        if self._path is not None and self._config.resume and self._path.exists():
+            follower.resume(SavedLocalisation.load(self._path))
+            self.get_logger().info(f"going on in the map of {self._path}")
+        return follower
 
-    def _on_images(self, images: Images, infos: Infos) -> None:
-        stamp = images[0].stamp
-        if stamp < self._newest - CLOCK_JUMP:
-            self.get_logger().warning("time went backwards: the map begins anew")
-            self._waiting.drop_all("time went backwards")
-            self._worker.submit_always(self._follower.reset)
-            self._newest, self._has_begun = 0, False
-        self._newest = max(self._newest, stamp)
-        if self._postures is not None:
-            self._postures.look_from(images[0].frame_id)
-        self._waiting.push(stamp, (images, infos))
-        self._hand_over()
+    def _on_look(self, look: Look) -> None:
+        self._worker.submit(partial(self._work, look))
 
-    def _odometry_at(self, stamp: int) -> PoseRecord:
-        """Whether the robot's posture is known at a time [ns]; see `WaitingQueue`."""
-        posture = self._posture_at(stamp)
-        return PoseRecord(stamp, "", posture.T_odom_camera if posture else np.eye(4))
+    def _on_clock_jump(self) -> None:
+        follower = self._follower
+        again = follower.lose_track if self._config.resume else follower.reset
+        self._worker.submit_always(again)
 
-    def _posture_at(self, stamp: int) -> RobotPosture | None:
-        """The robot's posture at a time [ns], None where nobody tells it.
+    def _work(self, look: Look) -> None:
+        self.guard(self._source.image_topics[0], partial(self._locate, look))
 
-        Raises:
-            PoseUnavailableError: it is not known for that time.
-        """
-        if self._postures is None or not self._wants_odometry:
-            return None
-        return self._postures.posture(stamp)
-
-    @property
-    def _wants_odometry(self) -> bool:
-        """Whether the map has to begin with odometry."""
-        if self._postures is None or self._config.motion == "odometry":
-            return self._postures is not None
-        return self._postures.is_offered
-
-    def _on_no_odometry(self, pair: _Pair, reason: str) -> None:
-        """Go on without odometry, but do not begin without it where it is wanted."""
-        if reason == "time went backwards":
-            self.drop(reason)
-        elif self._wants_odometry and not self._has_begun:
-            self.drop("no odometry or joints at the stamp", reason)
-        else:
-            self._without_motion.append((pair[0][0].stamp, pair))
-
-    def _hand_over(self) -> None:
-        """Give the worker the pairs that need not wait any longer, in the order of time."""
-        ready = [(pose.stamp, pair) for pair, pose in self._waiting.take()]
-        without, self._without_motion = self._without_motion, []
-        for stamp, pair in sorted([*ready, *without], key=lambda entry: entry[0]):
-            posture = None if (stamp, pair) in without else self._posture_at(stamp)
-            self._has_begun = True
-            frame = self._postures.odom_frame if self._postures is not None else ""
-            self._worker.submit(partial(self._work, pair, posture, frame))
-
-    def _work(self, pair: _Pair, posture: RobotPosture | None, odom_frame: str) -> None:
-        topic = self._source.image_topics[0]
-        self.guard(topic, partial(self._locate, pair, posture, odom_frame))
-
-    def _locate(self, pair: _Pair, posture: RobotPosture | None, odom_frame: str) -> None:
+    def _locate(self, look: Look) -> None:
         """One pair: look, locate, publish."""
-        framed = self._source.view(*pair)
-        result = self._follower.follow(framed.view, posture)
-        self._news.tell(result, framed.frame_id, posture, odom_frame)
+        framed = self._source.view(look.images, look.infos)
+        result = self._follower.follow(framed.view, look.posture, look.body)
+        self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
 
     def _reset(self) -> str:
         self._follower.reset()
         return "the next images begin the map anew"
+
+    def _save_when_idle(self) -> None:
+        """Copy what is known, between two looks, and have it written."""
+
+        def copy() -> None:
+            if (saved := self._follower.saved()) is not None:
+                self._writer.submit(partial(self._save, saved))
+
+        if not self._writer.waiting:
+            self._worker.submit_always(copy)
+
+    def _save(self, saved: SavedLocalisation) -> None:
+        if self._path is not None:
+            self.guard("state_file", partial(saved.save, self._path))
+
+    def destroy_node(self) -> None:
+        """Stop the workers, save once more, and end."""
+        self._worker.stop()
+        if self._path is not None:
+            self._writer.stop()
+            if (saved := self._follower.saved()) is not None:
+                self._save(saved)
+        super().destroy_node()
 
 
 def main() -> int:

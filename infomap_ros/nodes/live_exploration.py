@@ -14,6 +14,7 @@ from infomap_ros.nodes.simulated_localisation import IMAGE_RATE, simulated_local
 from infomap_ros.replay.map_files import MAP_FILE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
+LOCALISATION_FILE = "localisation.infomap"
 _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
@@ -59,6 +60,8 @@ class LiveExploration(LiveGraph):
             "fiducial_localization": {
                 "rectify": True,
                 "motion": "odometry",
+                "state_file": out / LOCALISATION_FILE,
+                "resume": True,
                 **simulated_localisation(),
                 **reliable_inputs((*_IMAGES, "odom", "joint_states")),
             },

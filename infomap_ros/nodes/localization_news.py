@@ -3,82 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.filter_records import KeptPoses
 from infomap_ros.localization.localizer import Localisation
 from infomap_ros.localization.motion_prior import RobotPosture
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.camera_follower import CameraFollower
+from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.localization_outputs import LocalizationOutputs
 from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
-
-
-@dataclass(frozen=True)
-class FiducialLocalizationConfig:
-    """What fiducial_localization listens to, and how it tells what it finds.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    source: str = parameter(
-        "stereo",
-        "A pair of cameras, or a depth camera with the image that is registered to it "
-        "(depth/image_rect and rgb/image_rect).",
-        choices=("stereo", "depth"),
-    )
-    rectify: bool = parameter(
-        False, "Listen to image_raw and rectify, instead of listening to image_rect."
-    )
-    motion: str = parameter(
-        "auto",
-        "What the camera's motion is expected from. odometry: odom, with joint_states and "
-        "robot_description; without them nothing is located, and where there is no target the "
-        "map begins where odometry does. none: nothing but that it is not too fast. auto: "
-        "odometry where odom and robot_description are published.",
-        choices=("auto", "odometry", "none"),
-    )
-    start_tilt: float = parameter(
-        0.0,
-        "How far the camera looks down at the beginning, where neither odometry nor target say "
-        "what is up.",
-        unit="rad",
-        low=-1.6,
-        high=1.6,
-    )
-    pairing_tolerance: float = parameter(
-        0.0,
-        "Largest difference between the stamps of a pair; 0 for cameras that share a trigger.",
-        unit="s",
-        low=0.0,
-        high=1.0,
-    )
-    queue_size: int = parameter(
-        10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
-    )
-    publish_tf: bool = parameter(
-        True,
-        "Publish /tf: map to the frame of odometry, or where there is no odometry to the camera.",
-    )
-    least_correction: float = parameter(
-        0.002,
-        "Keyframe poses are told again when one of them has moved by more than this, or turned by "
-        "as many radians.",
-        unit="m",
-        low=0.0,
-        high=1.0,
-    )
-    fiducials_period: float = parameter(
-        1.0, "Shortest time between two publications of fiducials.", unit="s", low=0.0, high=60.0
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 class LocalizationNews:

@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
-from infomap_ros.geometry import OdometryRecord
+from infomap_ros.geometry import OdometryRecord, PlacedSolid
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.motion_prior import RobotPosture
 from infomap_ros.motion import RobotModel
@@ -62,6 +62,15 @@ class PostureListener:
         if not self._camera_frame:
             self._camera_frame = camera_frame
             self._begin()
+
+    def body(self, stamp: int) -> list[PlacedSolid]:
+        """The robot's solids in the camera's frame at a time [ns]; none where it is not known."""
+        if self._motion is None or self._useless:
+            return []
+        try:
+            return self._motion.body(stamp)
+        except PoseUnavailableError:
+            return []
 
     def posture(self, stamp: int) -> RobotPosture:
         """Where base and camera were at a time [ns].

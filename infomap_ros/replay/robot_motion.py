@@ -8,7 +8,6 @@ from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import (
     OdometryRecord,
     PlacedSolid,
-    PlacedSolid,
     PoseBufferConfig,
     Record,
     TransformRecord,
@@ -94,22 +93,6 @@ class RobotMotion:
             return robot.solids_in(self._camera_frame, joints)
         except RobotModelError:  # a joint that is never published
             return []
-
-    def body(self, stamp: int) -> list[PlacedSolid]:
-        """Solids of the robot in the camera's frame; none where its description is not known.
-
-        Args:
-            stamp: [ns].
-
-        Raises:
-            PoseUnavailableError: joints are not known at that time.
-            RobotModelError: a joint is never published.
-        """
-        robot = self._robot
-        if robot is None or self._camera_frame not in robot.frames:
-            return []
-        joints = self._joints.at(stamp) if robot.joints else {}
-        return robot.solids_in(self._camera_frame, joints)
 
     def _T_base_camera(self, stamp: int) -> FloatArray:
         robot = self._robot

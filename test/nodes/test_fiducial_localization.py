@@ -11,11 +11,13 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, MapFileError
 from infomap_ros.geometry import ImageRecord, invert_transform
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.message_types import message_class
+from infomap_ros.nodes.saved_localisation import SavedLocalisation
 from infomap_ros.replay.messages import TF, decode_transforms, encode_image
 from infomap_ros.replay.messages.keyframes import decode_keyframe_poses
 from infomap_ros.replay.messages.rows import decode_rows
@@ -97,7 +99,7 @@ def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph
     for stamp in stamps:
         edge = edges[stamp]
         assert (edge.frame_id, edge.child_frame_id) == ("map", "odom")
-        posture = stage.node._postures.posture(stamp)
+        posture = stage.node._gate.postures.posture(stamp)
         found = edge.transform @ posture.T_odom_camera
         assert np.allclose(found, stage.poses[stamp].transform, atol=1e-9)
 
@@ -164,7 +166,7 @@ def test_reset_begins_anew(graph: Any) -> None:
     stage.run(4)
     assert stage.call("reset").success
     (stamp,) = stage.run(1, first=8)
-    posture = stage.node._postures.posture(stamp)
+    posture = stage.node._gate.postures.posture(stamp)
     assert np.allclose(stage.poses[stamp].transform, posture.T_odom_camera, atol=1e-9)
 
 
@@ -176,6 +178,67 @@ def test_when_the_clock_jumps_back_the_map_begins_anew(graph: Any) -> None:
     assert stage.errors(after).max() < 0.02
     first = stage.poses[before[0]].transform, stage.poses[after[0]].transform
     assert np.allclose(*first, atol=1e-3)
+
+
+def restarted(graph: Any, stage: Stage, **parameters: Any) -> Stage:
+    """The same stage with a new node in place of the first."""
+    graph.executor.remove_node(stage.node)
+    stage.node.destroy_node()
+    graph.nodes.remove(stage.node)
+    stage.node = graph.add(FiducialLocalizationNode, rectify=True, **parameters)
+    stage.connect()
+    return stage
+
+
+def test_a_restarted_node_goes_on_in_the_same_map(graph: Any, tmp_path: Any) -> None:
+    settings = {"motion": "odometry", "state_file": str(tmp_path / "state"), "resume": True}
+    stage = Stage(graph, **settings)
+    before = stage.run(5)
+    restarted(graph, stage, **settings)
+    after = stage.run(3, first=6)
+    assert len(after) == 3
+    assert stage.errors(before + after).max() < 0.03
+
+
+def test_without_odometry_a_restarted_node_finds_the_place_again(graph: Any, tmp_path: Any) -> None:
+    settings = {"motion": "none", "state_file": str(tmp_path / "state"), "resume": True}
+    stage = Stage(graph, **settings)
+    before = stage.run(4)
+    restarted(graph, stage, **settings)
+    after = stage.run(4, shift=60 * SECOND)
+    assert after
+    assert stage.errors(before[:1] + after).max() < 0.03
+
+
+def test_a_node_that_is_killed_has_saved_what_it_knew(graph: Any, tmp_path: Any) -> None:
+    path = tmp_path / "state"
+    stage = Stage(graph, state_file=str(path), save_period=0.1)
+    stage.run(2)
+    graph.spin_until(path.exists, "the file")
+    saved = SavedLocalisation.load(path)
+    assert saved.posture is not None
+    assert saved.stamp in stage.poses
+
+
+def test_a_clock_that_jumps_back_keeps_the_map_where_it_is_to_be_resumed(
+    graph: Any, tmp_path: Any
+) -> None:
+    stage = Stage(graph, state_file=str(tmp_path / "state"), resume=True)
+    before = stage.run(4, shift=1000 * SECOND)
+    after = stage.run(4)
+    assert after  # found again by the looks of the place
+    twins = [stamp + 1000 * SECOND for stamp in after]
+    for stamp, twin in zip(after, twins, strict=True):
+        if twin in before:
+            gap = stage.poses[stamp].transform[:3, 3] - stage.poses[twin].transform[:3, 3]
+            assert np.linalg.norm(gap) < 0.03
+
+
+def test_a_node_does_not_start_on_a_file_of_another_kind(graph: Any, tmp_path: Any) -> None:
+    path = tmp_path / "map"
+    VoxelMap().save(path)
+    with pytest.raises(MapFileError, match="no localisation"):
+        graph.add(FiducialLocalizationNode, state_file=str(path), resume=True)
 
 
 def test_a_node_does_not_start_with_an_impossible_parameter(graph: Any) -> None:

@@ -1,0 +1,84 @@
+"""The parameters of fiducial_localization's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from infomap_ros.geometry.config import check_config, parameter
+
+
+@dataclass(frozen=True)
+class FiducialLocalizationConfig:
+    """What fiducial_localization listens to, and how it tells what it finds.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    source: str = parameter(
+        "stereo",
+        "A pair of cameras, or a depth camera with the image that is registered to it "
+        "(depth/image_rect and rgb/image_rect).",
+        choices=("stereo", "depth"),
+    )
+    rectify: bool = parameter(
+        False, "Listen to image_raw and rectify, instead of listening to image_rect."
+    )
+    motion: str = parameter(
+        "auto",
+        "What the camera's motion is expected from. odometry: odom, with joint_states and "
+        "robot_description; without them nothing is located, and where there is no target the "
+        "map begins where odometry does. none: nothing but that it is not too fast. auto: "
+        "odometry where odom and robot_description are published.",
+        choices=("auto", "odometry", "none"),
+    )
+    start_tilt: float = parameter(
+        0.0,
+        "How far the camera looks down at the beginning, where neither odometry nor target say "
+        "what is up.",
+        unit="rad",
+        low=-1.6,
+        high=1.6,
+    )
+    pairing_tolerance: float = parameter(
+        0.0,
+        "Largest difference between the stamps of a pair; 0 for cameras that share a trigger.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+    )
+    queue_size: int = parameter(
+        10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
+    )
+    publish_tf: bool = parameter(
+        True,
+        "Publish /tf: map to the frame of odometry, or where there is no odometry to the camera.",
+    )
+    least_correction: float = parameter(
+        0.002,
+        "Keyframe poses are told again when one of them has moved by more than this, or turned by "
+        "as many radians.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    fiducials_period: float = parameter(
+        1.0, "Shortest time between two publications of fiducials.", unit="s", low=0.0, high=60.0
+    )
+
+    state_file: str = parameter(
+        "",
+        "What is known of the map is written here, so that the node can go on in the same map "
+        "after a restart, relative to the working directory; empty for no file.",
+    )
+    save_period: float = parameter(
+        5.0, "Time between two writings of state_file.", unit="s", low=0.1, high=3600.0
+    )
+    resume: bool = parameter(
+        False,
+        "Go on in the map of state_file, where there is one: from where odometry has come to "
+        "since, or without odometry as soon as a known place or the target is seen again.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import KinematicMotion, RobotPosture
+from infomap_ros.localization.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.range_view import StereoView
 from infomap_ros.localization.tag_detector import TagTargetConfig
 from infomap_ros.localization.target_config import TargetConfig, make_detector
@@ -37,7 +37,7 @@ def _rover_on_rough_ground() -> DeadReckoningConfig:
         rotation_per_metre=0.02,
         rotation_per_radian=0.02,
         kinematics_position_sigma=0.003,
-        kinematics_rotation_sigma=0.003,
+        kinematics_rotation_sigma=0.004,
     )
 
 
@@ -58,10 +58,10 @@ class SelfLocalisationConfig:
         8, "Pairs that are taken of the target before the first move.", low=1, high=1000
     )
     pair_distance: float = parameter(
-        0.15, "On its way, it takes a pair after this way of the camera.", unit="m", low=0.001
+        0.2, "On its way, it takes a pair after this way of the camera.", unit="m", low=0.001
     )
     pair_angle: float = parameter(
-        0.2, "Likewise after this turn of the camera.", unit="rad", low=0.01, high=3.0
+        0.25, "Likewise after this turn of the camera.", unit="rad", low=0.01, high=3.0
     )
     target: TargetConfig = field(default_factory=_board_of_the_worlds)
     motion: DeadReckoningConfig = field(default_factory=_rover_on_rough_ground)
@@ -106,6 +106,7 @@ class SelfLocalisation:
         detector = make_detector(self.config.target)
         self.localizer = Localizer(self.rig.left, self.config.localizer, detector)
         self._kinematics = KinematicMotion(self.config.motion)
+        self._odometry_alone = KinematicMotion(_without_kinematics(self.config.motion))
         self._posture: RobotPosture | None = None
         self._known: tuple[CameraPose, RobotPosture] | None = None
         self.last: Localisation | None = None
@@ -119,12 +120,11 @@ class SelfLocalisation:
         Raises:
             SimulationError: this machine cannot draw images.
         """
-        pair, posture = self._simulator.capture(), self._measured_posture()
+        pair, joints = self._simulator.capture(), self._joints()
+        posture = self._measured_posture(joints)
         view = StereoView(pair.stamp, *self._rectifier.rectify(pair.left, pair.right), self._sensor)
-        prior = None
-        if self._posture is not None:
-            prior = self._kinematics.between(self._posture, posture)
-        self.last = self.localizer.locate(view, prior, voxel_map)
+        body = self._robot.solids_in(self._robot.camera_frame, joints)
+        self.last = self.localizer.locate(view, self._prior(posture), voxel_map, body=body)
         self._posture = posture
         if self.last.state == "tracking":
             assert self.last.T_map_camera is not None and self.last.covariance is not None
@@ -204,8 +204,28 @@ class SelfLocalisation:
         known = self.localizer.fiducials()
         return known.positions, known.covariances
 
-    def _measured_posture(self) -> RobotPosture:
-        joints = self._simulator.joint_state()
-        angles = dict(zip(joints.names, map(float, joints.positions), strict=True))
+    def _prior(self, posture: RobotPosture) -> MotionPrior | None:
+        """Expected motion since the last pair.
+
+        The kinematics' errors at the two ends of a way that no view tells count once, not at every
+        pair that was taken in vain on it: those in between cancel.
+        """
+        if self._posture is None or self.last is None:
+            return None
+        is_known = self.last.state == "tracking"
+        kinematics = self._kinematics if is_known else self._odometry_alone
+        return kinematics.between(self._posture, posture)
+
+    def _joints(self) -> dict[str, float]:
+        record = self._simulator.joint_state()
+        return dict(zip(record.names, map(float, record.positions), strict=True))
+
+    def _measured_posture(self, joints: dict[str, float] | None = None) -> RobotPosture:
+        angles = self._joints() if joints is None else joints
         T_base_camera = self._robot.forward_kinematics(angles, self._robot.camera_frame)
         return RobotPosture(self._simulator.odometry().transform, T_base_camera)
+
+
+def _without_kinematics(motion: DeadReckoningConfig) -> DeadReckoningConfig:
+    tiny = 1e-4  # [m, rad]
+    return replace(motion, kinematics_position_sigma=tiny, kinematics_rotation_sigma=tiny)

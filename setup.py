@@ -97,9 +97,10 @@ setup(
             "pyoctomap>=1.2",
             "pytest>=9.0",
             "setuptools>=78,<80",
+            "small-gicp>=1.0",
         ],
         # What the benchmarks are compared with.
-        "bench": ["pytracik>=0.0.3; platform_machine == 'x86_64'"],
+        "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
         # Not in requirements.lock: large, and only `exploration.rerun_recording` needs it.
         "rerun": ["rerun-sdk>=0.24"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],

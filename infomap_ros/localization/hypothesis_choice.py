@@ -16,7 +16,12 @@ from infomap_ros.localization.fiducial_history import FiducialHistory
 from infomap_ros.localization.filter_config import FiducialFilterConfig
 from infomap_ros.localization.invariant_state import InvariantState
 from infomap_ros.localization.motion_prior import MotionPrior
-from infomap_ros.localization.pose_hypothesis import Expectation, Hypothesis, examine
+from infomap_ros.localization.pose_hypothesis import (
+    Expectation,
+    Group,
+    Hypothesis,
+    examine_with_or_without_prior,
+)
 from infomap_ros.localization.sight import BoolArray, Measured
 
 CONTRADICTION = "the motion that the fiducials show contradicts the expected one"
@@ -96,7 +101,9 @@ def hypotheses(
     gate = float(chdtri(3, 1.0 - config.fiducial_gate))
     remaining = admitted.copy()
     found: list[Hypothesis] = []
-    while len(found) < _MOST and np.count_nonzero(remaining) >= config.least_fiducials:
+    for _ in range(_MOST):
+        if np.count_nonzero(remaining) < config.least_fiducials:
+            break
         some = np.flatnonzero(remaining)
         part = (positions[some], covariances[some], measured.select(some), gate)
         first = find_pose(*part, config.trials)
@@ -107,11 +114,12 @@ def hypotheses(
         members[some] = agreeing(pose, *part)
         members[some[sample]] = True
         expectation = Expectation.at(state, prior, invert_transform(pose))
-        hypothesis = examine(state, expectation, indices, measured, members, admitted, config)
-        if hypothesis is None:
-            break
-        found.append(hypothesis)
-        remaining &= ~(hypothesis.members | members)
+        group = Group(indices, measured, members, admitted)
+        hypothesis = examine_with_or_without_prior(state, expectation, group, config)
+        remaining &= ~members
+        if hypothesis is not None:
+            found.append(hypothesis)
+            remaining &= ~hypothesis.members
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from infomap_ros.localization.sight import (
 )
 
 _ROUNDS = 6
+_FREE = 1e4  # by which the prior's covariance is multiplied where the images go against it
 _LEAST = 3  # fiducials with which a group may begin
 
 
@@ -112,13 +113,48 @@ class Hypothesis:
         return bool(self.motion_nis <= chdtri(6, 1.0 - config.joint_gate))
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Fiducials of an image of which some are taken to agree.
+
+    Attributes:
+        indices: of the image's fiducials in the state, shape (M,).
+        measured: their measurements.
+        members: those that are taken to agree, shape (M,).
+        admitted: those that may join them, shape (M,).
+    """
+
+    indices: NDArray[np.int64]
+    measured: Measured
+    members: BoolArray
+    admitted: BoolArray
+
+
+def examine_with_or_without_prior(
+    state: InvariantState,
+    expectation: Expectation,
+    group: Group,
+    config: FiducialFilterConfig,
+) -> Hypothesis | None:
+    """`examine` a group, and where the prior breaks it up once more nearly without the prior.
+
+    Then the group is one that agrees on a motion which the prior excludes.
+    """
+    hypothesis = examine(state, expectation, group, config)
+    if hypothesis is not None and 2 * hypothesis.count >= np.count_nonzero(group.members):
+        return hypothesis
+    free = replace(expectation, motion_covariance=_FREE * expectation.motion_covariance)
+    without = examine(state, free, group, config)
+    if without is None:
+        return hypothesis
+    excluded = 2.0 * chdtri(6, 1.0 - config.joint_gate)
+    return replace(without, motion_nis=max(_FREE * without.motion_nis, excluded))
+
+
 def examine(
     state: InvariantState,
     expectation: Expectation,
-    indices: NDArray[np.int64],
-    measured: Measured,
-    members: BoolArray,
-    admitted: BoolArray,
+    group: Group,
     config: FiducialFilterConfig,
 ) -> Hypothesis | None:
     """Find out which fiducials agree with a group of them.
@@ -126,16 +162,14 @@ def examine(
     Args:
         state: before the motion.
         expectation: linearised at about the pose.
-        indices: of the image's fiducials in the state, shape (M,).
-        measured: their measurements.
-        members: the group, shape (M,).
-        admitted: fiducials that may join it, shape (M,).
+        group: of fiducials.
         config: gates.
 
     Returns:
         The hypothesis; None where fewer than `config.least_fiducials` agree.
     """
-    sight = expectation.sight(state, indices, measured)
+    measured, members = group.measured, group.members
+    sight = expectation.sight(state, group.indices, measured)
     freedom = measured.present.sum(axis=1)
     gates = chdtri(freedom, 1.0 - config.fiducial_gate)
     correction: Correction | None = None
@@ -146,13 +180,13 @@ def examine(
         if correction is None:
             return None
         innovations = innovations_from(sight, members, correction)
-        used, members = members, admitted & ((innovations**2).sum(axis=1) <= gates)
+        used, members = members, group.admitted & ((innovations**2).sum(axis=1) <= gates)
         if np.array_equal(used, members):
             break
     assert correction is not None
     if np.count_nonzero(used) < config.least_fiducials:
         return None
-    rows = state.fiducial_rows(indices[used]).ravel()
+    rows = state.fiducial_rows(group.indices[used]).ravel()
     noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(rows) // 3, 1))
     return Hypothesis(
         expectation,

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
@@ -50,7 +51,7 @@ class DriftConfig:
         ConfigError: a value is out of its range.
     """
 
-    runs: int = parameter(200, "Random walks for each panel.", low=4, high=100000)
+    runs: int = parameter(100, "Random walks for each panel.", low=4, high=100000)
     distances: tuple[float, ...] = parameter(
         (1.1, 0.35), "Mean distances of the fiducials.", unit="m", low=0.05, high=50.0
     )
@@ -166,7 +167,10 @@ def _order(observations: FiducialObservations, ids: NDArray[np.int64]) -> NDArra
 
 
 def _printed(pair: Pair) -> FloatArray:
-    return printed_motion(pair[0].points(CAMERA), pair[1].points(CAMERA))
+    try:
+        return printed_motion(pair[0].points(CAMERA), pair[1].points(CAMERA))
+    except InvalidInputError:  # four points in one plane: counts as no motion
+        return np.eye(4)
 
 
 def _weighted(pair: Pair) -> FloatArray:

@@ -7,6 +7,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError
@@ -63,15 +65,16 @@ def save_board(config: TagBoardConfig, path: Path, dots_per_inch: int = 300) -> 
         ConfigError: the tags are not in a grid.
         InvalidInputError: the ending is neither, or the image would be too large.
     """
-    from PIL import Image
-
     if path.suffix.lower() not in {".png", ".pdf"}:
         raise InvalidInputError("path", f"{path.name} ends neither in .png nor in .pdf")
-    image = Image.fromarray(draw_board(config, dots_per_inch / _INCH))
+    image = draw_board(config, dots_per_inch / _INCH)
     if path.suffix.lower() == ".png":
-        image.save(path, dpi=(dots_per_inch, dots_per_inch))
+        imsave(path, image, cmap="gray", vmin=0, vmax=255, dpi=dots_per_inch, format="png")
     else:
-        image.save(path, resolution=float(dots_per_inch))
+        height, width = image.shape
+        page = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch)
+        page.figimage(image, cmap="gray", vmin=0, vmax=255)
+        page.savefig(path, format="pdf", dpi=dots_per_inch)
 
 
 def _dark_cells(family: str, tag: int) -> FloatArray:

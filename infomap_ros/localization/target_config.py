@@ -12,6 +12,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.model_target import ModelTargetConfig, ModelTargetDetector
 from infomap_ros.localization.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target import TargetDetector, TargetRefusal, TargetSighting
 
@@ -29,8 +30,8 @@ class TargetConfig:
 
     kind: str = parameter(
         "none",
-        "What the target is: none, or a board of tags.",
-        choices=("none", "tags"),
+        "What the target is: none, a board of tags, or a CAD model.",
+        choices=("none", "tags", "model"),
     )
     pose_in_map: tuple[float, ...] = parameter(
         (),
@@ -38,6 +39,7 @@ class TargetConfig:
         "target's frame is the map.",
     )
     tags: TagTargetConfig = field(default_factory=TagTargetConfig)
+    model: ModelTargetConfig = field(default_factory=ModelTargetConfig)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -81,8 +83,16 @@ def make_detector(config: TargetConfig) -> TargetDetector | None:
 
     Returns:
         A detector whose sightings tell the pose of the map's frame.
+
+    Raises:
+        ConfigError: the target is a model, and no file is named.
+        InvalidInputError: the model's file cannot be read.
     """
     if config.kind == "none":
         return None
-    detector = TagTargetDetector(config.tags)
+    detector: TargetDetector
+    if config.kind == "tags":
+        detector = TagTargetDetector(config.tags)
+    else:
+        detector = ModelTargetDetector(config.model)
     return PlacedTarget(detector, config.T_map_target) if config.pose_in_map else detector

@@ -18,6 +18,13 @@ from infomap_ros.studies.drift import (
     drift_table,
     run_drift,
 )
+from infomap_ros.studies.pose_consistency import (
+    SCENARIOS,
+    PoseConsistencyConfig,
+    pose_summary,
+    pose_table,
+    run_pose_consistency,
+)
 
 _QUICK_RUNS = 8
 
@@ -49,3 +56,30 @@ def drift(
     typer.echo(drift_table(panels))
     typer.echo(json.dumps(figures))
     raise typer.Exit(0 if all(panel.ratio <= 0.5 for panel in panels) else 1)
+
+
+def pose_consistency(
+    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    runs: Annotated[
+        int, typer.Option(help="random runs of each scenario")
+    ] = PoseConsistencyConfig.runs,
+    seed: Annotated[int, typer.Option(help="of the first run")] = PoseConsistencyConfig.seed,
+) -> None:
+    """Are the poses as sure as they should be? Their errors against their own covariances.
+
+    Exits with 1 if a mean is outside its band, or a pose is wrong where half of all moves.
+    """
+    from infomap_ros.studies.pose_figure import draw_nees
+
+    config = PoseConsistencyConfig(runs=runs, seed=seed)
+    start = time.monotonic()
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("runs", total=runs * len(SCENARIOS))
+        results = run_pose_consistency(config, lambda done: progress.update(task, completed=done))
+    out.mkdir(parents=True, exist_ok=True)
+    draw_nees(results, out / "pose_consistency.png")
+    figures = pose_summary(results, time.monotonic() - start)
+    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
+    typer.echo(pose_table(results))
+    typer.echo(json.dumps(figures))
+    raise typer.Exit(0 if all(result.is_consistent for result in results) else 1)

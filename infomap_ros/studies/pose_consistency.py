@@ -1,0 +1,275 @@
+"""Are the poses as sure as they should be? Their errors against their own covariances.
+
+The normalised estimation error squared (NEES) of a pose, e^T C^-1 e, has the mean 6 if the
+covariance is right, that of a fiducial 3; more means too sure. Y. Bar-Shalom, X.-R. Li,
+T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Wiley 2001, section
+5.4.2. In two more scenarios half of the fiducials in view begin to move as one body.
+
+    infomap study pose-consistency --runs 100 --out DIR
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from infomap_ros.geometry import perturb_transform
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization import (
+    FiducialFilter,
+    FiducialObservations,
+    FilterUpdate,
+    free_motion,
+)
+from infomap_ros.studies.fiducial_room import CAMERA, Room, circle, odometry, pose_error
+
+CONFIDENCE = 0.95
+_WRONG = 0.9999  # probability beyond which an error is not explained by the covariance
+_WRONG_ERROR = 0.03  # [m]
+_TIME = 0.3  # [s] between images, for a camera of which nothing else is known
+_START = np.diag([0.01**2] * 3 + [0.003**2] * 3)
+_REJECTIONS = 3  # after which a fiducial is given up
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One kind of run.
+
+    Attributes:
+        name: for the table.
+        with_odometry: or images alone.
+        speed: of the body on which half of the fiducials are [m per image]; 0: nothing moves.
+        turns: of the camera's circle.
+    """
+
+    name: str
+    with_odometry: bool
+    speed: float
+    turns: float
+
+
+SCENARIOS = (
+    Scenario("odometry, loop", True, 0.0, 1.2),
+    Scenario("images alone, loop", False, 0.0, 1.2),
+    Scenario("odometry, half moves 50 mm an image", True, 0.05, 0.3),
+    Scenario("images alone, half moves 50 mm an image", False, 0.05, 0.3),
+)
+
+
+@dataclass(frozen=True)
+class PoseConsistencyConfig:
+    """Size of the study.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    runs: int = parameter(100, "Random runs of each scenario.", low=2, high=100000)
+    steps: int = parameter(40, "Images of each run.", low=10, high=10000)
+    fiducials: int = parameter(250, "Fiducials in the room.", low=50, high=10000)
+    measured: int = parameter(40, "Most fiducials measured in an image.", low=8, high=500)
+    seed: int = parameter(0, "Seed of the first run.", low=0)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioResult:
+    """What came of the runs of a scenario.
+
+    Attributes:
+        scenario: its description.
+        halfway: NEES of the pose half way, shape (runs,).
+        last: NEES of the last pose, shape (runs,).
+        kept: of one kept pose of each run, drawn at random, at the end, shape (runs,).
+        fiducial: of one fiducial likewise, shape (runs,).
+        updated: share of images by which the pose was updated.
+        wrong: number of updated poses whose error is beyond the covariance and 3 cm.
+        images: number of all images.
+        last_error: RMS position error of the last poses [m].
+    """
+
+    scenario: Scenario
+    halfway: FloatArray
+    last: FloatArray
+    kept: FloatArray
+    fiducial: FloatArray
+    updated: float
+    wrong: int
+    images: int
+    last_error: float
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether all means lie in their bands; with a moving body, whether no pose is wrong."""
+        if self.scenario.speed > 0.0:
+            return self.wrong == 0
+        checks = ((self.halfway, 6), (self.last, 6), (self.kept, 6), (self.fiducial, 3))
+        return all(
+            low <= values.mean() <= high
+            for values, freedom in checks
+            for low, high in [mean_band(len(values), freedom)]
+        )
+
+
+def mean_band(samples: int, freedom: int) -> tuple[float, float]:
+    """Band of the mean of so many independent chi-square values of so many degrees of freedom."""
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = special.chdtri(samples * freedom, [1.0 - tail, tail]) / samples
+    return float(low), float(high)
+
+
+def run_pose_consistency(
+    config: PoseConsistencyConfig, progress: Callable[[int], None] | None = None
+) -> list[ScenarioResult]:
+    """Run all scenarios.
+
+    Args:
+        config: size of the study.
+        progress: called with the number of runs done.
+    """
+    results, done = [], 0
+    for scenario in SCENARIOS:
+        runs = []
+        for number in range(config.runs):
+            runs.append(_Run(scenario, config, np.random.default_rng([config.seed, number])))
+            done += 1
+            if progress is not None:
+                progress(done)
+        results.append(_summarise(scenario, runs))
+    return results
+
+
+class _Run:
+    """One run: the filter in the room, and its errors."""
+
+    def __init__(
+        self, scenario: Scenario, config: PoseConsistencyConfig, rng: np.random.Generator
+    ) -> None:
+        self.scenario, self.config, self.rng = scenario, config, rng
+        self.room = Room.random(config.fiducials, scenario.speed, rng)
+        self.poses = circle(config.steps, scenario.turns)
+        self.filter = FiducialFilter(CAMERA)
+        self.nees: list[float] = []
+        self.updated: list[bool] = []
+        self.wrong = 0
+        self._rejections: dict[int, int] = {}
+        self._begin()
+        for number in range(1, config.steps + 1):
+            if scenario.speed > 0.0 and number > config.steps // 4:
+                self.room.move_body()
+            self._step(number)
+        self.last_error = float(np.linalg.norm(pose_error(self.poses[-1], self.filter.pose[0])[:3]))
+        self.kept, self.fiducial = self._kept_nees(), self._fiducial_nees()
+
+    def _begin(self) -> None:
+        error = self.rng.multivariate_normal(np.zeros(6), _START)
+        start = perturb_transform(self.poses[0], -error)
+        self.filter.start(start, _START)
+        seen = self._observe(0)
+        self.filter.add(seen)
+        self.filter.keep_pose(0)
+
+    def _observe(self, number: int) -> FiducialObservations:
+        balanced = self.scenario.speed > 0.0
+        return self.room.observe(self.poses[number], self.config.measured, balanced, self.rng)
+
+    def _step(self, number: int) -> None:
+        before, after = self.poses[number - 1], self.poses[number]
+        prior = odometry(before, after, self.rng)
+        self.filter.predict(prior if self.scenario.with_odometry else free_motion(_TIME))
+        seen = self._observe(number)
+        update = self.filter.update(seen)
+        if update.is_consistent:
+            self.filter.add(seen.select(np.isin(seen.ids, update.unknown)))
+            self.filter.keep_pose(number)
+        self._give_up(update)
+        pose, covariance = self.filter.pose
+        error = pose_error(after, pose)
+        self.nees.append(_squared(error, covariance))
+        self.updated.append(update.is_consistent)
+        beyond = self.nees[-1] > special.chdtri(6, 1.0 - _WRONG)
+        far = np.linalg.norm(error[:3]) > _WRONG_ERROR
+        self.wrong += bool(update.is_consistent and beyond and far)
+
+    def _give_up(self, update: FilterUpdate) -> None:
+        """Remove fiducials that were rejected repeatedly."""
+        for number in update.rejected.tolist():
+            self._rejections[number] = self._rejections.get(number, 0) + 1
+        gone = [n for n, count in self._rejections.items() if count >= _REJECTIONS]
+        self.filter.remove(gone)
+        for number in gone:
+            del self._rejections[number]
+
+    def _kept_nees(self) -> float:
+        kept = self.filter.kept_poses()
+        one = int(self.rng.integers(len(kept)))
+        error = pose_error(self.poses[kept.stamps[one]], kept.transforms[one])
+        return _squared(error, kept.covariances[one])
+
+    def _fiducial_nees(self) -> float:
+        fiducials = self.filter.fiducials()
+        one = int(self.rng.integers(len(fiducials)))
+        error = self.room.points[fiducials.ids[one]] - fiducials.positions[one]
+        return _squared(error, fiducials.covariances[one])
+
+
+def _summarise(scenario: Scenario, runs: Sequence[_Run]) -> ScenarioResult:
+    updated = [share for run in runs for share in run.updated]
+    return ScenarioResult(
+        scenario,
+        np.array([run.nees[len(run.nees) // 2] for run in runs]),
+        np.array([run.nees[-1] for run in runs]),
+        np.array([run.kept for run in runs]),
+        np.array([run.fiducial for run in runs]),
+        float(np.mean(updated)),
+        sum(run.wrong for run in runs),
+        len(updated),
+        float(np.sqrt(np.mean([run.last_error**2 for run in runs]))),
+    )
+
+
+def _squared(error: FloatArray, covariance: FloatArray) -> float:
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def pose_table(results: Sequence[ScenarioResult]) -> str:
+    """The results as a Markdown table."""
+    runs = len(results[0].last)
+    six, three = ("{:.2f} to {:.2f}".format(*mean_band(runs, freedom)) for freedom in (6, 3))
+    lines = [
+        f"| scenario | pose half way ({six}) | last pose ({six}) | kept pose ({six}) "
+        f"| fiducial ({three}) | updated | wrong | last error |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for result in results:
+        values = (result.halfway, result.last, result.kept, result.fiducial)
+        means = ["-" if result.scenario.speed > 0.0 else f"{v.mean():.2f}" for v in values]
+        cells = [
+            result.scenario.name,
+            *means,
+            f"{100 * result.updated:.1f} %",
+            f"{result.wrong} of {result.images}",
+            f"{1e3 * result.last_error:.0f} mm",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def pose_summary(results: Sequence[ScenarioResult], seconds: float) -> dict[str, float]:
+    """The results as one flat object of figures."""
+    figures: dict[str, float] = {"runs": len(results[0].last), "seconds": seconds}
+    figures["band_low"], figures["band_high"] = mean_band(len(results[0].last), 6)
+    for number, result in enumerate(results, start=1):
+        figures[f"nees_last_{number}"] = float(result.last.mean())
+        figures[f"nees_kept_{number}"] = float(result.kept.mean())
+        figures[f"nees_fiducial_{number}"] = float(result.fiducial.mean())
+        figures[f"updated_{number}"] = result.updated
+        figures[f"wrong_{number}"] = result.wrong
+        figures[f"last_error_{number}"] = result.last_error
+    return figures

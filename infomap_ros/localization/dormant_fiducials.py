@@ -104,7 +104,7 @@ class DormantFiducials:
         aligned = align_templates(view.image, tracks.templates, places, warps, search)
         found = believed(aligned, places, search, self.config)
         tracks.pixels[:], tracks.warps[:] = aligned.pixels, aligned.warps
-        tracks.missed[:] = 0
+        tracks.flowed[:], tracks.followed[:], tracks.missed[:] = aligned.pixels, True, 0
         return tracks.select(found), aligned.sigmas[found]
 
 

@@ -24,12 +24,23 @@ from infomap_ros.localization.appearance import describe, descriptor_size, find_
 from infomap_ros.localization.dormant_fiducials import DormantFiducials, believed
 from infomap_ros.localization.observations import FiducialObservations
 from infomap_ros.localization.optical_flow import OpticalFlow
-from infomap_ros.localization.patch_alignment import Alignment, align_templates, cut_templates
+from infomap_ros.localization.patch_alignment import (
+    MARGIN,
+    Alignment,
+    align_templates,
+    cut_templates,
+)
 from infomap_ros.localization.range_view import RangeView, check_pixels
 from infomap_ros.localization.tracker_config import FiducialTrackerConfig
 from infomap_ros.localization.tracks import Tracks, new_tracks, tracks_from_arrays
 
 __all__ = ["FiducialTracker", "FiducialTrackerConfig"]
+
+# Whole pixels that are searched where flow or a descriptor leads, not the last sight [px].
+_FLOW_SEARCH = 2
+
+# How much an image may be blurred against the templates (sigma) [px].
+_BLURS = (1.2, 2.0, 3.0)
 
 
 class FiducialTracker:
@@ -98,13 +109,15 @@ class FiducialTracker:
         """
         tracks = self._tracks
         start, known = self._start(predicted)
-        places, found = self._flow.follow(view.image, tracks.pixels, start)
-        found &= tracks.missed == 0
+        places, found = self._flow.follow(view.image, tracks.flowed, start)
+        found &= tracks.followed
         places = np.where(found[:, None], places, start)
         search = np.where(found | ~known, 0, self.config.search_radius)
+        search[found & (tracks.missed > 0)] = min(_FLOW_SEARCH, self.config.search_radius)
         self._recover(view, places, search, found)
-        aligned = align_templates(view.image, tracks.templates, places, tracks.warps, search)
-        seen = believed(aligned, places, search, self.config)
+        aligned, seen = self._align(view.image, places, search, found)
+        tracks.flowed[:] = np.where(seen[:, None], aligned.pixels, places)
+        tracks.followed[:] = seen | found
         self._note(view.image, aligned, seen)
         observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
         _note_ranges(tracks, seen, observations.inverse_depths)
@@ -193,7 +206,7 @@ class FiducialTracker:
         self, predicted: Mapping[int, ArrayLike] | None
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Where fiducials are expected, shape (N, 2), and whether that was said, shape (N,)."""
-        start = self._tracks.pixels.copy()
+        start = self._tracks.flowed.copy()
         known = np.zeros(len(start), np.bool_)
         for row, name in enumerate(self._tracks.ids):
             place = None if predicted is None else predicted.get(int(name))
@@ -215,7 +228,31 @@ class FiducialTracker:
         again = find_again(view, self._tracks.descriptors[lost], config=self.config.appearance)
         rows = lost[again.indices]
         places[rows] = again.pixels
-        search[rows] = min(2, self.config.search_radius)
+        search[rows] = min(_FLOW_SEARCH, self.config.search_radius)
+
+    def _align(
+        self,
+        image: NDArray[np.uint8],
+        places: FloatArray,
+        search: NDArray[np.int64],
+        found: NDArray[np.bool_],
+    ) -> tuple[Alignment, NDArray[np.bool_]]:
+        """Align with the templates; where many fail, blurred ones may fit a blurred image.
+
+        Returns:
+            The alignment of all, and which of them are believed, shape (N,).
+        """
+        tracks, config = self._tracks, self.config
+        best = align_templates(image, tracks.templates, places, tracks.warps, search)
+        seen = believed(best, places, search, config)
+        for blur in _BLURS:
+            if np.count_nonzero(seen) > config.sharp_share * np.count_nonzero(found):
+                break
+            again = align_templates(image, tracks.templates, places, tracks.warps, search, blur)
+            seen_again = believed(again, places, search, config)
+            if np.count_nonzero(seen_again) > np.count_nonzero(seen):
+                best, seen = again, seen_again
+        return best, seen
 
     def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
         """Keep where fiducials are; renew templates that are stretched a lot but well seen."""
@@ -251,6 +288,7 @@ def _note_ranges(tracks: Tracks, seen: NDArray[np.bool_], inverse_depths: FloatA
 
 def _no_tracks(config: FiducialTrackerConfig) -> Tracks:
     nothing = np.zeros((0, 2))
-    templates = np.zeros((0, config.template, config.template), np.float32)
+    side = config.template + 2 * MARGIN
+    templates = np.zeros((0, side, side), np.float32)
     descriptors = np.zeros((0, descriptor_size()), np.uint8)
     return new_tracks(np.zeros(0, np.int64), nothing, templates, np.zeros(0), descriptors)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ _WARP_SIGMA = 0.1
 _PHOTOMETRIC_VARIANCE = 9.0
 # Added to the residual: quantisation and read noise of two 8-bit images [grey levels^2].
 _RESIDUAL_NOISE = 0.2
+
+MARGIN = 6
+"""Pixels that templates are kept larger by on every side, so that they can be blurred."""
 
 
 class Alignment(NamedTuple):
@@ -53,12 +57,14 @@ def cut_templates(
         image: shape (H, W).
         pixels: centres, shape (N, 2) [px].
         warps: shape (N, 2, 2).
-        size: side of a patch, odd [px].
+        size: side of a template without its margin, odd [px].
 
     Returns:
-        Patches, shape (N, size, size), and whether they are wholly inside, shape (N,).
+        Templates with margin, shape (N, size + 2 MARGIN, size + 2 MARGIN), and whether they are
+        wholly inside, shape (N,).
     """
-    patches = np.zeros((len(pixels), size, size), np.float32)
+    side = size + 2 * MARGIN
+    patches = np.zeros((len(pixels), side, side), np.float32)
     inside = np.zeros(len(pixels), np.bool_)
     _cut_all(image, np.ascontiguousarray(pixels), warps, patches, inside)
     return patches, inside
@@ -70,21 +76,36 @@ def align_templates(
     pixels: FloatArray,
     warps: FloatArray,
     search: NDArray[np.int64],
+    blur: float = 0.0,
 ) -> Alignment:
     """Find templates in an image near where they are expected.
 
     Args:
         image: shape (H, W).
-        templates: shape (N, P, P).
+        templates: with their margin, shape (N, P + 2 MARGIN, P + 2 MARGIN).
         pixels: where their centres are expected, shape (N, 2) [px].
         warps: how they are expected to be warped, shape (N, 2, 2).
         search: whole pixels about `pixels` that are searched first, shape (N,); 0 for none.
+        blur: by how much more the image is blurred than the templates (sigma) [px].
     """
     places = np.array(pixels, dtype=np.float64)
     turned = np.array(warps, dtype=np.float64)
     sigmas, correlations = np.full(len(places), np.nan), np.full(len(places), np.nan)
-    _align_all(image, templates, places, turned, search, sigmas, correlations)
+    _align_all(
+        image, _without_margin(templates, blur), places, turned, search, sigmas, correlations
+    )
     return Alignment(places, turned, sigmas, correlations)
+
+
+def _without_margin(templates: NDArray[np.float32], blur: float) -> NDArray[np.float32]:
+    """Templates, blurred, less their margin, shape (N, P, P)."""
+    inner = slice(MARGIN, templates.shape[1] - MARGIN)
+    if blur > 0.0 and len(templates):
+        tall = templates.reshape(-1, templates.shape[2])  # the margins keep them apart
+        side = 2 * MARGIN + 1
+        smooth = np.asarray(cv2.GaussianBlur(tall, (side, side), blur), dtype=np.float32)
+        templates = smooth.reshape(templates.shape)
+    return np.ascontiguousarray(templates[:, inner, inner])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -69,6 +69,13 @@ class FiducialTrackerConfig:
         low=0.0,
         high=100.0,
     )
+    sharp_share: float = parameter(
+        0.7,
+        "Where fewer of the fiducials that flow has found fit their templates, the image is taken "
+        "to be blurred, and blurred templates are tried.",
+        low=0.0,
+        high=1.0,
+    )
     sigma_factor: float = parameter(
         3.0, "Calibrated multiple of the sigma that image noise leaves.", low=0.1, high=20.0
     )

@@ -21,8 +21,10 @@ class Tracks:
     Attributes:
         ids: shape (N,).
         pixels: where they were last seen, shape (N, 2) [px].
+        flowed: where flow has followed them to, seen or not, shape (N, 2) [px].
+        followed: whether flow has followed them to the last image, shape (N,), bool.
         missed: images since they were last seen, shape (N,).
-        templates: what they look like, shape (N, P, P).
+        templates: what they look like, with a margin, shape (N, Q, Q).
         warps: offsets in the image from offsets in the template, shape (N, 2, 2).
         creep: variance of the pixel by which the template's centre is off the point that was first
             chosen, shape (N,) [px^2]; grows when a template is renewed.
@@ -32,6 +34,8 @@ class Tracks:
 
     ids: NDArray[np.int64]
     pixels: FloatArray
+    flowed: FloatArray
+    followed: NDArray[np.bool_]
     missed: NDArray[np.int64]
     templates: NDArray[np.float32]
     warps: FloatArray
@@ -68,6 +72,8 @@ def new_tracks(
     return Tracks(
         ids,
         pixels,
+        pixels.copy(),
+        np.ones(count, np.bool_),
         np.zeros(count, np.int64),
         templates,
         np.tile(np.eye(2), (count, 1, 1)),

@@ -1,4 +1,4 @@
-"""``make demo-bag``: map the shipped bag through the live nodes, three processes over DDS.
+"""``make demo-bag``: map the shipped bag through the live nodes, four processes over DDS.
 
 Leaves the map file, the map as .ply, pictures, summary.json and report.html in the output folder,
 and the logs of the nodes below ``log/``. Exits with 1 and one clear line when it could not.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ from infomap_ros.mapping.export import surface_vertices, write_ply
 from infomap_ros.mapping.pictures import draw_map_views
 from infomap_ros.nodes.live_run import LEFT, LiveRun
 from infomap_ros.nodes.pictures import LivePictures
+from infomap_ros.nodes.pose_comparison import PoseComparison
+from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.replay.reader import BagReader
 
@@ -37,7 +40,8 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     """Map the bag and write everything.
 
     Args:
-        bag: with a raw stereo pair, camera infos and camera_pose.
+        bag: with a raw stereo pair and camera infos; with odometry, joint states and a robot
+            description the map begins where odometry does.
         out: folder for the results.
         voxel_size: [m].
         console: for the progress.
@@ -53,9 +57,10 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     player = {"acknowledged": True, "paced_topic": f"/{LEFT}"}
     start = time.monotonic()
     fusion = {"voxel_size": voxel_size}
-    with LiveRun(bag, out, player, fusion=fusion, map_file=out / MAP_FILE) as run:
-        pictures = LivePictures(run)
-        console.print("starting stereo_range and map_fusion")
+    map_file = out / MAP_FILE
+    with LiveRun(bag, out, player, fusion=fusion, map_file=map_file, localisation={}) as run:
+        pictures, poses = LivePictures(run), PoseComparison(run)
+        console.print("starting stereo_range, fiducial_localization and map_fusion")
         run.start(_START_TIMEOUT)
         follow(run, pairs, console)
         console.print(run.call("map_fusion/save"))
@@ -68,6 +73,7 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
             "frames_dropped": pairs - run.state.count("map_fusion"),
         }
         figures |= {f"dropped: {reason}": count for reason, count in drops.items()}
+        figures |= poses.figures()
         drawn = pictures.write(out)
     results = write_results(out, bag, figures, drawn)
     fused = run.state.count("map_fusion")
@@ -127,7 +133,8 @@ def write_results(
     }
     (out / SUMMARY_FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     introduction = (
-        f"The bag {bag.name}, played through stereo_range and map_fusion as separate processes. "
+        f"The bag {bag.name}, played through stereo_range, fiducial_localization and map_fusion as "
+        "separate processes. "
         f"The map is in {MAP_FILE}, as points with probability and sigma in {PLY_FILE}."
     )
     caption = "The map from above and from the side"
@@ -150,6 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--voxel-size", type=float, default=0.05, help="[m]")
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         bag = options.bag or find_share(BAG)
         figures = run_demo(bag, options.out, options.voxel_size, console)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.export import write_ply
 from infomap_ros.mapping.pictures import draw_map_views
 from infomap_ros.nodes.live_exploration import LiveExploration
+from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.exploration_run import task_in
 from infomap_ros.simulation.scenes import make_world
@@ -126,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--voxel-size", type=float, default=0.05, help="[m]")
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         results = run_demo(options, console)
     except (InfomapError, OSError) as error:

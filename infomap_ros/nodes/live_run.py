@@ -21,7 +21,7 @@ LEFT, RIGHT = "left/image_raw", "right/image_raw"
 
 
 class LiveRun(LiveGraph):
-    """Three node processes that map a bag, and a watcher in this process.
+    """Node processes that map a bag, and a watcher in this process.
 
     Args:
         bag: the bag that is played.
@@ -30,6 +30,8 @@ class LiveRun(LiveGraph):
         stereo: further parameters of stereo_range.
         fusion: further parameters of map_fusion.
         map_file: where map_fusion saves; ``map.infomap`` in `out` where not given.
+        localisation: further parameters of fiducial_localization, which then makes camera_pose
+            anew; where not given, the bag's own poses are played.
     """
 
     may_end = ("bag_player",)
@@ -42,6 +44,7 @@ class LiveRun(LiveGraph):
         stereo: Mapping[str, object] | None = None,
         fusion: Mapping[str, object] | None = None,
         map_file: Path | None = None,
+        localisation: Mapping[str, object] | None = None,
     ) -> None:
         super().__init__(out)
         self.map_file = (map_file or out / "map.infomap").absolute()
@@ -56,6 +59,11 @@ class LiveRun(LiveGraph):
         self._player |= results
         self._stereo = {"rectify": True, **images, **(stereo or {})}
         self._fusion = {"map_file": self.map_file, **clouds, **(fusion or {})}
+        self._localisation: dict[str, object] | None = None
+        if localisation is not None:
+            self._player |= {"left_out": ["/camera_pose"], "wait_for_publishers": ["camera_pose"]}
+            motion = reliable_inputs(("odom", "joint_states"))
+            self._localisation = {"rectify": True, **images, **motion, **localisation}
 
     def watch_updates(self) -> None:
         """Note when the map updates of each stamp arrive."""
@@ -93,6 +101,9 @@ class LiveRun(LiveGraph):
         """Start stereo_range and map_fusion."""
         self.pids["map_fusion"] = self._processes.start("map_fusion", self._fusion)
         self.pids["stereo_range"] = self._processes.start("stereo_range", self._stereo)
+        if self._localisation is not None:
+            name = "fiducial_localization"
+            self.pids[name] = self._processes.start(name, self._localisation)
 
     def start_player(self) -> None:
         """Start bag_player."""

@@ -44,7 +44,7 @@ def run_node(
         signal_handler_options=SignalHandlerOptions.NO,
     )
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+        signal.signal(number, interrupt)
     node = None
     try:
         node = factory()
@@ -71,6 +71,6 @@ def run_node(
     return 0
 
 
-def _interrupt(number: int, frame: object) -> None:
-    """Break off spinning; a node's timers wake it often enough to notice."""
+def interrupt(number: int, frame: object) -> None:
+    """Handle a signal by breaking off; a node's timers wake it often enough to notice."""
     raise KeyboardInterrupt

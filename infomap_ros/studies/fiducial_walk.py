@@ -145,8 +145,9 @@ def _new_point(
 ) -> FloatArray:
     """A point in view now and at the next step, apart from the others, shape (3,)."""
     candidates: list[FloatArray] = []
+    # One depth for all, or points far from the others would also be farther from the camera.
+    depth = mean_distance * rng.uniform(0.7, 1.3)
     while len(candidates) < _CANDIDATES:
-        depth = mean_distance * rng.uniform(0.7, 1.3)
         u, v = rng.uniform(0, CAMERA.width), rng.uniform(0, CAMERA.height)
         ray = np.array([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0])
         point = transform_points(views[0], depth * ray)

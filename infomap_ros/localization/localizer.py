@@ -34,10 +34,12 @@ from infomap_ros.localization.range_view import RangeView
 from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
 from infomap_ros.localization.target import TargetDetector
-from infomap_ros.localization.target_watch import TargetWatch, moved
+from infomap_ros.localization.target_watch import TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
 
 __all__ = ["Localisation", "Localizer"]
+
+_ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]
 
 
 class Localizer:
@@ -81,7 +83,7 @@ class Localizer:
         self._stamp = self._fixed = -(2**62)
         self._keyframe = self._recalled = np.eye(4)
         self._step = (np.eye(4), 0.0)  # last motion and its duration [s]
-        self._coasted = self._contradicted = 0  # views in a row
+        self._coasted, self._contradicted = 0, 0.0  # views in a row
         self._is_resumed = False
         self._noise = AdaptiveNoise(self.config.max_noise_factor)
 
@@ -194,7 +196,8 @@ class Localizer:
         """After `resume`: without a prior the camera may have been carried anywhere."""
         if self._is_resumed:
             self._is_resumed, self._fixed = False, view.stamp
-            self._state = "coasting" if prior is not None and self._state != "lost" else "lost"
+            if prior is None:
+                self._lose()
 
     def _follow(self, view: RangeView, prior: MotionPrior | None) -> FiducialObservations:
         """Track the fiducials, from where they are expected."""
@@ -242,22 +245,23 @@ class Localizer:
         """Is the localisation certain enough?"""
         if is_fixed:
             self._state, self._fixed = "tracking", view.stamp
-            self._coasted = self._contradicted = 0
+            self._coasted, self._contradicted = 0, 0.0
         elif self._state != "lost":
             self._coasted += 1
-            against = self._recovery.is_contradicted(view, seen)
-            self._contradicted = self._contradicted + 1 if against else 0
+            against = self._recovery.contradiction(view, seen)
+            self._contradicted = self._contradicted + against if against else 0.0
             in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
             believed = self._contradicted < self.config.patience
-            certain = self._is_certain() and in_time and believed
-            self._state = "coasting" if certain else "lost"
+            certain = is_certain(self._filter.pose[1], self.config)
+            self._state = "coasting"
+            if not (certain and in_time and believed):
+                self._lose()
 
-    def _is_certain(self) -> bool:
-        covariance = self._filter.pose[1]
-        position, rotation = covariance[:3, :3], covariance[3:, 3:]
-        limits = self.config.max_position_sigma**2, self.config.max_rotation_sigma**2
-        largest = (float(np.linalg.eigvalsh(part)[-1]) for part in (position, rotation))
-        return all(value <= limit for value, limit in zip(largest, limits, strict=True))
+    def _lose(self) -> None:
+        """From now on the camera may be anywhere."""
+        if self._state != "lost":
+            self._state = "lost"
+            self._filter.predict(MotionPrior(np.eye(4), np.diag(np.square(_ANYWHERE))))
 
     def _note_step(self, view: RangeView, before: FloatArray) -> None:
         motion = invert_transform(before) @ self._filter.pose[0]
@@ -265,22 +269,23 @@ class Localizer:
         self._stamp = view.stamp
 
     def _replace_fiducials(self, view: RangeView, tracked: int, chosen: Choice) -> None:
-        """Are new fiducials needed? Known ones that ought to be in view go first.
+        """Known fiducials that ought to be in view are used again; are new ones needed?
 
         A pose that rests on the expected motion is built upon only from its second view on, and
         while nothing contradicts it.
         """
-        if self._state == "lost" or tracked >= self.config.fewest_fiducials:
+        if self._state == "lost":
             return
         if self._state == "coasting":
             if self._coasted < 2 or self._contradicted:
                 return
             self._scene.set_aside()
         elif moved(self._recalled, self._filter.pose[0], self.config):
-            self._recalled = self._filter.pose[0]
             tracked += self._recovery.return_to_known(view)
-        missing = self.config.wanted_fiducials - tracked
-        self._scene.replenish(view, missing, chosen.voxel_map, chosen.body)
+            self._recalled = self._filter.pose[0]
+        if tracked < self.config.fewest_fiducials:
+            missing = self.config.wanted_fiducials - tracked
+            self._scene.replenish(view, missing, chosen.voxel_map, chosen.body)
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool

@@ -18,6 +18,7 @@ from infomap_ros.localization.sight import Measured
 _SIGMAS = 3.0  # of the pose, within which a fiducial is looked for
 _ANYWHERE = 0.2  # of the image's width, a search radius beyond which all of it is searched
 _EXPECTED = 10  # fiducials that ought to be seen, from which on their absence says something
+_HIDDEN = 0.34  # of a contradiction, when what is missed may be hidden
 _FOUND = 0.25  # share of them that must be seen for the camera to be where it is thought to be
 
 
@@ -65,8 +66,10 @@ class Recovery:
             near = self._scene.recall(view, pose, radius) if is_near else None
             found = self._scene.recall_anywhere(view) if near is None else near
             used, reason = self._update(joined(seen, found), is_lost)
+            if used and is_lost:
+                return used + self.return_to_known(view), "found again"
             if used:
-                return used, "found again" if is_lost else ""
+                return used, ""
             self._scene.set_aside(found.ids)
         return 0, reason
 
@@ -94,21 +97,25 @@ class Recovery:
         self._scene.set_aside(np.setdiff1d(found.ids, update.used))
         return len(update.used)
 
-    def is_contradicted(self, view: RangeView, seen: FiducialObservations) -> bool:
-        """Whether a view shows that the camera is not where it is thought to be.
+    def contradiction(self, view: RangeView, seen: FiducialObservations) -> float:
+        """How much a view speaks against where the camera is thought to be.
 
-        Fiducials ought to be seen, by where they are and by the range that is measured there, but
+        Fiducials ought to be seen, by where they are and from where they were seen before, but
         neither tracking nor recognition has found them.
 
         Args:
             view: the last one.
             seen: what tracking has found.
+
+        Returns:
+            1, or less where something nearer may hide them; 0 where nothing speaks against it.
         """
-        pose = self._filter.pose[0]
-        wanted = self._scene.ought_to_be_seen(view, pose)
-        if len(wanted) < _EXPECTED or not self._scene.shows_enough(view):
-            return False
-        return bool(np.isin(wanted, seen.ids).mean() < _FOUND)
+        wanted, hidden = self._scene.ought_to_be_seen(view, self._filter.pose[0])
+        if len(wanted) < _EXPECTED or np.isin(wanted, seen.ids).mean() >= _FOUND:
+            return 0.0
+        if not self._scene.shows_enough(view):
+            return 0.0
+        return _HIDDEN if hidden.mean() > 0.5 else 1.0
 
     def _search_radius(self, covariance: FloatArray) -> float:
         """How far from its expected place a fiducial at the mean distance may appear [px]."""

@@ -29,7 +29,7 @@ from infomap_ros.mapping import VoxelMap
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
 _SAME_ANGLE, _SAME_SCALE = 0.35, 1.4  # [rad, 1] within which a fiducial looks the same
-_SAME_RANGE = 0.1  # relative difference of range within which a fiducial is not hidden
+_SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
 _STILL = 0.3  # [px]
 _EXPECTED_WAY, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
 _BORDER = 12.0  # [px] within which a fiducial need not be seen
@@ -104,24 +104,26 @@ class SceneFiducials:
             inside = (pixels >= _BORDER) & (pixels <= size - 1.0 - _BORDER)
         return np.asarray(inside.all(axis=1))
 
-    def ought_to_be_seen(self, view: RangeView, T_map_camera: FloatArray) -> NDArray[np.int64]:
+    def ought_to_be_seen(
+        self, view: RangeView, T_map_camera: FloatArray
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Fiducials that would be found in a view if the camera were at a pose.
 
-        Those that lie within the image, are seen from about where they were seen before, and have
-        the range there that they ought to have: nothing hides them.
+        Those that lie within the image where a range is measured, and are seen from about where
+        they were seen before.
 
         Args:
             view: the last one.
             T_map_camera: shape (4, 4).
 
         Returns:
-            Their ids.
+            Their ids, shape (N,), and whether something that is nearer may hide them, shape (N,).
         """
         known = self._filter.fiducials()
         rows = np.flatnonzero(self.expected_in_view(known, T_map_camera))
         rows = rows[[int(number) in self._seen_from for number in known.ids[rows]]]
         if not len(rows):
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), np.zeros(0, np.bool_)
         positions = known.positions[rows]
         before = np.stack([self._seen_from[int(number)] for number in known.ids[rows]]) - positions
         now = T_map_camera[:3, 3] - positions
@@ -131,9 +133,9 @@ class SceneFiducials:
         similar &= lengths[0] < _SAME_SCALE * lengths[1]
         inside = transform_points(invert_transform(T_map_camera), positions)
         measured = view.inverse_depths(self._camera.project(inside))[0]
-        with np.errstate(invalid="ignore"):
-            open_to_view = np.abs(measured * inside[:, 2] - 1.0) < _SAME_RANGE
-        return np.asarray(known.ids[rows][similar & open_to_view])
+        chosen = similar & np.isfinite(measured)
+        hidden = measured[chosen] * inside[chosen, 2] > 1.0 + _SAME_RANGE
+        return known.ids[rows][chosen], hidden
 
     def set_aside(self, ids: NDArray[np.int64] | None = None) -> None:
         """Follow these, or all, no longer; they may be recalled."""

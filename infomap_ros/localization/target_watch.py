@@ -89,3 +89,11 @@ def moved(before: FloatArray, after: FloatArray, config: LocalizerConfig) -> boo
     way = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turn = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
     return way > config.keyframe_distance or turn > config.keyframe_angle
+
+
+def is_certain(covariance: FloatArray, config: LocalizerConfig) -> bool:
+    """Whether a pose with this covariance, shape (6, 6), may be believed."""
+    position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+    limits = config.max_position_sigma, config.max_rotation_sigma
+    return position <= limits[0] ** 2 and rotation <= limits[1] ** 2

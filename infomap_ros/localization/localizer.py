@@ -65,9 +65,8 @@ class Localizer:
     ) -> None:
         self.config = config or LocalizerConfig()
         self._begin_at = np.eye(4) if T_map_camera is None else check_transform(T_map_camera)
-        self._begin_covariance = (
-            np.zeros((6, 6)) if covariance is None else check_covariance(covariance, 6)
-        )
+        given = np.zeros((6, 6)) if covariance is None else covariance
+        self._begin_covariance = check_covariance(given, 6)
         self._filter = FiducialFilter(camera, self.config.filter)
         self._scene = SceneFiducials(camera, self.config, self._filter)
         self._watch = TargetWatch(detector, self.config)
@@ -251,10 +250,9 @@ class Localizer:
             against = self._recovery.contradiction(view, seen)
             self._contradicted = self._contradicted + against if against else 0.0
             in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
-            believed = self._contradicted < self.config.patience
-            certain = is_certain(self._filter.pose[1], self.config)
+            believed = in_time and self._contradicted < self.config.patience
             self._state = "coasting"
-            if not (certain and in_time and believed):
+            if not (believed and is_certain(self._filter.pose[1], self.config)):
                 self._lose()
 
     def _lose(self) -> None:

@@ -15,13 +15,15 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from infomap_ros.studies.localization_commands import drift
+from infomap_ros.studies.localization_commands import drift, pose_consistency
 from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
-from infomap_ros.studies.planar.commands import planar
+from infomap_ros.studies.planar.commands import planar, two
 
 app = typer.Typer(help="Experiments with the package, and their figures.", no_args_is_help=True)
 app.command("drift")(drift)
+app.command("pose-consistency")(pose_consistency)
 app.command("planar")(planar)
+app.command("two")(two)
 
 
 @app.callback()

@@ -12,13 +12,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from infomap_ros.errors import InfomapError, InvalidInputError
 from infomap_ros.studies.planar import report
-from infomap_ros.studies.planar.planar_study import PlanarStudyConfig, quick, tasks_of
+from infomap_ros.studies.planar.planar_study import (
+    PlanarStudyConfig,
+    TeamStudyConfig,
+    quick,
+    tasks_of,
+    team_tasks,
+)
 from infomap_ros.studies.planar.tasks import run_tasks
 
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
@@ -72,6 +79,48 @@ def planar(
     tables = report.overview(rows, config) + "\n" + report.comparisons(rows, config)
     (out / "planar.md").write_text(tables, encoding="utf-8")
     _finish(tables, report.summary(rows, time.monotonic() - start), out)
+
+
+def two(
+    out: Out,
+    worlds: Annotated[int, typer.Option(help="of each kind")] = TeamStudyConfig.worlds,
+    seed: Annotated[int, typer.Option(help="of the first world")] = TeamStudyConfig.seed,
+    strategies: Strategies = "",
+    sensors: Annotated[int, typer.Option(help="that explore together")] = TeamStudyConfig.sensors,
+    scans: Annotated[int, typer.Option(help="of all together")] = TeamStudyConfig.scans,
+    jobs: Jobs = 0,
+    is_quick: Quick = False,
+    draw_only: DrawOnly = False,
+) -> None:
+    """Fig. 12: two sensors that share their map by the messages of a team, and keep apart.
+
+    What is done is kept in OUT/runs, and not done again when the command is repeated.
+    """
+    sys.path.insert(0, str(Path.cwd()))
+    with _refusals():
+        config = TeamStudyConfig(worlds=worlds, seed=seed, sensors=sensors, scans=scans)
+        if is_quick:
+            quickly = ("random", "largest_information")
+            config = replace(config, worlds=0, scans=12, candidates=120, strategies=quickly)
+        if strategies:
+            config = replace(config, strategies=tuple(strategies.split(",")))
+        tasks, start = team_tasks(config), time.monotonic()
+        with _progress("explorations", len(tasks)) as advance:
+            records = run_tasks(
+                tasks, out / "runs", jobs or os.cpu_count() or 1, advance, compute=not draw_only
+            )
+    report.write_curves(records, out / "two_curves.csv")
+    report.draw_team_figures(records, config.scans, out)
+    table = report.team_overview(records, config.scans)
+    (out / "two.md").write_text(table, encoding="utf-8")
+    figures: dict[str, float | str] = {"seconds": round(time.monotonic() - start, 1)}
+    for name in config.strategies:
+        label = name.rpartition(".")[2]
+        own = [record.result for record in records if record.task.label == label]
+        if own:
+            figures[f"{label}.fraction"] = round(float(np.mean([r.fraction[-1] for r in own])), 4)
+            figures[f"{label}.distance"] = round(float(np.mean([r.distance[-1] for r in own])), 1)
+    _finish(table, figures, out)
 
 
 def _finish(tables: str, figures: dict[str, float | str], out: Path) -> None:

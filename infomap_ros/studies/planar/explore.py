@@ -88,7 +88,11 @@ class PlanarExplorer:
     ) -> None:
         self.world, self.config = world, config
         self.map = VoxelMap(config.sensor.map_config(world.cell))
-        settings = choice or planar_choice(config.sensor.max_range, world.cell)
+        settings = choice or planar_choice(
+            config.sensor.max_range,
+            world.cell,
+            strategy=strategy if isinstance(strategy, str) else "",
+        )
         information = ExpectedInformation(
             config=InformationConfig(min_range=0.0, range_noise=0.0, pixel_angle=1e-4), threads=1
         )

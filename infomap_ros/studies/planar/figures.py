@@ -130,7 +130,7 @@ def _label(axes: Any, kind: str, axis: Axis, value: str, worlds: int) -> None:
     axes.set_ylabel("fraction mapped [-]" if value == "fraction" else "distance moved [m]")
     axes.set_xlim(0.0, axis.last)
     axes.set_ylim(bottom=0.0)
-    if value == "fraction":
+    if value == "fraction" and axes.get_ylim()[1] > 0.5:
         axes.set_ylim(0.0, 1.0)
     axes.grid(alpha=0.3)
 

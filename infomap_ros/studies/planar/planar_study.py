@@ -36,7 +36,7 @@ BASELINES = (
 )
 """What the package's strategies are compared with, by dotted path."""
 
-OWN = ("largest_information", "look_ahead")
+OWN = ("largest_information", "look_ahead", "view_tour")
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,12 @@ class PlanarStudyConfig:
     worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
     seed: int = parameter(0, "Of the first world of each kind.", low=0)
     strategies: tuple[str, ...] = parameter(
-        (*PAPER, "look_ahead", *BASELINES), "Names of strategies, or dotted paths of classes."
+        (*PAPER, "look_ahead", "view_tour", *BASELINES),
+        "Names of strategies, or dotted paths of classes.",
     )
     scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
     most_scans: int = parameter(
-        500,
+        400,
         "So many scans the strategies that are compared by the distance to `share` may take; the "
         "other four of the paper stop after `scans`.",
         low=2,
@@ -72,9 +73,9 @@ class PlanarStudyConfig:
         high=1e6,
     )
     cell: float = parameter(
-        0.5, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
+        1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
     )
-    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
+    candidates: int = parameter(240, "Candidate views of each choice.", low=10, high=100_000)
     sensor: SensorConfig = field(default_factory=SensorConfig)
 
     def __post_init__(self) -> None:
@@ -90,7 +91,6 @@ def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
         strategies=("random", "largest_information", "look_ahead"),
         scans=12,
         most_scans=15,
-        cell=1.0,
         candidates=120,
     )
 
@@ -115,6 +115,52 @@ def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
         sensor=config.sensor,
     )
     return Task(world, strategy, exploration, config.candidates)
+
+
+@dataclass(frozen=True)
+class TeamStudyConfig:
+    """Size of the study of several sensors, Fig. 12.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
+    worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
+    seed: int = parameter(0, "Of the first world of each kind.", low=0)
+    strategies: tuple[str, ...] = parameter(
+        (*PAPER, "look_ahead", "view_tour"), "Names of strategies, or dotted paths of classes."
+    )
+    sensors: int = parameter(2, "That explore together.", low=2, high=32)
+    scans: int = parameter(40, "Scans of all sensors together.", low=2, high=10_000)
+    cell: float = parameter(
+        1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
+    )
+    candidates: int = parameter(240, "Candidate views of each choice.", low=10, high=100_000)
+    sensor: SensorConfig = field(
+        default_factory=lambda: SensorConfig(field_of_view=75.0, max_range=10.0)
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def team_tasks(config: TeamStudyConfig) -> list[Task]:
+    """All explorations of the study of several sensors, world by world."""
+    worlds = [WorldName("fig10", config.seed, cell=config.cell)]
+    for seed in range(config.seed, config.seed + config.worlds):
+        worlds += [WorldName(kind, seed, cell=config.cell) for kind in config.kinds]
+    return [
+        Task(
+            world,
+            strategy,
+            ExplorationConfig(scans=config.scans, seed=world.seed, sensor=config.sensor),
+            config.candidates,
+            config.sensors,
+        )
+        for world in worlds
+        for strategy in config.strategies
+    ]
 
 
 @dataclass(frozen=True)

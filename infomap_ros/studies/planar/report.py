@@ -137,6 +137,29 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
         draw_ways(world, chosen, config.sensor, config.scans, out / "planar_ways")
 
 
+def team_overview(records: Sequence[Record], scans: int) -> str:
+    """Fraction and distance of each strategy after all scans, as a Markdown table."""
+    lines = [
+        f"| strategy | worlds | mapped after {scans} scans [%] | distance moved [m] |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name in dict.fromkeys(record.task.label for record in records):
+        own = [record.result for record in records if record.task.label == name]
+        mapped = band(np.array([result.fraction[-1] for result in own]))
+        moved = band(np.array([result.distance[-1] for result in own]))
+        lines.append(f"| {name} | {len(own)} | {_percent(mapped)} | {_metres(moved)} |")
+    return "\n".join(lines) + "\n"
+
+
+def draw_team_figures(records: Sequence[Record], scans: int, out: Path) -> None:
+    """Fig. 12."""
+    if records:
+        axis = Axis("scans", scans)
+        panels = [("all", axis, "fraction"), ("all", axis, "distance")]
+        note = band_note(len({str(record.task.world) for record in records}))
+        draw_curves(records, panels, out / "two_curves", f"Fig. 12 over many worlds: {note}")
+
+
 def _percent(found: Band) -> str:
     return _band(found, 100.0, 1)
 

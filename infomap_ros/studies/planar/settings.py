@@ -11,8 +11,12 @@ from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.survey import SurroundingsConfig
 from infomap_ros.views.view_tour import ViewTourConfig
 
+_RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a way of one range costs [full views]
 
-def planar_choice(max_range: float, cell: float, candidates: int = 400) -> NextBestViewConfig:
+
+def planar_choice(
+    max_range: float, cell: float, candidates: int = 240, strategy: str = ""
+) -> NextBestViewConfig:
     """The choice for a sensor of this range [m] in a world with cells of this edge [m].
 
     The sensor has no body, no noise and knows its pose, so that neither room, margins nor the
@@ -22,21 +26,24 @@ def planar_choice(max_range: float, cell: float, candidates: int = 400) -> NextB
         max_range: see above.
         cell: see above.
         candidates: number of candidate views.
+        strategy: by which is chosen. One that ranks by the rating alone needs a higher cost of
+            the way than those that discount what comes late.
     """
+    cost_of_range = _RATING_ALONE if strategy == "largest_information" else _DISCOUNTED
     return NextBestViewConfig(
         surroundings=SurroundingsConfig(
             surface_margin=0, camera_radius=0.0, start_radius=cell, horizon=1000.0, cell=cell
         ),
         candidates=CandidateConfig(
-            candidates=candidates, local_radius=max_range, teammate_clearance=max_range
+            candidates=candidates, local_radius=max_range, teammate_clearance=0.2 * max_range
         ),
         orientations=OrientationConfig(
             directed=3, spread=1, lowest_elevation=0.0, highest_elevation=0.0
         ),
         rating=RatingConfig(
-            distance_weight=0.1 / max_range,
+            distance_weight=cost_of_range / max_range,
             localisation_weight=0.0,
-            teammate_sigma=0.5 * max_range,
+            teammate_sigma=0.1 * max_range,
         ),
         selection=SelectionConfig(least_rating=-1e6),
         look_ahead=LookAheadConfig(

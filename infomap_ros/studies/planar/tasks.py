@@ -16,6 +16,7 @@ from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, e
 from infomap_ros.studies.planar.floor_plans import read_floor_plan
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
 
 
@@ -54,12 +55,14 @@ class Task:
         strategy: name of a strategy, or dotted path of a class.
         config: sensor, number of scans, seed.
         candidates: number of candidate views.
+        sensors: that explore together.
     """
 
     world: WorldName
     strategy: str
     config: ExplorationConfig
     candidates: int
+    sensors: int = 1
 
     @property
     def label(self) -> str:
@@ -78,7 +81,9 @@ class Task:
     def run(self) -> Exploration:
         """Explore."""
         world, sensor = self.world.make(), self.config.sensor
-        choice = planar_choice(sensor.max_range, self.world.cell, self.candidates)
+        choice = planar_choice(sensor.max_range, self.world.cell, self.candidates, self.strategy)
+        if self.sensors > 1:
+            return explore_together(world, self.strategy, self.config, choice, self.sensors)
         return explore(world, self.strategy, self.config, choice)
 
 

@@ -1,0 +1,91 @@
+"""Figures of the planar studies, by hand and against scipy."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from infomap_ros.studies.baselines.tour import open_tour, tour_length
+from infomap_ros.studies.planar.measures import (
+    area_under_coverage,
+    band,
+    curve_band,
+    distance_to,
+    fraction_at,
+    savings,
+)
+from infomap_ros.studies.planar.planar_study import Row, compare
+
+DISTANCE = np.array([0.0, 0.0, 10.0, 30.0])
+FRACTION = np.array([0.1, 0.2, 0.5, 0.9])
+
+
+def test_coverage_is_that_of_the_last_scan_before() -> None:
+    at = np.array([0.0, 9.9, 10.0, 29.0, 30.0, 99.0])
+    expected = [0.2, 0.2, 0.5, 0.5, 0.9, 0.9]
+    np.testing.assert_allclose(fraction_at(DISTANCE, FRACTION, at), expected)
+
+
+@pytest.mark.parametrize("reach", [5.0, 20.0, 30.0, 100.0])
+def test_area_is_the_mean_of_the_curve(reach: float) -> None:
+    at = (np.arange(100_000) + 0.5) * reach / 100_000
+    mean = fraction_at(DISTANCE, FRACTION, at).mean()
+    assert area_under_coverage(DISTANCE, FRACTION, reach) == pytest.approx(mean, abs=1e-4)
+
+
+def test_distance_to_a_share() -> None:
+    assert distance_to(DISTANCE, FRACTION, 0.5) == 10.0
+    assert distance_to(DISTANCE, FRACTION, 0.05) == 0.0
+    assert distance_to(DISTANCE, FRACTION, 0.95) == np.inf
+
+
+def test_bands_are_those_of_students_t() -> None:
+    values = np.array([3.0, 5.0, 4.0, 8.0])
+    low, high = stats.t.interval(0.95, 3, values.mean(), stats.sem(values))
+    found = band(values)
+    assert (found.mean - found.half, found.mean + found.half) == pytest.approx((low, high))
+    mean, half = curve_band(np.column_stack([values, 2.0 * values]))
+    np.testing.assert_allclose(mean, [5.0, 10.0])
+    np.testing.assert_allclose(half, [found.half, 2.0 * found.half])
+    assert np.isnan(band(np.array([1.0])).half)
+
+
+def row(world: str, strategy: str, way: float, moved: float, area: float = 0.5) -> Row:
+    return Row(world, "rooms", strategy, 10, 0.5, 0.9, area, moved, way, 0.1, 0.2)
+
+
+def test_comparison_is_paired_over_worlds() -> None:
+    rows = [
+        row("a", "own", 80.0, 80.0, 0.6),
+        row("a", "other", 100.0, 100.0, 0.5),
+        row("b", "own", 300.0, 300.0, 0.4),
+        row("b", "other", np.inf, 400.0, 0.1),  # never got so far
+        row("c", "own", np.inf, 900.0, 0.2),
+        row("c", "other", 500.0, 500.0, 0.3),
+        row("d", "own", 10.0, 10.0),  # alone in its world
+    ]
+    found = compare(rows, "own", "other")
+    assert found.saved.mean == pytest.approx((0.2 + 0.25) / 2.0)
+    assert (found.saved.count, found.bounds, found.failed) == (2, 1, 1)
+    assert found.area.mean == pytest.approx((0.1 + 0.3 - 0.1) / 3.0)
+    np.testing.assert_allclose(savings(np.array([80.0]), np.array([100.0])), [0.2])
+
+
+def test_tours_are_nearly_the_shortest() -> None:
+    rng = np.random.default_rng(5)
+    excess = []
+    for _ in range(10):
+        places = rng.uniform(0.0, 100.0, (6, 2))
+        between = np.linalg.norm(places[:, None] - places, axis=2)
+        first = np.linalg.norm(places - 50.0, axis=1)
+        found = tour_length(open_tour(first, between), first, between)
+        lengths = [
+            tour_length(np.array(order), first, between)
+            for order in itertools.permutations(range(6))
+        ]
+        excess.append(found / min(lengths))
+    assert min(excess) == pytest.approx(1.0)
+    assert max(excess) < 1.1

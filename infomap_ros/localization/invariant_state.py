@@ -102,14 +102,16 @@ class InvariantState:
         """Take an error, shape (n,), out of the values."""
         theta, xi = error[3:6], error[:3]
         turn, jacobian = exponential(theta), left_jacobian(theta)
-        self.T_map_camera = _moved(self.T_map_camera, turn, jacobian @ xi)
+        moved = self.T_map_camera.copy()
+        moved[:3, :3] = turn @ moved[:3, :3]
+        moved[:3, 3] = turn @ moved[:3, 3] + jacobian @ xi
+        self.T_map_camera = renormalised(moved)
         fiducials = error[self.fiducial_rows(slice(None))]
         self.positions = self.positions @ turn.T + fiducials @ jacobian.T
         rows = self.kept_rows()
-        turns = exponential(error[rows[:, 3:]])
-        shifts = np.einsum("kij,kj->ki", left_jacobian(error[rows[:, 3:]]), error[rows[:, :3]])
-        for index, (kept_turn, shift) in enumerate(zip(turns, shifts, strict=True)):
-            self.kept[index] = _moved(self.kept[index], kept_turn, shift)
+        turns, jacobians = exponential(error[rows[:, 3:]]), left_jacobian(error[rows[:, 3:]])
+        self.kept[:, :3] = turns @ self.kept[:, :3]
+        self.kept[:, :3, 3] += np.einsum("kij,kj->ki", jacobians, error[rows[:, :3]])
 
     def add_fiducials(self, ids: IntArray, points: FloatArray, covariances: FloatArray) -> None:
         """Add points seen from the camera.
@@ -211,10 +213,3 @@ class InvariantState:
 def _rows(blocks: IntArray) -> IntArray:
     """Rows of blocks, shape (..., 3)."""
     return np.asarray(_BLOCK * blocks[..., None] + np.arange(_BLOCK))
-
-
-def _moved(transform: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArray:
-    result = transform.copy()
-    result[:3, :3] = turn @ transform[:3, :3]
-    result[:3, 3] = turn @ transform[:3, 3] + shift
-    return renormalised(result)

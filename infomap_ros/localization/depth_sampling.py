@@ -20,7 +20,7 @@ def sample_inverse_depths(cloud: RangeCloud, pixels: FloatArray) -> tuple[FloatA
 
     The inverse depth of a plane is linear in the pixel, so the fit is exact on planes. Averaging n
     neighbours leaves ``rho + (1 - rho) / n`` of the variance, with the cloud's error correlation
-    rho; what the plane does not explain is added.
+    rho; what neither the plane nor the noise explains is added.
 
     Args:
         cloud: organised.
@@ -69,7 +69,8 @@ def _fit(
     count = np.maximum(weights.sum(axis=1), _LEAST_SAMPLES)
     mean_noise = (weights * noise).sum(axis=1) / count
     rho = cloud.error_correlation
-    left_over = (residual**2).sum(axis=1) / (count - 3.0)
+    scatter = (residual**2).sum(axis=1) / (count - 3.0)
+    left_over = np.maximum(scatter - (1.0 - rho) * mean_noise, 0.0)
     total = mean_noise * (rho + (1.0 - rho) * spread) + left_over * spread
     good = sound & (plane[:, 0] > 0.0)
     return np.where(good, plane[:, 0], np.nan), np.where(good, np.sqrt(total), np.nan)

@@ -35,6 +35,8 @@ _CONVERGED = 0.01  # [px]
 _SLOPE_SIGMA = 0.3
 # Variance of the photometric noise that the prior is weighed against [grey levels^2].
 _PHOTOMETRIC_VARIANCE = 9.0
+# The best match must lead by this much correlation, however good it is.
+_LEAST_LEAD = 0.02
 # Quantisation of 8-bit images [grey levels^2], [(grey levels/px)^2].
 _RESIDUAL_NOISE, _GRADIENT_NOISE = 0.1, 0.1
 # Matches this near to the best one do not rival it [px].
@@ -177,7 +179,8 @@ def _best_match(scores, least, rivalry):  # type: ignore[no-untyped-def]
     for k in range(len(scores)):
         if abs(k - best) > _SAME_PEAK and scores[k] > second:
             second = scores[k]
-    return best if 1.0 - scores[best] <= rivalry * (1.0 - second) else -1
+    lead = scores[best] - second
+    return best if lead >= max((1.0 - rivalry) * (1.0 - second), _LEAST_LEAD) else -1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
+from infomap_ros.localization.draw_target_command import draw_target
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.localize_command import localize
 from infomap_ros.replay.map_inputs import MapOptions
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 app.add_typer(studies, name="study")
 app.command("localize")(localize)
+app.command("draw-target")(draw_target)
 _PASSED_ON = {
     "allow_extra_args": True,
     "ignore_unknown_options": True,

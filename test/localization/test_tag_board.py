@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 
 import cv2
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from infomap_ros import cli
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.localization.tag_board import TagBoard, TagBoardConfig, dictionary
 from infomap_ros.localization.tag_drawing import draw_board, save_board
@@ -112,3 +115,28 @@ def test_a_saved_pdf_has_a_page_of_the_board_size(tmp_path: Path) -> None:
 def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="board"):
         save_board(TagBoardConfig(), tmp_path / "board.tiff")
+
+
+def test_the_command_draws_a_board_and_names_its_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = [
+        "draw-target",
+        "--out",
+        str(tmp_path / "board.png"),
+        "--side",
+        "0.1",
+        "--rows",
+        "3",
+    ]
+    monkeypatch.setattr(sys, "argv", ["infomap", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["settings"] == (
+        "--set target.kind=tags --set target.tags.board.side=0.1 --set target.tags.board.rows=3"
+    )
+    image = cv2.imread(summary["file"], cv2.IMREAD_GRAYSCALE)
+    assert set(read_by_opencv(image, "tag36h11")) == set(range(6))
+    np.testing.assert_allclose([summary["width"], summary["height"]], [0.32, 0.46])

@@ -13,13 +13,13 @@ end, and new scans may be added meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.geometry import check_covariance, check_transform
+from infomap_ros.geometry import check_covariance, check_transforms
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.block_exchange import exchange_blocks
@@ -69,11 +69,24 @@ class ReintegrationReport:
     largest_correction: float
 
 
-def correction(scan: KeptScan, transform: FloatArray, max_range: float) -> float:
-    """How far another pose, shape (4, 4), moves the points of a scan at the most [m]."""
-    distance = min(scan.record.farthest, max_range)
-    turn = np.linalg.norm(transform[:3, :3] - scan.transform[:3, :3], ord=2)
-    return float(np.linalg.norm(transform[:3, 3] - scan.transform[:3, 3]) + distance * turn)
+def corrections(scans: Sequence[KeptScan], transforms: FloatArray, max_range: float) -> FloatArray:
+    """How far other poses move the points of scans at the most.
+
+    Args:
+        scans: N of them.
+        transforms: their other poses, shape (N, 4, 4).
+        max_range: points beyond it do not count [m].
+
+    Returns:
+        Shape (N,) [m].
+    """
+    if not scans:
+        return np.zeros(0)
+    change = transforms - np.array([scan.transform for scan in scans])
+    distances = np.minimum([scan.record.farthest for scan in scans], max_range)
+    # Of two rotations by an angle a from each other this norm is 2 sqrt(2) sin(a / 2).
+    turns = np.linalg.norm(change[:, :3, :3], axis=(1, 2)) / np.sqrt(2.0)
+    return np.asarray(np.linalg.norm(change[:, :3, 3], axis=1) + distances * turns)
 
 
 def moved_scans(
@@ -94,17 +107,17 @@ def moved_scans(
         InvalidInputError: a pose or a covariance is none.
     """
     least = (config or ReintegrationConfig()).least_correction * voxel_map.config.voxel_size
+    scans = [scan for scan in store if scan.stamp in new_poses]
+    if not scans:
+        return {}
+    transforms = check_transforms(np.array([new_poses[s.stamp][0] for s in scans]), "new poses")
+    far = corrections(scans, transforms, voxel_map.config.max_range) > least
     moved: dict[int, ScanPose] = {}
-    for scan in store:
-        if scan.stamp not in new_poses:
-            continue
-        pose, uncertainty = new_poses[scan.stamp]
-        transform = check_transform(pose, "new pose")
-        covariance = None
-        if uncertainty is not None:
-            covariance = check_covariance(uncertainty, 6, "covariance of a new pose")
-        if correction(scan, transform, voxel_map.config.max_range) > least:
-            moved[scan.number] = transform, covariance
+    for place in np.flatnonzero(far).tolist():
+        covariance = new_poses[scans[place].stamp][1]
+        if covariance is not None:
+            covariance = check_covariance(covariance, 6, "covariance of a new pose")
+        moved[scans[place].number] = transforms[place], covariance
     return moved
 
 
@@ -152,18 +165,15 @@ class Reintegration:
         before = int(old.blocks.counts[BLOCK_COUNT])
         self._map._storage = exchange_blocks(old, fresh, self._affected)
         after = int(self._map._storage.blocks.counts[BLOCK_COUNT])
-        reach = self._map.config.max_range
-        largest = [
-            correction(scan, self._moved[scan.number][0], reach)
-            for scan in self._store
-            if scan.number in self._moved
-        ]
+        scans = [scan for scan in self._store if scan.number in self._moved]
+        transforms = np.array([self._moved[scan.number][0] for scan in scans])
+        largest = corrections(scans, transforms, self._map.config.max_range)
         self._store.move(self._moved)
         return ReintegrationReport(
             len(self._moved),
             self._integrated,
             int(np.count_nonzero(self._affected)) + after - before,
-            max(largest, default=0.0),
+            float(largest.max(initial=0.0)),
         )
 
     def _moved_views(self) -> list[ViewVolume]:

@@ -150,3 +150,24 @@ def test_a_map_that_keeps_no_scans_stays_as_it_is() -> None:
     correctable.hear(12, np.arange(10), true)
     assert correctable.correct() is None
     assert correctable.voxel_map.known_voxels > 0
+
+
+def test_scans_are_not_frozen_while_the_map_is_corrected() -> None:
+    whole, true, used = _drive()
+    size = sum(scan.record.memory_bytes() for scan in whole.store)
+    tight, _, _ = _drive(memory=(size + 100) * 1e-9)
+    assert tight.store.frozen == 0
+    tight.hear(9, np.arange(10), used)
+    tight.hear(12, np.arange(10), true)
+    assert tight.begin_correction()
+    points = Scene([(0.0, 1.0, 0.0, 1.5)]).points(CAMERA, true[0])
+    for stamp in range(13, 17):
+        tight.integrate(stamp, points, true[0], camera=CAMERA)
+    assert tight.store.frozen == 0
+    assert tight.correct() is not None
+    assert tight.store.frozen > 0
+    expected = VoxelMap.from_state(CONFIG, tight.store.base.state())
+    for scan in tight.store:
+        integrate_record(expected, scan.record, scan.transform, scan.covariance)
+    evidence = [{i: v[0] for i, v in voxels_of(m).items()} for m in (tight.voxel_map, expected)]
+    assert evidence[0] == evidence[1]

@@ -16,6 +16,7 @@ from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.reintegration import (
     Reintegration,
     ReintegrationConfig,
+    corrections,
     moved_scans,
     reintegrate,
 )
@@ -244,7 +245,7 @@ def test_a_correction_that_does_not_fit_into_memory_leaves_the_map_alone() -> No
 
 def test_a_new_pose_that_is_none_is_refused() -> None:
     trip = _trip(12, count=3)
-    with pytest.raises(InvalidInputError, match="new pose"):
+    with pytest.raises(InvalidInputError, match="new poses"):
         reintegrate(trip.map, trip.store, {2: (np.ones((4, 4)), None)})
 
 
@@ -259,3 +260,17 @@ def test_a_corrected_map_can_be_saved_and_corrected_again(tmp_path) -> None:  # 
 
 def test_what_is_not_observed_is_told_as_the_wire_says_it() -> None:
     assert NOT_OBSERVED == NOT_OBSERVED_ON_THE_WIRE
+
+
+def test_a_correction_bounds_how_far_points_move() -> None:
+    rng = np.random.default_rng(14)
+    trip = _trip(14, count=4)
+    others = np.array([perturb_transform(pose, rng.normal(0.0, 0.3, 6)) for pose in trip.used])
+    bounds = corrections(list(trip.store), others, CONFIG.max_range)
+    for scan, other, bound in zip(trip.store, others, bounds, strict=True):
+        points = scan.record.restore().points.reshape(-1, 3).astype(np.float64)
+        points = points[np.linalg.norm(points, axis=1) <= CONFIG.max_range]
+        change = other - scan.transform
+        moves = np.linalg.norm(points @ change[:3, :3].T + change[:3, 3], axis=1)
+        assert moves.max() <= bound + 1e-9
+        assert bound < 4.0 * moves.max()

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap, VoxelWindow
+from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelWindow
 from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
 from infomap_ros.motion import collision_kernels as kernels
 from infomap_ros.motion.collision_body import CollisionBody, CollisionConfig
@@ -68,7 +68,7 @@ class CollisionChecker:
         if isinstance(robot, RobotModel):
             robot = CollisionBody.from_robot(robot, config)
         self.body = robot
-        self.field = _field(surroundings, robot.config.unknown_is_free)
+        self.field = _field(surroundings, robot.config)
 
     def check(self, q: ArrayLike, T_map_base: ArrayLike, base: bool = True) -> CollisionReport:
         """Check one configuration and say what it touches.
@@ -194,16 +194,18 @@ class CollisionChecker:
 
 
 def _field(
-    surroundings: VoxelMap | VoxelWindow | DistanceField, unknown_is_free: bool
+    surroundings: VoxelMap | VoxelWindow | DistanceField, config: CollisionConfig
 ) -> DistanceField:
     if isinstance(surroundings, DistanceField):
         return surroundings
+    thresholds = OccupancyThresholds(config.free_probability)
+    unknown_is_free = config.unknown_is_free
     if isinstance(surroundings, VoxelWindow):
-        return distance_field(surroundings, unknown_is_free=unknown_is_free)
+        return distance_field(surroundings, thresholds=thresholds, unknown_is_free=unknown_is_free)
     bounds, size = surroundings.bounds(), surroundings.config.voxel_size
     if bounds is None:
         blocked = np.full((1, 1, 1), not unknown_is_free)
         return field_of_blocked(blocked, (0, 0, 0), size, unknown_is_free)
     low, high = (np.asarray(bound) for bound in bounds)
     window = surroundings.window((low + 0.25) * size, (high + 0.75) * size)
-    return distance_field(window, unknown_is_free=unknown_is_free)
+    return distance_field(window, thresholds=thresholds, unknown_is_free=unknown_is_free)

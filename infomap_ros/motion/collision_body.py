@@ -52,6 +52,14 @@ class CollisionConfig:
         high=0.5,
     )
     unknown_is_free: bool = parameter(False, "The arm may enter space that was never observed.")
+    free_probability: float = parameter(
+        0.02,
+        "The arm may enter voxels that are less likely occupied than this. It takes three looks of "
+        "the map's default model: two pairs from one place share their errors, and a stereo "
+        "camera may see through thin things.",
+        low=1e-6,
+        high=0.4,
+    )
     ground_links: tuple[str, ...] = parameter(
         ("*_wheel",),
         "Links (patterns) that stand on the ground: they are not compared with the map, as the "

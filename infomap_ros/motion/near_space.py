@@ -16,7 +16,7 @@ from infomap_ros.geometry import (
     Sphere,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.distance_field import distance_field
 from infomap_ros.motion.collision import CollisionChecker
 from infomap_ros.motion.collision_body import CollisionBody
@@ -107,6 +107,7 @@ class NearSpace:
         """
         field = distance_field(
             self._map.window(low, high),
+            thresholds=OccupancyThresholds(self._body.config.free_probability),
             unknown_is_free=self._body.config.unknown_is_free,
             known_free=[
                 solid for solid in (*self._known_free, *free) if _touches_box(solid, low, high)

@@ -265,8 +265,9 @@ def _things_to_see(
     counts, sums = np.zeros((*shape, 2), np.int32), np.zeros((*shape, 3))
     bounds = np.stack([situation.region.low, situation.region.high])
     limits = np.clip(bounds, window.centres_of(np.zeros(3)), window.centres_of(states.shape))
-    low, high = window.positions_of(limits)
-    space_kernels.count_targets(states, edge, low, high + 1, counts, sums)
+    low = window.positions_of(limits[:1])[0]
+    end = np.ceil(limits[1] / window.voxel_size - 1e-9).astype(np.int64) - window.first
+    space_kernels.count_targets(states, edge, low, end, counts, sums)
     cells = np.nonzero(counts[..., 0])
     number = counts[..., 0][cells].astype(np.int64)
     places = window.centres_of(sums[cells] / number[:, None])

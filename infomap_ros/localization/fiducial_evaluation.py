@@ -15,14 +15,16 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 
+_LEAST_FALL = 0.01  # of the certainty from shell to shell
 _LEAST_GREY = 1.0  # keeps the contrast of black windows finite [grey levels]
 
 
 def certainty(voxel_map: VoxelMap, points: FloatArray, largest_radius: int) -> FloatArray:
     """Certainty in the map, ``f = P / r``.
 
-    P is the probability of the voxel at the point, r the number of shells about it over which the
-    mean probability keeps falling: a point that stands alone in well known surroundings has r = 1.
+    P is the certainty that the voxel at the point is occupied, ``2 p - 1`` of its probability p, so
+    that an unknown or free one has none; r is the number of shells about it over which the mean
+    certainty ``|2 p - 1|`` keeps falling, at least 1: well known surroundings make it small.
 
     Args:
         voxel_map: the map.
@@ -40,12 +42,12 @@ def certainty(voxel_map: VoxelMap, points: FloatArray, largest_radius: int) -> F
     offsets = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
     shell = np.abs(offsets).max(axis=1)
     places = points[known][:, None] + offsets * voxel_map.config.voxel_size
-    probability = voxel_map.probability(places.reshape(-1, 3)).reshape(-1, len(offsets))
+    sure = 2.0 * voxel_map.probability(places.reshape(-1, 3)).reshape(-1, len(offsets)) - 1.0
     means = np.stack(
-        [probability[:, shell == radius].mean(axis=1) for radius in range(largest_radius + 1)]
+        [np.abs(sure[:, shell == radius]).mean(axis=1) for radius in range(largest_radius + 1)]
     )
-    falling = np.cumprod(np.diff(means, axis=0) < 0.0, axis=0).sum(axis=0)
-    values[known] = means[0] / np.maximum(falling, 1)
+    falling = np.cumprod(np.diff(means, axis=0) < -_LEAST_FALL, axis=0).sum(axis=0)
+    values[known] = np.maximum(sure[:, shell == 0][:, 0], 0.0) / np.maximum(falling, 1)
     return values
 
 
@@ -111,8 +113,8 @@ def depth_contrast(
 
     H is the root mean square spatial frequency [1/px] of the relief, that is the depth less a plane
     through the window, over the depth; by Parseval's theorem it follows from the relief's and its
-    derivative's power without a transform. It counts by the share of the relief's power that is
-    not range noise. w is the largest window before H rises as the window grows.
+    derivative's power without a transform. It counts by the share of the relief's power that range
+    noise does not explain. w is the largest window before H rises as the window grows.
 
     Args:
         range_image: depth, shape (H, W) [m]; NaN = none.
@@ -161,7 +163,9 @@ def _relief_frequency(
     noise_power = np.where(measured, noise, 0.0).sum(axis=(1, 2)) / count
     frequency = np.sqrt(steps / np.maximum(power, 1e-12)) / (2.0 * np.pi)
     enough = count > 0.5 * measured[0].size
-    return np.where(enough, frequency, 0.0), power / (power + 4.0 * noise_power + 1e-12)
+    return np.where(enough, frequency, 0.0), np.maximum(
+        1.0 - noise_power / np.maximum(power, 1e-12), 0.0
+    )
 
 
 def spread_penalty(pixels: FloatArray, taken: FloatArray, distance: float) -> FloatArray:

@@ -30,6 +30,7 @@ AMBIGUITY = "two groups of fiducials show different motions"
 MINORITY = "too few of the fiducials agree on one pose"
 CONTESTED = (DISAGREEMENT, AMBIGUITY, MINORITY)
 _MOST = 3
+_LEAST = 3  # fiducials that agree on some motion by chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def hypotheses(
     remaining = admitted.copy()
     found: list[Hypothesis] = []
     for _ in range(_MOST):
-        if np.count_nonzero(remaining) < config.least_fiducials:
+        if np.count_nonzero(remaining) <= _LEAST:
             break
         some = np.flatnonzero(remaining)
         part = (positions[some], covariances[some], measured.select(some), gate)
@@ -145,6 +146,8 @@ def choose(
     if not plausible:
         return None, CONTRADICTION
     best = plausible[0]
+    if best.count < config.least_fiducials:
+        return None, DISAGREEMENT
     if len(plausible) > 1 and plausible[1].count >= config.ambiguity * best.count:
         return None, AMBIGUITY
     # Who wins must not hang on what happens to be in view.

@@ -103,10 +103,10 @@ class Hypothesis:
         return int(np.count_nonzero(self.members))
 
     def has_plausible_residuals(self, config: FiducialFilterConfig) -> bool:
-        """Whether enough fiducials agree as well as their noise lets expect."""
+        """Whether the fiducials agree as well as their noise lets expect."""
         limit = chdtri(self.degrees_of_freedom, 1.0 - config.joint_gate)
         residual = self.correction.nis - self.motion_nis
-        return self.count >= config.least_fiducials and residual <= limit
+        return bool(residual <= limit)
 
     def has_plausible_motion(self, config: FiducialFilterConfig) -> bool:
         """Whether the motion agrees with its prior."""
@@ -166,7 +166,7 @@ def examine(
         config: gates.
 
     Returns:
-        The hypothesis; None where fewer than `config.least_fiducials` agree.
+        The hypothesis; None where fewer than three agree.
     """
     measured, members = group.measured, group.members
     sight = expectation.sight(state, group.indices, measured)
@@ -184,8 +184,6 @@ def examine(
         if np.array_equal(used, members):
             break
     assert correction is not None
-    if np.count_nonzero(used) < config.least_fiducials:
-        return None
     rows = state.fiducial_rows(group.indices[used]).ravel()
     noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(rows) // 3, 1))
     return Hypothesis(

@@ -1,7 +1,7 @@
 """Cost of localising by 640x480 pairs beside the stereo matcher, in one run.
 
-Views of the room loop (10 Hz) go through the localizer, images alone; beside each, the dense matcher
-(SGBM with the sensor's settings) works on the same pair. One thread; times are those of the
+Views of the room loop (10 Hz) go through the localizer, images alone; beside each, the dense
+matcher (SGBM with the settings of the sensor) works on the same pair. One thread; times are of the
 processor, which other load on the machine disturbs least. `sum_ms` below 100 ms keeps up with 10 Hz
 on one core. Prints one JSON line.
 

@@ -26,6 +26,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.export import write_ply
 from infomap_ros.mapping.pictures import draw_map_views
 from infomap_ros.nodes.live_exploration import LiveExploration
+from infomap_ros.nodes.pose_comparison import PoseComparison
 from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.exploration_run import task_in
@@ -59,10 +60,11 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     start = time.monotonic()
     status = Status("starting six nodes; kernels are compiled the first time", console=console)
     with LiveExploration(out, parameters) as run, status:
+        poses = PoseComparison(run)
         run.start()
         run.follow(lambda: status.update(status_line(run)), _TIMEOUT)
         console.print(run.call("map_fusion/save"), highlight=False)
-        figures = dict(run.figures)
+        figures, located = dict(run.figures), poses.figures()
         drops = run.state.drops()
     results: dict[str, object] = {
         "world": options.world,
@@ -73,6 +75,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     }
     for name in ("views", "distance [m]", "known fraction", "mean sigma [m]"):
         results[name] = float(figures[name]) if name in figures else None
+    results |= located
     results |= {f"dropped: {reason}": count for reason, count in drops.items()}
     write_results(out, results)
     if results["end"] == "failed":

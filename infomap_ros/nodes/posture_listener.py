@@ -41,7 +41,7 @@ class PostureListener:
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
         self._newest = -1
-        self._useless = False
+        self._useless = ""
         self.odom_frame = ""
         node.listen(
             String, "robot_description", self._on_description, qos.latched(), required=required
@@ -79,7 +79,8 @@ class PostureListener:
             PoseUnavailableError: it is not known.
         """
         if self._motion is None:
-            raise PoseUnavailableError("no robot_description", "no odometry", may_arrive=True)
+            text = self._useless or "no robot_description has arrived"
+            raise PoseUnavailableError(text, "no odometry", may_arrive=not self._useless)
         try:
             return self._motion.posture(stamp)
         except PoseUnavailableError as error:
@@ -87,9 +88,7 @@ class PostureListener:
                 raise PoseUnavailableError(str(error), error.reason, may_arrive=True) from error
             raise
         except RobotModelError as error:
-            if not self._useless:
-                self._log.warning(f"odometry does not tell where the camera is: {error}")
-            self._useless = True
+            self._give_up(str(error))
             raise PoseUnavailableError(str(error), "robot description") from error
 
     def _on_description(self, message: String) -> None:
@@ -118,5 +117,15 @@ class PostureListener:
     def _begin(self) -> None:
         """Begin to collect, once robot and camera are known, or anew."""
         self._newest = -1
-        if self._robot is not None and self._camera_frame:
+        if self._robot is None or not self._camera_frame:
+            return
+        if self._camera_frame not in self._robot.frames:
+            self._give_up(f"robot '{self._robot.name}' has no frame '{self._camera_frame}'")
+        else:
             self._motion = RobotMotion(self._camera_frame, self._robot, config=self._buffer)
+
+    def _give_up(self, reason: str) -> None:
+        """Say once why odometry is of no use."""
+        if not self._useless:
+            self._log.warning(f"odometry does not tell where the camera is: {reason}")
+        self._useless = reason

@@ -30,8 +30,10 @@ CAMERA = "left_camera_optical_frame"
 class Stage(BagStage):
     """The bag and the node."""
 
-    def __init__(self, graph: Any, motion: str = "odometry", **parameters: Any) -> None:
-        super().__init__(graph, IMAGES + INFOS + (() if motion == "none" else MOTION))
+    def __init__(
+        self, graph: Any, motion: str = "odometry", *, robot: bool = True, **parameters: Any
+    ) -> None:
+        super().__init__(graph, IMAGES + INFOS + (MOTION if robot else ()))
         self.node = graph.add(FiducialLocalizationNode, rectify=True, motion=motion, **parameters)
         self.connect()
 
@@ -84,7 +86,7 @@ def test_the_map_is_where_odometry_begins(graph: Any) -> None:
 
 
 def test_images_alone_are_enough(graph: Any) -> None:
-    stage = Stage(graph, motion="none")
+    stage = Stage(graph, motion="none", robot=False)
     stamps = stage.run(5)
     assert len(stamps) == 5
     assert stage.errors(stamps).max() < 0.02
@@ -106,7 +108,7 @@ def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph
 
 def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:
     frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
-    stage = Stage(graph, motion="none")
+    stage = Stage(graph, motion="none", robot=False)
     (stamp,) = stage.run(1)
     graph.spin_until(lambda: frames, "a frame")
     (edge,) = decode_transforms(frames[0])
@@ -134,6 +136,24 @@ def test_keyframes_and_fiducials_are_told(graph: Any) -> None:
     assert np.median(distances) < 10.0
 
 
+def test_odometry_is_used_where_it_is_offered(graph: Any) -> None:
+    stage = Stage(graph, motion="auto")
+    (stamp,) = stage.run(1)
+    posture = stage.node._gate.postures.posture(stamp)
+    assert np.allclose(stage.poses[stamp].transform, posture.T_odom_camera, atol=1e-9)
+
+
+@pytest.mark.parametrize("robot", [False, True])
+def test_without_useful_odometry_the_map_begins_level_at_the_camera(
+    graph: Any, robot: bool
+) -> None:
+    settings = {"camera_frame": "camera_of_nobody"} if robot else {}
+    stage = Stage(graph, motion="auto", robot=robot, **settings)
+    (stamp,) = stage.run(1)
+    expected = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+    assert np.allclose(stage.poses[stamp].transform, expected, atol=1e-9)
+
+
 def test_without_odometry_nothing_begins_where_it_is_wanted(graph: Any) -> None:
     stage = Stage(graph)
     for _ in stage.play(1, first=0):  # its stamp is before the first odometry
@@ -144,7 +164,7 @@ def test_without_odometry_nothing_begins_where_it_is_wanted(graph: Any) -> None:
 
 
 def test_a_camera_that_sees_nothing_is_lost_and_says_so(graph: Any) -> None:
-    stage = Stage(graph, motion="none", max_coasting=0.4)
+    stage = Stage(graph, motion="none", robot=False, max_coasting=0.4)
     stamps = stage.run(2)
     publishers = [graph.publisher(Image, topic.lstrip("/")) for topic in IMAGES]
     graph.connect(*publishers)
@@ -202,7 +222,7 @@ def test_a_restarted_node_goes_on_in_the_same_map(graph: Any, tmp_path: Any) -> 
 
 def test_without_odometry_a_restarted_node_finds_the_place_again(graph: Any, tmp_path: Any) -> None:
     settings = {"motion": "none", "state_file": str(tmp_path / "state"), "resume": True}
-    stage = Stage(graph, **settings)
+    stage = Stage(graph, robot=False, **settings)
     before = stage.run(4)
     restarted(graph, stage, **settings)
     after = stage.run(4, shift=60 * SECOND)

@@ -27,6 +27,7 @@ from infomap_ros.errors import (
     MapFileError,
     PoseUnavailableError,
     RobotModelError,
+    UpdateRefusedError,
 )
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.health import Health
@@ -148,7 +149,10 @@ class MonitoredNode(Node):
         try:
             action()
         except InfomapError as error:
-            self.drop(_REASONS.get(type(error), type(error).__name__), f"{origin}: {error}")
+            reason = _REASONS.get(type(error), type(error).__name__)
+            if isinstance(error, UpdateRefusedError):
+                reason = error.reason
+            self.drop(reason, f"{origin}: {error}")
             return False
         return True
 

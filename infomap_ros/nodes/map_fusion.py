@@ -41,6 +41,7 @@ from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
 from infomap_ros.nodes.update_stream import UpdateStreamConfig
+from infomap_ros.team import TeamConfig
 
 _REPEAT_PERIOD = 0.1  # [s]
 
@@ -79,6 +80,7 @@ class MapFusionNode(MonitoredNode):
         (MapKeeperConfig, ""),
         (AssumedPoseConfig, ""),
         (UpdateStreamConfig, ""),
+        (TeamConfig, "team_map."),
         (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),

@@ -86,6 +86,7 @@ class MapKeeper:
         self._node.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
         if self._config.resume and self._path.exists():
             self._node.get_logger().info(self.load())
+            self._updates.resumed()
 
     def integrate(self, scan: Scan) -> None:
         """Add a scan and publish what it changed.

@@ -14,9 +14,10 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team_exchange import TeamExchange
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows
-from infomap_ros.team import MapReplica, decode_update
+from infomap_ros.team import TeamConfig, TeamMember, decode_update
 
 _GROWTH = 1.01  # by this factor the map must grow to count as growing
 
@@ -45,6 +46,13 @@ class MapListenerConfig:
         high=60.0,
     )
 
+    robot_id: int = parameter(
+        0, "Id of this robot in map_updates, as map_fusion has it.", low=0, high=65535
+    )
+    team: tuple[int, ...] = parameter(
+        (), "Ids of the robots whose updates count; those of all robots where empty."
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
 
@@ -60,7 +68,7 @@ class MapListener:
     def __init__(self, node: MonitoredNode, worker: Worker) -> None:
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
-        self._replica: MapReplica | None = None
+        self._member: TeamMember | None = None
         self._known, self._grown, self._arrived = 0, 0.0, False
         for topic in ("map_updates", "team/map_updates"):
 
@@ -69,6 +77,7 @@ class MapListener:
 
             required = topic == "map_updates"
             node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=required)
+        TeamExchange(node, self._frame, worker, lambda: self._member)
 
     def voxel_map(self) -> VoxelMap:
         """The sum over all robots.
@@ -76,12 +85,12 @@ class MapListener:
         Raises:
             ExplorationError: there is no map yet, or it is still arriving.
         """
-        if self._replica is None or not self._replica.voxel_map.known_voxels:
+        if self._member is None or not self._member.replica.voxel_map.known_voxels:
             raise ExplorationError("no map_updates have arrived yet")
         self._arrived |= time.monotonic() - self._grown >= self._config.arrival_pause
         if not self._arrived:
             raise ExplorationError(f"the map is still arriving: {self._known} voxels so far")
-        return self._replica.voxel_map
+        return self._member.replica.voxel_map
 
     def _apply(self, message: PointCloud2) -> None:
         """Learn what a robot has seen; the first update tells the size of the voxels.
@@ -94,14 +103,21 @@ class MapListener:
             raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
         if not len(rows):
             return
-        update = decode_update(rows)
-        if self._replica is None:
-            size, limit = round(update.voxel_size, 7), self._config.memory_limit
-            self._replica = MapReplica(VoxelMapConfig(voxel_size=size, memory_limit=limit))
-        self._replica.apply(update)
+        if self._member is None:
+            self._member = self._make_member(decode_update(rows).voxel_size)
+        self._member.hear_update(rows, time.monotonic())
         self._node.health.produced()
         if not self._arrived:
-            self._note_growth(self._replica.voxel_map.known_voxels)
+            self._note_growth(self._member.replica.voxel_map.known_voxels)
+
+    def _make_member(self, voxel_size: float) -> TeamMember:
+        """A member of the team that only listens, and asks for what it missed."""
+        config = self._config
+        map_config = VoxelMapConfig(
+            voxel_size=round(voxel_size, 7), memory_limit=config.memory_limit
+        )
+        sharing = self._node.config(TeamConfig)
+        return TeamMember(config.robot_id, 0, 1, map_config, sharing, config.team, tells=False)
 
     def _note_growth(self, known: int) -> None:
         if known > _GROWTH * self._known:

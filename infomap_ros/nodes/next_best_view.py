@@ -34,6 +34,7 @@ from infomap_ros.nodes.plan_outputs import PlanOutputs
 from infomap_ros.nodes.plan_warm_up import warm_up
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
+from infomap_ros.team import TeamConfig
 
 
 class NextBestViewNode(MonitoredNode):
@@ -41,6 +42,7 @@ class NextBestViewNode(MonitoredNode):
 
     CONFIGS = (
         (MapListenerConfig, ""),
+        (TeamConfig, "team_map."),
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),

@@ -1,14 +1,17 @@
 """The map of the whole team, as map_fusion shows it.
 
-It exists from the first update of another robot on. It is a replica as every robot has it: the own
+It exists from the first word of another robot on. It is a replica as every robot has it: the own
 contribution enters as others hear it, quantised, so that all robots show the same map.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
@@ -16,12 +19,15 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.team_exchange import TeamExchange
 from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows
-from infomap_ros.team import MapReplica, MapUpdate, decode_update, is_newer
+from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.digest import decode_digest
 
 _TOPIC = "team/map_updates"
+Rows = NDArray[np.void]
 
 
 class TeamMap:
@@ -40,7 +46,7 @@ class TeamMap:
         self._updates, self._on_change = updates, on_change
         self._config = node.config(VoxelMapConfig)
         self._frame = node.config(ScanGateConfig).map_frame
-        self._replica: MapReplica | None = None
+        self._member: TeamMember | None = None
 
     def listen(self, worker: Worker) -> None:
         """Apply updates in a worker from now on."""
@@ -51,15 +57,16 @@ class TeamMap:
 
         profile = qos.stream(depth=200)
         self._node.listen(PointCloud2, _TOPIC, receive, profile, required=False)
+        TeamExchange(self._node, self._frame, worker, lambda: self._member, self._hear_of)
 
     @property
     def voxel_map(self) -> VoxelMap | None:
         """The sum over all robots, None as long as there is no other robot."""
-        return self._replica.voxel_map if self._replica else None
+        return self._member.replica.voxel_map if self._member else None
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""
-        return self._replica.memory_bytes() if self._replica else 0
+        return self._member.replica.memory_bytes() if self._member else 0
 
     def _apply(self, message: PointCloud2) -> None:
         _, frame, rows = decode_rows(message)
@@ -67,21 +74,30 @@ class TeamMap:
             raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
         if not len(rows):
             return
-        update = decode_update(rows)
-        if update.robot == self._updates.robot:
-            self._check_own(update)
+        if self._member is None:
+            update = decode_update(rows)
+            self._join(update.robot, update.session)
+        if self._member is not None and self._member.hear_update(rows, time.monotonic()):
+            self._changed()
+
+    def _hear_of(self, rows: Rows) -> None:
+        """A digest may be the first that is heard of another robot."""
+        if self._member is None:
+            digest = decode_digest(rows)
+            self._join(digest.sender, digest.session)
+
+    def _join(self, robot: int, session: int) -> None:
+        """There is another robot, unless these are own words: from now on this is a team."""
+        updates = self._updates
+        if (robot, session) == (updates.robot, updates.session):
             return
-        if self._replica is None:
-            self._replica = MapReplica(self._config)
-            self._updates.tell_also(partial(self._hear, self._replica))
-        self._hear(self._replica, update)
+        sharing = self._node.config(TeamConfig)
+        own = updates.robot, updates.session, updates.version
+        self._member = TeamMember(*own, self._config, sharing, updates.team)
+        updates.join(self._member, self._changed)
 
-    def _hear(self, replica: MapReplica, update: MapUpdate) -> None:
-        if replica.apply(update):
-            self._on_change()
-        self._node.health.note("robots in the map", str(len(replica.robots)))
-
-    def _check_own(self, update: MapUpdate) -> None:
-        """The own updates may come back; what this robot never said is another's."""
-        if is_newer(update.version, self._updates.version):
-            self._node.drop("robot id in use", f"{_TOPIC}: another robot is {update.robot} too")
+    def _changed(self) -> None:
+        self._on_change()
+        if self._member is not None:
+            robots = len(self._member.replica.robots)
+            self._node.health.note("robots in the map", str(robots))

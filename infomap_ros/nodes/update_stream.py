@@ -29,7 +29,9 @@ from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
     OCCUPANCY_ROW,
     MapUpdate,
-    decode_update,
+    TeamConfig,
+    TeamMember,
+    draw_session,
     encode_update,
     next_version,
     version_at,
@@ -41,7 +43,7 @@ _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
 
 @dataclass(frozen=True)
 class UpdateStreamConfig:
-    """How the own contribution is told.
+    """Who this robot is in its team.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -50,12 +52,8 @@ class UpdateStreamConfig:
     robot_id: int = parameter(
         0, "Id of this robot in map_updates, unique in its team.", low=0, high=65535
     )
-    repeat_rate: float = parameter(
-        5.0,
-        "About how fast what is known is told again when a subscriber of map_updates appears.",
-        unit="MB/s",
-        low=0.01,
-        high=1000.0,
+    team: tuple[int, ...] = parameter(
+        (), "Ids of the robots whose updates count; those of all robots where empty."
     )
 
     def __post_init__(self) -> None:
@@ -71,6 +69,7 @@ class UpdateStream:
 
     def __init__(self, node: MonitoredNode) -> None:
         self._config = node.config(UpdateStreamConfig)
+        self._sharing = node.config(TeamConfig)
         self._frame = node.config(ScanGateConfig).map_frame
         self._types = RclpyMessageTypes()
         self._version = version_at(time.time_ns())
@@ -79,7 +78,10 @@ class UpdateStream:
         self._next_block = 0
         self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
-        self._listener: Callable[[MapUpdate], object] | None = None
+        self._member: TeamMember | None = None
+        self._on_tell: Callable[[], None] = lambda: None
+        self._resumed = self._replaced = self._joined = False
+        self.session = draw_session()
         events = PublisherEventCallbacks(matched=self._on_matched)
         self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
 
@@ -93,14 +95,30 @@ class UpdateStream:
         """Version of the last publication."""
         return self._version
 
-    def tell_also(self, listener: Callable[[MapUpdate], object]) -> None:
-        """Call `listener` with everything that subscribers get from now on, from the start on."""
-        self._listener = listener
-        self._newcomer = True
+    @property
+    def team(self) -> tuple[int, ...]:
+        """Ids of the robots whose updates count, none for all."""
+        return self._config.team
+
+    def resumed(self) -> None:
+        """The map was read from a file as this robot left it."""
+        self._resumed, self._replaced = True, False
+
+    def join(self, member: TeamMember, on_tell: Callable[[], None]) -> None:
+        """From now on tell what a team needs; from the start on, as nobody may have heard it.
+
+        Args:
+            member: chooses what is told, and knows the map of the team.
+            on_tell: called when something was told, which changes that map.
+        """
+        self._member, self._on_tell = member, on_tell
+        self._joined = True
 
     @property
     def behind(self) -> bool:
         """Whether somebody still waits for what was known before."""
+        if self._member is not None:
+            return True
         waiting = self._newcomer or self._blocks_left > 0 or len(self._taken_back) > 0
         return waiting and self._is_heard
 
@@ -114,13 +132,16 @@ class UpdateStream:
             stamp: of the messages [ns].
             always: send an empty message if there is nothing to tell.
         """
+        if self._member is not None:
+            self._publish_to_team(self._member, voxel_map, stamp, always)
+            return
         if not self._is_heard:
             self._taken_back = self._taken_back[:0]
             self._newcomer = True
             voxel_map.track_changes(True)  # forgets the changes
             return
         now = time.monotonic()
-        budget = min(self._config.repeat_rate * 1e6 * (now - self._told), MAX_MESSAGE_BYTES)
+        budget = min(self._sharing.bandwidth * 1e6 * (now - self._told), MAX_MESSAGE_BYTES)
         self._told = now
         self._take_back(voxel_map, int(budget) // _VOXEL_BYTES, stamp)
         self._repeat(voxel_map, max(1, int(budget) // _SLICE_BYTES))
@@ -130,16 +151,38 @@ class UpdateStream:
 
     def replace(self, old: VoxelMap) -> None:
         """From now on another map is told: take back what the `old` one had and that has not."""
-        self._taken_back = np.concatenate([self._taken_back, old.voxels()[0]])
-        self._newcomer = True
+        self._replaced = self._newcomer = True
+        if self._member is None:
+            self._taken_back = np.concatenate([self._taken_back, old.voxels()[0]])
 
     @property
     def _is_heard(self) -> bool:
-        return self._listener is not None or self._publisher.get_subscription_count() > 0
+        return self._publisher.get_subscription_count() > 0
 
     def _on_matched(self, event: QoSPublisherMatchedInfo) -> None:
         if event.total_count_change > 0:
             self._newcomer = True
+
+    def _publish_to_team(
+        self, member: TeamMember, voxel_map: VoxelMap, stamp: int, always: bool
+    ) -> None:
+        """Tell what the team needs most, as far as the bandwidth allows."""
+        if self._replaced:
+            member.replace(voxel_map)
+        elif self._joined and not self._resumed:
+            member.begin(voxel_map)
+        self._replaced = self._joined = False
+        if self._newcomer:
+            self._newcomer = False
+            member.tell_everything()
+        messages = member.tell(voxel_map, time.monotonic())
+        self._version = member.version
+        if messages:
+            self._on_tell()
+        if always and not messages:
+            messages = [np.zeros(0, OCCUPANCY_ROW)]
+        for rows in messages:
+            self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))
 
     def _repeat(self, voxel_map: VoxelMap, blocks: int) -> None:
         """Count the next blocks as changed, from the first on when somebody is new."""
@@ -162,10 +205,7 @@ class UpdateStream:
 
     def _send(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
         self._version = next_version(self._version)
-        update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version)
-        parts = encode_update(update)
+        update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version, self.session)
+        parts = encode_update(update, self._sharing.message_size)
         for rows in parts or [np.zeros(0, OCCUPANCY_ROW)]:
             self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))
-        if self._listener is not None:
-            for rows in parts:
-                self._listener(decode_update(rows))

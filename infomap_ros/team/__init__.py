@@ -1,7 +1,10 @@
 """What robots tell each other of the map: the wire format of map updates, and their merge."""
 
 from infomap_ros.mapping import NOT_OBSERVED
+from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.contribution import Contribution
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.membership import draw_session
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.versions import is_newer, next_version, version_at
@@ -21,7 +24,10 @@ __all__ = [
     "Contribution",
     "MapReplica",
     "MapUpdate",
+    "TeamConfig",
+    "TeamMember",
     "decode_update",
+    "draw_session",
     "encode_update",
     "is_newer",
     "next_version",

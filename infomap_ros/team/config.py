@@ -22,6 +22,13 @@ class TeamConfig:
         low=0.001,
         high=1000.0,
     )
+    least_bits: float = parameter(
+        0.25,
+        "Changes of a voxel that tell less wait as long as there is more to tell than fits.",
+        unit="bits",
+        low=0.0,
+        high=10.0,
+    )
     message_size: int = parameter(
         60_000,
         "Upper limit of a message. Below 64 kB it fits one datagram; where datagrams are lost and "
@@ -31,8 +38,8 @@ class TeamConfig:
         high=1_000_000,
     )
     digest_period: float = parameter(
-        0.25,
-        "Time between two digests of what was told.",
+        0.1,
+        "Time between two digests of what was told, and two rounds of requests.",
         unit="s",
         low=0.02,
         high=60.0,
@@ -45,7 +52,7 @@ class TeamConfig:
         high=600.0,
     )
     patience: float = parameter(
-        0.5,
+        0.3,
         "Time until what was asked for and has not come is asked for again.",
         unit="s",
         low=0.05,
@@ -80,7 +87,7 @@ class Budget:
         burst: time for which unused bytes are kept [s].
     """
 
-    def __init__(self, bandwidth: float, burst: float = 0.5) -> None:
+    def __init__(self, bandwidth: float, burst: float = 0.15) -> None:
         self._rate, self._most = bandwidth, max(2000.0, bandwidth * burst)
         self._bytes, self._last = self._most, float("nan")
 

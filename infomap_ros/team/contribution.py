@@ -167,16 +167,16 @@ class Contribution:
         kernels.list_told(self._blocks, self._planes, self._codes, slots, *states)
         return update
 
-    def was_told(self, indices: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Whether a state was told of voxels, shape (K, 3) -> (K,)."""
+    def versions_of(self, indices: NDArray[np.int32]) -> NDArray[np.uint32]:
+        """Versions of what was told of voxels, 0 where nothing was, shape (K, 3) -> (K,)."""
         slots = np.full(len(indices), -1, np.int64)
         kernels.find_blocks(self._blocks, indices >> BLOCK_BITS, slots)
         places = indices & (BLOCK_SIDE - 1)
         local = places[:, 0] + BLOCK_SIDE * (places[:, 1] + BLOCK_SIDE * places[:, 2])
-        told = np.zeros(len(indices), np.bool_)
+        versions = np.zeros(len(indices), np.uint32)
         there = slots >= 0
-        told[there] = self._planes.versions[slots[there], local[there]] != 0
-        return told
+        versions[there] = self._planes.versions[slots[there], local[there]]
+        return versions
 
     def hash(self) -> int:
         """Hash of all that is known, 64 bits; equal where the same is known."""
@@ -201,25 +201,20 @@ class Contribution:
         np.add.at(sums, groups.reshape(-1), hashes)
         return Cells(level, found.astype(np.int32), _folded(sums))
 
-    def compare(self, cells: Cells, version: int | None = None) -> NDArray[np.bool_]:
-        """Where the hashes of cells are not those of what is known here, shape (n,).
+    def compare(self, cells: Cells) -> NDArray[np.bool_]:
+        """Where the hashes of cells of another replica differ from those here, (n,)."""
+        here = self.cells(cells.level, cells.level, cells.corners)
+        own = dict(zip(*_listed(here), strict=True))
+        pairs = zip(*_listed(cells), strict=True)
+        return np.array([own.get(corner, 0) != value for corner, value in pairs], np.bool_)
 
-        Args:
-            cells: of another replica.
-            version: when they were made: blocks that are newer here are not told of; None to
-                compare all.
-        """
-        own = dict(zip(*_listed(self.cells(cells.level, cells.level, cells.corners)), strict=True))
-        corners, hashes = _listed(cells)
-        pairs = zip(corners, hashes, strict=True)
-        other = np.array([own.get(corner, 0) != value for corner, value in pairs], np.bool_)
-        if version is not None and cells.level == 0:
-            slots = np.full(len(other), -1, np.int64)
-            kernels.find_blocks(self._blocks, cells.corners, slots)
-            for row in np.flatnonzero(other & (slots >= 0)):
-                newest = self._planes.newest[slots[row]]
-                other[row] = not is_newer(newest, np.uint32(version))
-        return other
+    def blocks_at(self, corners: Corners) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """Hashes of blocks as in `cells`, and their newest versions; 0 where nothing was told."""
+        slots = np.full(len(corners), -1, np.int64)
+        kernels.find_blocks(self._blocks, corners, slots)
+        hashes = np.zeros(len(slots), np.uint64)
+        kernels.hash_some(self._blocks, self._planes, slots, hashes)
+        return _folded(hashes), np.where(slots >= 0, self._planes.newest[slots], 0)
 
     def coordinates(self, slots: NDArray[np.int64]) -> NDArray[np.int32]:
         """Coordinates of blocks [blocks], shape (n, 3)."""

@@ -5,7 +5,8 @@ As map updates, they are rows of named fields with the facts in the name of one 
 - A summary has a row for each contribution that its sender holds: whose, the newest version, the
   number of blocks, and a hash of all states.
 - Cells are hashes of parts of one contribution: cubes of 2^level blocks of 8^3 voxels.
-- A request asks one robot for the cells or for the states of such cubes; without rows, for all.
+- A request asks one robot for the cells or for the states of such cubes, without rows for all; or
+  for map updates that it told, by their serial numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping.keys import BLOCK_BITS, COORDINATE_LIMIT
 from infomap_ros.team.facts import dtype_with_facts, facts_of, whole_number, without_facts
-from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION
+from infomap_ros.team.update import MAX_ROBOT, MAX_SERIAL, MAX_SESSION, MAX_VERSION
 
 SUMMARY_ROW = np.dtype(
     [("robot", "<u2"), ("newest", "<u4"), ("blocks", "<u4"), ("hash", "<u4", (2,))]
@@ -64,6 +65,7 @@ class CellDigest:
         session: number that it drew when it started.
         robot: id of the robot whose contribution it is.
         version: newest version of the contribution when they were made.
+        serial: of the last map update that the sender told.
         level: see module.
         corners: of the cubes in units of their edge, shape (n, 3), int32.
         hashes: shape (n,), uint32; 0 where nothing is known.
@@ -73,6 +75,7 @@ class CellDigest:
     session: int
     robot: int
     version: int
+    serial: int
     level: int
     corners: NDArray[np.int32]
     hashes: NDArray[np.uint32]
@@ -85,6 +88,7 @@ class CellDigest:
             "session": self.session,
             "robot": self.robot,
             "version": self.version,
+            "serial": self.serial,
             "level": self.level,
         }
         rows = np.zeros(len(self.corners), dtype_with_facts(CELL_ROW, facts))
@@ -101,7 +105,7 @@ class Request:
         sender: id of the robot that asks.
         to: id of the robot that is asked.
         robot: id of the robot whose contribution it is.
-        wants: "cells" or "states".
+        wants: "cells", "states", or "messages", of which the numbers stand in `corners`.
         level: of the cells that are wanted; 0 for states.
         within: level of `corners`.
         corners: the cubes, in units of their edge, shape (n, 3), int32; none for all.
@@ -153,6 +157,7 @@ def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
         session,
         whole_number(facts, "robot", 0, MAX_ROBOT, "digest"),
         whole_number(facts, "version", 0, MAX_VERSION, "digest"),
+        whole_number(facts, "serial", 0, MAX_SERIAL, "digest"),
         whole_number(facts, "level", 0, MAX_LEVEL, "digest"),
         _checked_corners(table, "digest"),
         table["hash"].copy(),
@@ -167,10 +172,12 @@ def decode_request(rows: NDArray[np.void]) -> Request:
     """
     facts = facts_of(rows, "request")
     wants = facts.get("request", "")
-    if wants not in ("cells", "states"):
+    if wants not in ("cells", "states", "messages"):
         raise InvalidInputError("request", f"for '{wants}'")
     everything = whole_number(facts, "all", 0, 1, "request")
-    corners = _checked_corners(without_facts(rows, (REQUEST_ROW,)), "request")
+    table = without_facts(rows, (REQUEST_ROW,))
+    is_place = wants != "messages"
+    corners = _checked_corners(table, "request") if is_place else table["corner"].copy()
     return Request(
         whole_number(facts, "sender", 0, MAX_ROBOT, "request"),
         whole_number(facts, "to", 0, MAX_ROBOT, "request"),

@@ -33,6 +33,20 @@ def dtype_with_facts(dtype: np.dtype[np.void], facts: Mapping[str, object]) -> n
     )
 
 
+def with_more_facts(rows: NDArray[np.void], facts: Mapping[str, object]) -> NDArray[np.void]:
+    """The same rows, which tell some facts more."""
+    fields = dict(rows.dtype.fields or {})
+    old = next(name for name in fields if name.startswith(_PREFIX))
+    text = old + "".join(f" {name}={value}" for name, value in facts.items())
+    names = [text if name == old else name for name in fields]
+    formats = [entry[0] for entry in fields.values()]
+    offsets = [entry[1] for entry in fields.values()]
+    size = rows.dtype.itemsize
+    return rows.view(
+        np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+    )
+
+
 def facts_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
     """The facts that the rows of a message tell.
 

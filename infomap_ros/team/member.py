@@ -15,10 +15,11 @@ from infomap_ros.mapping.blocks import BLOCK_COUNT
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import Summary, decode_digest, decode_request
 from infomap_ros.team.membership import Membership
-from infomap_ros.team.outbox import Outbox, message_bytes
+from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.reconciler import Reconciler
 from infomap_ros.team.recovery import adopt
 from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.sent import message_bytes
 from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.wire import decode_update
 
@@ -59,12 +60,12 @@ class TeamMember:
     ) -> None:
         self._config = config or TeamConfig()
         self.replica = MapReplica(map_config)
-        self._membership = Membership(robot, session if tells else None, team)
+        self._membership = Membership(robot, session if tells else None, team, self._config.silence)
         self._outbox = Outbox(robot, session, version, self.replica, self._config)
         self._reconciler = Reconciler(self.replica, self._outbox, self._config, tells)
         self._tells = tells
         self._recovered: list[MapUpdate] = []
-        self._started, self._has_begun = np.nan, False
+        self._started, self._has_begun, self._adopts = np.nan, False, True
 
     @property
     def robot(self) -> int:
@@ -104,12 +105,17 @@ class TeamMember:
         if part is not None:
             self._outbox.answer(self.robot, np.arange(part.blocks))
 
+    def begin(self, own_map: VoxelMap) -> None:
+        """Tell all of a map that this robot made since it started, without waiting for others."""
+        self._has_begun = True
+        _mark_all(own_map)
+
     def replace(self, own_map: VoxelMap) -> None:
         """From now on another map is told; what was told and it does not know is taken back."""
         self._reconciler.recovering_until = -np.inf
         self._recovered.clear()
-        self._has_begun = True
-        _mark_all(own_map)
+        self._adopts = False
+        self.begin(own_map)
         part = self.replica.contribution(self.robot)
         if part is not None:
             told = part.states(self.robot)
@@ -120,9 +126,9 @@ class TeamMember:
         self._start(now)
         return self._spend(self._reconciler.digests(now))
 
-    def requests(self) -> list[Rows]:
-        """Requests to send now."""
-        return self._spend(self._reconciler.requests())
+    def requests(self, now: float) -> list[Rows]:
+        """Requests to send now, to be called as often as digests or more often."""
+        return self._spend(self._reconciler.requests(now))
 
     def hear_update(self, rows: Rows, now: float) -> int:
         """Learn from a map update.
@@ -138,7 +144,10 @@ class TeamMember:
         """
         update = decode_update(rows)
         self._start(now)
-        self._membership.check_update(update, now)
+        self._membership.check_update(update, now, self._outbox.version)
+        speaker = update.robot if update.sender is None else update.sender
+        if update.serial is not None and (speaker != self.robot or not self._tells):
+            self._reconciler.losses.hear(speaker, update.serial, now)
         if update.robot != self.robot or not self._tells:
             return self.replica.apply(update)
         if update.sender is not None and update.sender != self.robot:
@@ -155,7 +164,6 @@ class TeamMember:
         self._start(now)
         digest = decode_digest(rows)
         self._membership.check_robot(digest.sender)
-        self._membership.check_session(digest.sender, digest.session, now)
         if digest.sender == self.robot and self._tells:
             return
         if isinstance(digest, Summary):
@@ -184,8 +192,11 @@ class TeamMember:
         part = self.replica.contribution(self.robot)
         self._outbox.catch_up(int(update.versions.max(initial=1)))
         if part is not None:
-            update = update.rows(~part.was_told(update.indices))
-        self._recovered.append(update)
+            update = update.rows(part.versions_of(update.indices) == 0)
+        if self._adopts:
+            self._recovered.append(update)
+        else:
+            self._outbox.take_back(update.indices[update.log_odds != NOT_OBSERVED])
 
     def _spend(self, messages: list[Rows]) -> list[Rows]:
         self._outbox.budget.spend(sum(message_bytes(rows) for rows in messages))

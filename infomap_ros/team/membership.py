@@ -1,8 +1,8 @@
 """Who may write: the team list, and one robot for each id.
 
-A robot draws a session number when it starts. A new number is a robot that has started again; what
-it said before may still come late for a while. Where an old session goes on speaking after that,
-two robots have the same id, and the old session is refused.
+A robot draws a session number when it starts. A new number with a newer version is a robot that
+has started again; what it said before may still come late, and has older versions. Where an
+earlier session goes on with newer versions, two robots have the same id, and it is refused.
 """
 
 from __future__ import annotations
@@ -53,28 +53,13 @@ class Membership:
         if self._team and robot not in self._team:
             raise UpdateRefusedError(f"robot {robot} is {NOT_LISTED}", NOT_LISTED)
 
-    def check_session(self, robot: int, session: int, now: float) -> None:
-        """Note in which session a robot speaks for itself.
-
-        Raises:
-            UpdateRefusedError: another robot has the same id.
-        """
-        known = self._sessions.setdefault(robot, [session])
-        began = self._began.setdefault(robot, now)
-        if known[-1] == session:
-            return
-        if session not in known and robot != self._own:
-            self._sessions[robot] = [*known[1 - _KEPT_SESSIONS :], session]
-            self._began[robot] = now
-            self._newest.pop(robot, None)
-        elif now - began > self._grace:
-            raise UpdateRefusedError(
-                f"two robots call themselves {robot}, in sessions {known[-1]} and {session}",
-                TWO_OF_A_NAME,
-            )
-
-    def check_update(self, update: MapUpdate, now: float) -> None:
+    def check_update(self, update: MapUpdate, now: float, own_version: int) -> None:
         """Refuse an update that must not be written.
+
+        Args:
+            update: as it was heard.
+            now: time of any steady clock [s].
+            own_version: the newest version of this robot.
 
         Raises:
             UpdateRefusedError: its robot or its sender is not on the list, two robots have one
@@ -84,17 +69,38 @@ class Membership:
         if update.sender is not None:
             self.check_robot(update.sender)
             return
-        self.check_session(update.robot, update.session, now)
-        if update.session != self._sessions[update.robot][-1]:
-            return  # late, from before a restart
-        newest = self._newest.get(update.robot, update.version)
+        newest = self._newest.setdefault(update.robot, update.version)
+        newest = own_version if update.robot == self._own else newest
         ahead = (update.version - newest + COUNT // 2) % COUNT - COUNT // 2
-        if not -_MOST_BEHIND <= ahead <= _MOST_AHEAD:
-            reason = BACKWARDS if ahead < 0 else AHEAD
+        if self._is_current(update, ahead > 0, now):
+            if not -_MOST_BEHIND <= ahead <= _MOST_AHEAD:
+                reason = BACKWARDS if ahead < 0 else AHEAD
+                text = f"robot {update.robot} is at version {newest}, not at {update.version}"
+                raise UpdateRefusedError(f"{text}: {reason}", reason)
+            self._newest[update.robot] = update.version if ahead > 0 else newest
+
+    def _is_current(self, update: MapUpdate, is_newer: bool, now: float) -> bool:
+        """Whether an update is of its robot's present session, which may begin with it.
+
+        Raises:
+            UpdateRefusedError: an earlier session goes on.
+        """
+        robot, session = update.robot, update.session
+        known = self._sessions.setdefault(robot, [session])
+        began = self._began.setdefault(robot, now)
+        if known[-1] == session:
+            return True
+        if not is_newer:
+            return False  # late, from before a start
+        if session not in known and robot != self._own:
+            self._sessions[robot] = [*known[1 - _KEPT_SESSIONS :], session]
+            self._began[robot], self._newest[robot] = now, update.version
+        elif now - began > self._grace:
             raise UpdateRefusedError(
-                f"robot {update.robot} is at version {newest}, {update.version} is refused", reason
+                f"two robots call themselves {robot}, in sessions {known[-1]} and {session}",
+                TWO_OF_A_NAME,
             )
-        self._newest[update.robot] = update.version if ahead > 0 else newest
+        return False
 
 
 def draw_session() -> int:

@@ -7,6 +7,8 @@ gains on what is new, so that everything is told once the link allows it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,8 @@ from infomap_ros.mapping.keys import BLOCK_BITS
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.sent import SentMessages, message_bytes
+from infomap_ros.team.update import MAX_SERIAL, MapUpdate
 from infomap_ros.team.versions import is_newer, next_version
 from infomap_ros.team.wire import encode_update
 from infomap_ros.team.worth import worth_of_changes, worth_of_states
@@ -47,6 +50,16 @@ class Outbox:
         self._since = np.zeros(0)
         self._taken_back = np.empty((0, 3), np.int32)
         self._touched: list[NDArray[np.int32]] = []
+        self._sent = SentMessages(version % MAX_SERIAL, 2.0 * config.bandwidth * 1e6)
+
+    @property
+    def serial(self) -> int:
+        """Number of the last message."""
+        return self._sent.serial
+
+    def resend(self, serials: Iterable[int]) -> None:
+        """Tell some messages again, when there is room."""
+        self._sent.ask(serials)
 
     @property
     def waiting(self) -> bool:
@@ -86,12 +99,15 @@ class Outbox:
         room = self.budget.available(now)
         if room <= 0.0:
             return []
+        again = self._sent.resend(0.7 * room)
+        room -= sum(message_bytes(rows) for rows in again)
         messages = self._tell_answers(0.5 * room if voxel_map is not None else room)
         if voxel_map is not None:
             self._tell_taken_back(voxel_map, messages)
             left = room - sum(rows.nbytes for rows in messages)
             if left > 0.0:
                 messages += self._tell_changes(voxel_map, left, now)
+        messages = again + [self._sent.number(rows) for rows in messages]
         self.budget.spend(sum(message_bytes(rows) for rows in messages))
         return messages
 
@@ -130,16 +146,25 @@ class Outbox:
         slots, counts = changed_blocks(storage)
         if not len(slots):
             return []
-        told = self._replica.contribution(self.robot)
-        if told is not None:
-            bits, sizes = worth_of_changes(voxel_map, told, slots)
-        else:
-            bits, sizes = counts.astype(np.float64), 3.0 * counts.astype(np.float64)
+        told = self._replica.contribution(self.robot) or Contribution(voxel_map.config.voxel_size)
+        is_busy = 3.0 * counts.sum() > room
+        least = self._config.least_bits if is_busy else 0.0
+        bits, sizes, minor = worth_of_changes(voxel_map, told, slots, least)
+        if not sizes.any():
+            bits, sizes, minor = worth_of_changes(voxel_map, told, slots)
         waited = self._waited(slots, now)
         chosen = _affordable(bits / np.maximum(sizes, 1.0) * (1.0 + waited / _WAIT), sizes, room)
         self._since[slots[chosen]] = np.inf
-        size = voxel_map.config.voxel_size
-        changes = take_changes(storage, size, _MOST_VOXELS, slots[chosen])
+        return self._take(voxel_map, slots[chosen], minor[chosen])
+
+    def _take(
+        self, voxel_map: VoxelMap, slots: Slots, minor: NDArray[np.uint64]
+    ) -> list[NDArray[np.void]]:
+        """Tell the changes of blocks, but for some voxels, which stay changed."""
+        size, storage = voxel_map.config.voxel_size, voxel_map._storage
+        storage.blocks.dirty[slots] &= ~minor
+        changes = take_changes(storage, size, _MOST_VOXELS, slots)
+        storage.blocks.dirty[slots] |= minor
         version = next_version(self.version)
         return self._publish(MapUpdate.of_changes(changes, size, self.robot, version, self.session))
 
@@ -178,11 +203,6 @@ class Outbox:
             self._since = np.concatenate([self._since, more])
         self._since[slots] = np.minimum(self._since[slots], now)
         return now - self._since[slots]
-
-
-def message_bytes(rows: NDArray[np.void]) -> int:
-    """Bytes of the message that holds these rows, about."""
-    return int(rows.nbytes) + 80 + sum(24 + len(name) for name in rows.dtype.names or ())
 
 
 def _affordable(

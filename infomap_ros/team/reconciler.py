@@ -8,18 +8,65 @@ all, so that one answer serves everybody who has missed the same.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.team.config import TeamConfig
-from infomap_ros.team.contribution import Cells, Corners
+from infomap_ros.team.contribution import Cells, Contribution, Corners
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
+from infomap_ros.team.losses import Losses
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.versions import is_newer
 
 _COARSE = 3  # level of the first cells that are compared
-_DEEP_PERIOD = 2.0  # [s] between two comparisons of a whole contribution
+_MANY_BLOCKS = 4000  # with fewer, blocks are compared at once
+_DEEP_PERIOD = 1.0  # [s] between two comparisons of a whole contribution
+_OWN_PERIOD = 5.0  # [s] of the own contribution, which others may hold from an earlier start
+_REPEATS = 3  # digests that tell of a block that was told
 _EVERYTHING: Corners = np.empty((0, 3), np.int32)
+
+
+class _Block(NamedTuple):
+    """How a block should be: its hash, at which version, and when that was first heard."""
+
+    hash: int
+    version: int
+    heard: float
+
+
+class _Missed:
+    """Blocks of a contribution that another robot holds otherwise.
+
+    Attributes:
+        sender: the robot that was heard last.
+        blocks: how they should be.
+    """
+
+    def __init__(self) -> None:
+        self.sender = 0
+        self.blocks: dict[tuple[int, ...], _Block] = {}
+
+    def hear(self, digest: CellDigest, now: float) -> None:
+        """Remember what a digest says."""
+        self.sender = digest.sender
+        for place, value in zip(digest.corners.tolist(), digest.hashes.tolist(), strict=True):
+            corner = tuple(place)
+            since = self.blocks[corner].heard if corner in self.blocks else now
+            self.blocks[corner] = _Block(value, digest.version, since)
+
+    def left(self, part: Contribution | None, before: float) -> Corners:
+        """The blocks that are missed since before a time; those not missed are forgotten."""
+        if part is not None and self.blocks:
+            hashes, newest = part.blocks_at(np.array(list(self.blocks), np.int32))
+            states = zip(list(self.blocks.items()), hashes.tolist(), newest, strict=True)
+            for (corner, block), value, own in states:
+                if value == block.hash or (own and is_newer(own, np.uint32(block.version))):
+                    del self.blocks[corner]
+        due = [corner for corner, block in self.blocks.items() if block.heard <= before]
+        return np.array(due, np.int32).reshape(-1, 3)
 
 
 class Reconciler:
@@ -40,9 +87,12 @@ class Reconciler:
         self._own, self._holds_own = outbox.robot, holds_own
         self.recovering_until = np.inf
         self._heard: dict[int, float] = {}
-        self._behind: dict[int, float] = {}
+        self._behind: dict[tuple[int, int], float] = {}
+        self._held: dict[int, dict[tuple[int, ...], int]] = {}
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
+        self._missed: dict[int, _Missed] = {}
+        self.losses = Losses(config.patience, 5.0 * config.patience)
         self._requests: list[Request] = []
         self._wanted: list[CellDigest] = []
         self._recent: list[Corners] = []
@@ -53,7 +103,7 @@ class Reconciler:
         wanted, self._wanted = self._wanted, []
         if not self._holds_own:
             return []
-        self._recent = [*self._recent[-1:], self._outbox.take_touched()]
+        self._recent = [*self._recent[1 - _REPEATS :], self._outbox.take_touched()]
         corners = np.unique(np.concatenate(self._recent), axis=0)
         if len(corners):
             wanted.append(self._cells(self._own, 0, 0, corners))
@@ -63,8 +113,18 @@ class Reconciler:
             messages.append(self._summary().encode())
         return messages
 
-    def requests(self) -> list[NDArray[np.void]]:
-        """Messages that ask others for what is missing."""
+    def requests(self, now: float) -> list[NDArray[np.void]]:
+        """Messages that ask others for what is missing, again where no answer has come."""
+        for robot, serials in self.losses.to_ask(now).items():
+            numbers = np.stack([serials, 0 * serials, 0 * serials], axis=-1)
+            self._ask(robot, robot, "messages", 0, 0, numbers)
+        for robot, missed in list(self._missed.items()):
+            left = missed.left(self._replica.contribution(robot), now - 3.0 * self._config.patience)
+            corners = self._not_yet_asked(robot, left, 0, now)
+            if len(corners):
+                self._ask(missed.sender, robot, "states", 0, 0, corners)
+            if not missed.blocks:
+                del self._missed[robot]
         requests, self._requests = self._requests, []
         return [rows for r in requests for rows in r.encode(self._config.message_size)]
 
@@ -74,31 +134,47 @@ class Reconciler:
         self._heard[sender] = now
         for row, value in zip(summary.rows, summary.hashes(), strict=True):
             robot, newest = int(row["robot"]), int(row["newest"])
-            if robot == self._own and self._holds_own:
+            if self._is_own(robot):
                 self._outbox.catch_up(newest)
-                if now >= self.recovering_until:
-                    continue
             elif sender != robot and self._is_present(robot, now):
                 continue
             self._compare_whole(sender, robot, value, now)
 
     def hear_cells(self, digest: CellDigest, now: float) -> None:
         """Ask for what differs in some parts of a contribution."""
-        recovers = digest.robot == self._own and self._holds_own
-        if recovers and now >= self.recovering_until:
+        if digest.sender != self._own or not self._holds_own:
+            self.losses.expect(digest.sender, digest.serial, now)
+        if digest.level == 0 and not self._is_own(digest.robot):
+            self._missed.setdefault(digest.robot, _Missed()).hear(digest, now)
             return
         part = self._replica.contribution(digest.robot)
         cells = Cells(digest.level, digest.corners, digest.hashes)
-        version = None if recovers else digest.version
-        other = cells.hashes != 0 if part is None else part.compare(cells, version)
+        other = cells.hashes != 0 if part is None else part.compare(cells)
+        if digest.level == 0:
+            other &= now < self.recovering_until or self._is_held_still(digest)
         corners = self._not_yet_asked(digest.robot, cells.corners[other], digest.level, now)
-        if not len(corners):
-            return
-        wants = "states" if digest.level == 0 else "cells"
-        self._ask(digest.sender, digest.robot, wants, 0, digest.level, corners)
+        if len(corners):
+            wants = "cells" if digest.level else "states"
+            self._ask(digest.sender, digest.robot, wants, 0, digest.level, corners)
+
+    def _is_held_still(self, digest: CellDigest) -> NDArray[np.bool_]:
+        """Which blocks of the own contribution another robot held like that before, too.
+
+        Others lag behind; what they go on holding may be from before this robot started.
+        """
+        before = self._held.get(digest.sender, {})
+        corners = [tuple(corner) for corner in digest.corners.tolist()]
+        now = dict(zip(corners, digest.hashes.tolist(), strict=True))
+        self._held[digest.sender] = before | now
+        return np.array([before.get(corner) == value for corner, value in now.items()], np.bool_)
 
     def hear_request(self, request: Request, now: float) -> None:
         """Answer what this robot is asked; what others ask for need not be asked for again."""
+        if request.wants == "messages":
+            if request.to == self._own and self._holds_own:
+                self._outbox.resend(request.corners[:, 0].tolist())
+            self.losses.asked(request.to, request.corners[:, 0], now)
+            return
         if request.to != self._own or not self._holds_own:
             self._not_yet_asked(request.robot, request.corners, request.within, now)
             return
@@ -114,22 +190,30 @@ class Reconciler:
         else:
             self._outbox.answer(request.robot, part.slots_in(request.within, corners))
 
+    def _is_own(self, robot: int) -> bool:
+        return robot == self._own and self._holds_own
+
     def _is_present(self, robot: int, now: float) -> bool:
         return now - self._heard.get(robot, -np.inf) < self._config.silence
 
     def _compare_whole(self, sender: int, robot: int, value: int, now: float) -> None:
         part = self._replica.contribution(robot)
         if value == (0 if part is None else part.hash()):
-            self._behind.pop(robot, None)
+            self._behind.pop((sender, robot), None)
             return
-        first = self._behind.setdefault(robot, now)
+        first = self._behind.setdefault((sender, robot), now)
         last = self._compared.get((sender, robot), -np.inf)
-        if part is None and now - last >= _DEEP_PERIOD:
+        period, wait = _DEEP_PERIOD, 3.0 * self._config.patience
+        if self._is_own(robot):
+            recovers = now < self.recovering_until
+            period, wait = (_DEEP_PERIOD, 0.0) if recovers else (_OWN_PERIOD, wait)
+        if part is None and now - last >= period:
             self._compared[sender, robot] = now
             self._ask(sender, robot, "states", 0, 0, _EVERYTHING)
-        elif now - first >= self._config.patience and now - last >= _DEEP_PERIOD:
+        elif now - first >= wait and now - last >= period:
             self._compared[sender, robot] = now
-            self._ask(sender, robot, "cells", _COARSE, 0, _EVERYTHING)
+            level = _COARSE if part is not None and part.blocks > _MANY_BLOCKS else 0
+            self._ask(sender, robot, "cells", level, 0, _EVERYTHING)
 
     def _ask(
         self, to: int, robot: int, wants: str, level: int, within: int, corners: Corners
@@ -156,7 +240,8 @@ class Reconciler:
             cells = part.cells(level, within, corners)
         newest = 0 if part is None else part.newest
         parts = level, cells.corners, cells.hashes
-        return CellDigest(self._own, self._outbox.session, robot, newest, *parts)
+        serial = self._outbox.serial
+        return CellDigest(self._own, self._outbox.session, robot, newest, serial, *parts)
 
     def _summary(self) -> Summary:
         robots = self._replica.robots

@@ -15,6 +15,7 @@ from infomap_ros.mapping.keys import COORDINATE_LIMIT
 from infomap_ros.team.gaussian_code import decode_gaussians, encode_gaussians
 
 MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1
+MAX_SERIAL = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,7 @@ class MapUpdate:
         codes: of the surface points, shape (K, 2), uint64, see `team.gaussian_code`; 0 for none.
         session: number that the robot draws when it starts.
         sender: id of the robot that tells it, where that is another one.
+        serial: number of the message among those of the robot that tells it, None without one.
     """
 
     voxel_size: float
@@ -42,6 +44,7 @@ class MapUpdate:
     codes: NDArray[np.uint64]
     session: int = 0
     sender: int | None = None
+    serial: int | None = None
 
     def __post_init__(self) -> None:
         """Check everything but the voxels' states, which `check_states` does.

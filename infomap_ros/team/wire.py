@@ -32,7 +32,13 @@ from infomap_ros.team.facts import (
     without_facts,
 )
 from infomap_ros.team.gaussian_code import CODE, CODE_FIELDS, codes_of_words, words_of_codes
-from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION, MapUpdate
+from infomap_ros.team.update import (
+    MAX_ROBOT,
+    MAX_SERIAL,
+    MAX_SESSION,
+    MAX_VERSION,
+    MapUpdate,
+)
 
 MAX_MESSAGE_BYTES = 1_000_000
 NOT_TOLD = -127
@@ -183,6 +189,7 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
         _codes_of(table) if is_surface else np.zeros((len(kept), 2), np.uint64),
         whole_number(facts, "session", 0, MAX_SESSION, _WHAT),
         sender,
+        whole_number(facts, "serial", 0, MAX_SERIAL, _WHAT) if "serial" in facts else None,
     )
     update.check_states()
     return update

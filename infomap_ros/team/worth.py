@@ -34,42 +34,47 @@ _DIVERGENCES = _divergences()
 
 
 def worth_of_changes(
-    voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64], least: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint64]]:
     """What the changes of a map's blocks tell to who knows what was told before.
 
     The evidence counts by its Kullback-Leibler divergence from what was told (from p = 0.5 where
-    nothing was), a surface point by half the change of log2 of the determinant of its
-    information.
+    nothing was, and 1 bit more), a surface point by half the change of log2 of the determinant of
+    its information.
 
     Args:
         voxel_map: tracks its changes.
         told: what was told.
         slots: of the map's blocks, shape (n,).
+        least: voxels that tell less [bits] do not count.
 
     Returns:
-        Bits, and about the bytes that telling them takes, shape (n,) each.
+        Bits, and about the bytes that telling them takes, shape (n,) each; and which voxels do
+        not count, as sets of bits, shape (n, 8).
     """
     bits, sizes = np.zeros(len(slots)), np.zeros(len(slots))
+    minor = np.zeros((len(slots), 8), np.uint64)
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
+    tables = _DIVERGENCES, code_tables()[0]
     _weigh_changes(
         storage.blocks,
         storage.gaussians,
         *told.arrays,
         slots,
         size,
-        _DIVERGENCES,
-        code_tables()[0],
+        *tables,
+        least,
         bits,
         sizes,
+        minor,
     )
-    return bits, sizes
+    return bits, sizes, minor
 
 
 def worth_of_states(
     told: Contribution, slots: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """As `worth_of_changes`, of all that was told of blocks to who knows nothing of it."""
+    """Bits and bytes as in `worth_of_changes`, of all of blocks to who knows nothing of it."""
     _, planes, codes = told.arrays
     count = int(codes.counts[0])
     surfaces = np.bincount(
@@ -111,6 +116,43 @@ def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _voxel_worth(
+    blocks: Any,
+    gaussians: Any,
+    told_planes: Any,
+    told_codes: Any,
+    slot: int,
+    other: int,
+    local: int,
+    size: float,
+    divergences: Any,
+    sigmas: Any,
+) -> tuple[float, float]:
+    """Bits and bytes of one voxel; `other` is the block's slot in what was told, or -1."""
+    known, quanta = quanta_at(blocks, slot, local)
+    was = np.int64(NOT_OBSERVED)
+    if other >= 0:
+        was = np.int64(told_planes.log_odds[other, local])
+    if not known:
+        return (1.0, RUN_BYTES) if was != NOT_OBSERVED else (0.0, 0.0)
+    now = clipped(quanta)
+    bits = divergences[now + _LIMIT, (was if was != NOT_OBSERVED else 0) + _LIMIT]
+    if was == NOT_OBSERVED:
+        bits += 1.0
+    place = find_row(gaussians.table, gaussians.owner, slot * BLOCK_VOXELS + local)
+    if now <= 0 or place < 0:
+        return bits, RUN_BYTES
+    code, word = np.int64(-1), np.uint64(0)
+    if other >= 0:
+        code = find_row(told_codes.table, told_codes.owner, other * BLOCK_VOXELS + local)
+    if code >= 0:
+        word = told_codes.information[code, 1]
+    change = _log_determinant(gaussians.information[place])
+    change -= _told_log_determinant(word, size, sigmas)
+    return bits + min(0.5 * abs(change), _MOST_BITS), SURFACE_BYTES
+
+
+@njit(cache=True, nogil=True)
 def _weigh_changes(
     blocks: Any,
     gaussians: Any,
@@ -121,39 +163,33 @@ def _weigh_changes(
     size: float,
     divergences: Any,
     sigmas: Any,
+    least: float,
     bits: Any,
     sizes: Any,
+    minor: Any,
 ) -> None:
-    """Sum up over the changed voxels of the blocks."""
+    """Sum up over the changed voxels of the blocks; those below `least` bits are `minor`."""
     for row in range(len(slots)):
         slot = slots[row]
         other = np.int64(find_block(told_blocks, blocks.keys[slot]))
         for local in range(BLOCK_VOXELS):
-            if not (blocks.dirty[slot, local >> 6] >> np.uint64(local & 63)) & np.uint64(1):
+            word, bit = local >> 6, np.uint64(local & 63)
+            if not (blocks.dirty[slot, word] >> bit) & np.uint64(1):
                 continue
-            known, quanta = quanta_at(blocks, slot, local)
-            was = (
-                np.int64(told_planes.log_odds[other, local])
-                if other >= 0
-                else np.int64(NOT_OBSERVED)
+            told, length = _voxel_worth(
+                blocks,
+                gaussians,
+                told_planes,
+                told_codes,
+                slot,
+                other,
+                local,
+                size,
+                divergences,
+                sigmas,
             )
-            if not known:
-                sizes[row] += RUN_BYTES if was != NOT_OBSERVED else 0.0
-                bits[row] += 1.0 if was != NOT_OBSERVED else 0.0
-                continue
-            now = clipped(quanta)
-            before = was if was != NOT_OBSERVED else 0
-            bits[row] += divergences[now + _LIMIT, before + _LIMIT]
-            place = find_row(gaussians.table, gaussians.owner, slot * BLOCK_VOXELS + local)
-            if now <= 0 or place < 0:
-                sizes[row] += RUN_BYTES
-                continue
-            sizes[row] += SURFACE_BYTES
-            code, word = np.int64(-1), np.uint64(0)
-            if other >= 0:
-                code = find_row(told_codes.table, told_codes.owner, other * BLOCK_VOXELS + local)
-            if code >= 0:
-                word = told_codes.information[code, 1]
-            change = _log_determinant(gaussians.information[place])
-            change -= _told_log_determinant(word, size, sigmas)
-            bits[row] += min(0.5 * abs(change), _MOST_BITS)
+            if told < least:
+                minor[row, word] |= np.uint64(1) << bit
+            else:
+                bits[row] += told
+                sizes[row] += length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,27 @@ from infomap_ros.geometry import (
     TextRecord,
     make_transform,
 )
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelChanges, VoxelMap
+from infomap_ros.mapping import (
+    LOG_ODDS_QUANTUM,
+    SHARED_LOG_ODDS_LIMIT,
+    VoxelChanges,
+    VoxelMap,
+    VoxelMapConfig,
+)
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import encode, encode_point_cloud, encode_pose
 from infomap_ros.replay.messages.rows import decode_rows, encode_rows
-from infomap_ros.team import NOT_OBSERVED, MapUpdate, decode_update, encode_update
+from infomap_ros.team import (
+    NOT_OBSERVED,
+    MapUpdate,
+    TeamConfig,
+    TeamMember,
+    decode_update,
+    encode_update,
+    version_at,
+)
 
 TYPES = RclpyMessageTypes()
 SECOND = 1_000_000_000
@@ -131,8 +146,6 @@ def as_replica(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[int, boo
 
 
 def expected_map(*scans: PointCloudRecord, voxel_size: float = 0.1) -> VoxelMap:
-    from infomap_ros.mapping import VoxelMapConfig
-
     expected = VoxelMap(VoxelMapConfig(voxel_size=voxel_size))
     for scan in scans:
         expected.integrate(scan.points, T_MAP_CAMERA, scan.covariances, COVARIANCE, CAMERA)
@@ -191,7 +204,7 @@ def test_who_comes_late_gets_the_voxel_map(graph: Any) -> None:
 
 
 def test_who_comes_late_to_the_updates_gets_the_whole_map_in_slices(graph: Any) -> None:
-    bench = Bench(graph, voxel_size=0.05, repeat_rate=0.5)
+    bench = Bench(graph, voxel_size=0.05, team_map__bandwidth=0.1)
     bench.send(pose(), cloud())
     bench.wait_for_results(1)
     expected = as_replica(expected_map(cloud(), voxel_size=0.05))
@@ -292,7 +305,6 @@ def test_the_grid_shows_what_other_robots_saw_and_the_updates_do_not(graph: Any)
     [
         ({}, "odom", "wrong frame"),
         ({"voxel_size": 0.2}, "map", "invalid data"),
-        ({"robot": 0, "version": 2**31}, "map", "robot id in use"),
     ],
 )
 def test_updates_that_do_not_fit_are_dropped(
@@ -308,6 +320,60 @@ def test_updates_that_do_not_fit_are_dropped(
     team.publish(message)
 
     bench.wait_for_drop(reason)
+
+
+def test_another_robot_with_the_same_id_is_noticed(graph: Any) -> None:
+    bench = Bench(graph, team_map__silence=0.5)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    later = version_at(time.time_ns() + 3600 * SECOND)
+    (message,) = other_robot(later, [20], robot=0, session=1)
+
+    def is_noticed() -> bool:
+        team.publish(message)
+        return "two robots with one id" in bench.node.health.drops()
+
+    graph.spin_until(is_noticed, "the second robot")
+    assert bench.node.health.drops().keys() == {"two robots with one id"}
+
+
+def test_robots_that_are_not_on_the_list_are_dropped(graph: Any) -> None:
+    bench = Bench(graph, team=[3, 8])
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+
+    team.publish(other_robot(7, [20])[0])
+
+    assert "robot 9" in bench.wait_for_drop("not on the team list")
+
+
+def test_what_was_missed_is_asked_for_and_told(graph: Any) -> None:
+    bench = Bench(graph)
+    mate = TeamMember(9, 1, 50, VoxelMapConfig(voxel_size=0.1), TeamConfig(summary_period=0.1))
+    seen = expected_map(cloud())
+    seen.track_changes(True)
+    mate.replace(seen)
+    first = mate.tell(seen, 0.0)
+    publishers = [
+        graph.publisher(PointCloud2, topic) for topic in ("team/map_updates", "team/digests")
+    ]
+    graph.connect(*publishers)
+    requests = graph.collect(PointCloud2, "team/requests", qos.stream(100))
+
+    def catches_up() -> bool:
+        now = time.monotonic()
+        for message in requests:
+            mate.hear_request(decode_rows(message)[2], now)
+        requests.clear()
+        told = mate.tell(seen, now)
+        for publisher, messages in zip(publishers, (told, mate.digests(now)), strict=True):
+            for rows in messages:
+                publisher.publish(encode_rows(TYPES, START, "map", rows))
+        values = bench.node.health.values()
+        return bool(values.get("known voxels") == str(seen.known_voxels))
+
+    assert first
+    graph.spin_until(catches_up, "the map of the other robot")
 
 
 def test_the_own_updates_may_come_back(graph: Any) -> None:

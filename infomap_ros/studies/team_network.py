@@ -1,0 +1,210 @@
+"""Robots that map one hall and share it over a radio, all in one process.
+
+Only the radio is simulated: scans are integrated, messages are those of the wire, and what is lost
+stays lost unless the robots mend it themselves.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.studies.analytic_scene import AnalyticScene
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.sent import message_bytes
+
+CAMERA = PinholeCamera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
+PACKET_BYTES, PACKET_OVERHEAD = 1400, 60
+_HALL = (24.0, 16.0, 3.0)  # [m]
+_TICK = 0.05  # [s]
+Rows = NDArray[np.void]
+
+
+@dataclass(frozen=True)
+class Radio:
+    """The link of each robot to all others.
+
+    Attributes:
+        rate: at which a robot can send [bit/s].
+        loss: share of the packets that a receiver does not get, independent of each other; a
+            message with a lost packet is lost.
+        delay: [s].
+    """
+
+    rate: float = 10e6
+    loss: float = 0.2
+    delay: float = 0.02
+
+
+def make_hall(rng: np.random.Generator, boxes: int = 60) -> AnalyticScene:
+    """A hall of 24 x 16 x 3 m with boxes of 0.3 to 1.5 m, none on the robots' way."""
+    x, y, z = _HALL
+    planes = [[0, 0, 1, 0], [0, 0, -1, -z]]
+    planes += [[s, 0, 0, -x / 2] for s in (1, -1)] + [[0, s, 0, -y / 2] for s in (1, -1)]
+    way = np.array([_place(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 200)])
+    solids: list[PlacedSolid] = []
+    while len(solids) < boxes:
+        size = rng.uniform(0.3, 1.5, 3)
+        place = np.array([*rng.uniform([-x / 2, -y / 2], [x / 2, y / 2]), size[2] / 2])
+        turn = Rotation.from_euler("z", rng.uniform(0, np.pi)).as_matrix()
+        if np.linalg.norm(way[:, :2] - place[:2], axis=1).min() > 1.6:
+            box = Box((float(size[0]), float(size[1]), float(size[2])))
+            solids.append(PlacedSolid(box, make_transform(turn, place), f"box {len(solids)}"))
+    return AnalyticScene(np.array(planes, np.float64), solids)
+
+
+def _place(angle: float) -> FloatArray:
+    """Where a camera is on its way through the hall, an ellipse 1.2 m above the floor [m]."""
+    return np.array([8.0 * np.cos(angle), 4.5 * np.sin(angle), 1.2])
+
+
+def view_pose(start: float, now: float) -> FloatArray:
+    """T_map_camera (optical) of a robot that drives at about 0.3 m/s and looks left and right.
+
+    Args:
+        start: where on its way it began [rad].
+        now: time since then [s].
+    """
+    angle = start + 0.3 * now / 6.5
+    ahead = _place(angle + 1e-3) - _place(angle)
+    yaw = np.arctan2(ahead[1], ahead[0]) + 0.8 * np.sin(2.0 * np.pi * now / 20.0)
+    forward = np.array([np.cos(yaw), np.sin(yaw), -0.25])
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return make_transform(axes, _place(angle))
+
+
+@dataclass
+class SimulatedRobot:
+    """A robot: its own map, its part of the team, and what it costs.
+
+    Attributes:
+        member: its part of the team.
+        own: what it saw.
+        sent: bytes that it sent, by kind of message, without those of the radio's packets.
+        seconds: processor time for sharing, integrating not included [s].
+        told: number of changed voxels that it had to tell.
+    """
+
+    member: TeamMember
+    own: VoxelMap
+    sent: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+    told: int = 0
+
+
+class TeamNetwork:
+    """Steps a team through time.
+
+    Args:
+        robots: how many.
+        radio: the channel.
+        team: how they share.
+        voxel_size: [m].
+        seed: of the hall, the views and the losses.
+    """
+
+    def __init__(
+        self,
+        robots: int,
+        radio: Radio,
+        team: TeamConfig | None = None,
+        voxel_size: float = 0.05,
+        seed: int = 0,
+    ) -> None:
+        self.radio, self.now = radio, 0.0
+        self.config = VoxelMapConfig(voxel_size=voxel_size, max_range=5.0)
+        self._team = team or TeamConfig()
+        self._rng = np.random.default_rng(seed)
+        self.scene = make_hall(self._rng)
+        self.robots = [self.make_robot(number) for number in range(robots)]
+        self._free_at, self._count, self._digested = [0.0] * robots, 0, 0.0
+        self._on_air: list[tuple[float, int, int, str, Rows]] = []
+
+    def make_robot(self, number: int) -> SimulatedRobot:
+        """A robot that has seen nothing."""
+        session = int(self._rng.integers(1, 2**32))
+        member = TeamMember(number, session, 1000, self.config, self._team)
+        own = VoxelMap(self.config)
+        own.track_changes(True)
+        return SimulatedRobot(member, own)
+
+    def look(self, robot: SimulatedRobot) -> None:
+        """Let a robot take a view from where it is."""
+        start = 2.0 * np.pi * robot.member.robot / len(self.robots)
+        pose = view_pose(start, self.now)
+        depth = self.scene.depth_image(pose, CAMERA)
+        points = CAMERA.back_project(depth).astype(np.float64)
+        sigma = 0.004 * np.nan_to_num(depth, nan=1.0) ** 2
+        rays = points / np.where(depth > 0.0, depth, np.nan)[..., None]
+        noise = (sigma * self._rng.normal(size=depth.shape))[..., None] * rays
+        spread = rays[..., :, None] * rays[..., None, :]
+        covariances = (sigma**2)[..., None, None] * spread + (0.002**2) * np.eye(3)
+        robot.own.integrate(points + noise, pose, covariances, 1e-6 * np.eye(6), CAMERA)
+
+    def step(self) -> None:
+        """Let `_TICK` seconds go by."""
+        self.now += _TICK
+        digests = self.now - self._digested >= self._team.digest_period
+        self._digested = self.now if digests else self._digested
+        for number, robot in enumerate(self.robots):
+            start = time.thread_time()
+            member, messages = robot.member, []
+            messages += [("update", rows) for rows in member.tell(robot.own, self.now)]
+            if digests:
+                messages += [("digest", rows) for rows in member.digests(self.now)]
+            messages += [("request", rows) for rows in member.requests(self.now)]
+            robot.seconds += time.thread_time() - start
+            for kind, rows in messages:
+                self._send(number, robot, kind, rows)
+        self._deliver()
+
+    def run(self, seconds: float) -> None:
+        """Let time go by."""
+        for _ in range(round(seconds / _TICK)):
+            self.step()
+
+    @property
+    def backlog(self) -> float:
+        """How long what was sent still takes to be transmitted, at the most [s]."""
+        return max(0.0, max(self._free_at) - self.now)
+
+    def _send(self, number: int, robot: SimulatedRobot, kind: str, rows: Rows) -> None:
+        size = message_bytes(rows)
+        robot.sent[kind] = robot.sent.get(kind, 0) + size
+        packets = -(-size // PACKET_BYTES)
+        duration = (size + packets * PACKET_OVERHEAD) * 8.0 / self.radio.rate
+        self._free_at[number] = max(self._free_at[number], self.now) + duration
+        for receiver in range(len(self.robots)):
+            arrives = self._rng.random() < (1.0 - self.radio.loss) ** packets
+            if receiver != number and arrives:
+                self._count += 1
+                event = (
+                    self._free_at[number] + self.radio.delay,
+                    self._count,
+                    receiver,
+                    kind,
+                    rows,
+                )
+                heapq.heappush(self._on_air, event)
+
+    def _deliver(self) -> None:
+        while self._on_air and self._on_air[0][0] <= self.now:
+            _, _, receiver, kind, rows = heapq.heappop(self._on_air)
+            robot = self.robots[receiver]
+            member = robot.member
+            hear = {"digest": member.hear_digest, "request": member.hear_request}
+            start = time.thread_time()
+            hear.get(kind, member.hear_update)(rows, self.now)
+            robot.seconds += time.thread_time() - start

@@ -20,6 +20,7 @@ from infomap_ros.localization.pose_hypothesis import (
     Expectation,
     Group,
     Hypothesis,
+    examine,
     examine_with_or_without_prior,
 )
 from infomap_ros.localization.sight import BoolArray, Measured
@@ -65,18 +66,41 @@ def explain(
         config: gates.
     """
     admitted = history.is_trusted(image.ids)
-    contested = history.is_contested(image.ids)
-    known = int(admitted.sum())
-    found = hypotheses(state, prior, image, admitted, config)
-    chosen, reason = choose(found, contested, known, config)
-    if reason != CONTRADICTION:
-        return chosen, reason, False
     established = admitted & history.is_established(image.ids)
-    wider = overruled_prior(prior, found, established, config)
-    if wider is None:
-        return None, reason, False
-    found = hypotheses(state, wider, image, admitted, config)
-    return *choose(found, contested, known, config), True
+    # Those that are new may have been added on a body that moves: they do not decide.
+    enough = np.count_nonzero(established) >= 2 * config.least_fiducials
+    voters = established if enough else admitted
+    contested = history.is_contested(image.ids)
+    found = hypotheses(state, prior, image, voters, config)
+    chosen, reason = choose(found, contested, int(voters.sum()), config)
+    overruled = False
+    if reason == CONTRADICTION:
+        wider = overruled_prior(prior, found, voters, established, config)
+        if wider is None:
+            return None, reason, False
+        overruled = True
+        found = hypotheses(state, wider, image, voters, config)
+        chosen, reason = choose(found, contested, int(voters.sum()), config)
+    if chosen is not None:
+        chosen = _joined(state, chosen, image, admitted, config)
+    return chosen, reason, overruled
+
+
+def _joined(
+    state: InvariantState,
+    chosen: Hypothesis,
+    image: Image,
+    admitted: BoolArray,
+    config: FiducialFilterConfig,
+) -> Hypothesis:
+    """The chosen hypothesis, joined by those that did not vote and agree with it."""
+    group = Group(image.indices, image.measured, chosen.members, admitted)
+    joined = examine(state, chosen.expectation, group, config)
+    if joined is None or not (
+        joined.has_plausible_residuals(config) and joined.has_plausible_motion(config)
+    ):
+        return chosen
+    return joined if joined.count >= chosen.count else chosen
 
 
 def hypotheses(
@@ -162,6 +186,7 @@ def choose(
 def overruled_prior(
     prior: MotionPrior,
     found: Sequence[Hypothesis],
+    voters: BoolArray,
     established: BoolArray,
     config: FiducialFilterConfig,
 ) -> MotionPrior | None:
@@ -173,14 +198,15 @@ def overruled_prior(
     Args:
         prior: of the motion.
         found: hypotheses that contradict it.
-        established: fiducials of the image that were seen before they were last, shape (M,).
+        voters: fiducials of the image that decide, shape (M,).
+        established: those that were seen before they were last, shape (M,).
         config: shares.
 
     Returns:
         The prior that fits; None where the images do not suffice to overrule it.
     """
     for one in found:
-        enough = one.count >= config.overruling_share * len(established)
+        enough = one.count >= config.overruling_share * np.count_nonzero(voters)
         known_long = np.count_nonzero(one.members & established) >= config.overruling_count
         if enough and known_long and one.has_plausible_residuals(config):
             return MotionPrior(prior.T_before_after, one.motion_nis * prior.covariance)

@@ -188,7 +188,7 @@ class Exploration:
             f"{100.0 * known:.1f} % of the reachable surface is known, "
             f"mean sigma {1e3 * sigma:.1f} mm"
         )
-        if known >= task.known_fraction and sigma <= task.mean_sigma:
+        if task.is_met(known, sigma):
             return Ending(EndReason.DONE, state)
         budgets = (
             (f"{mission.views} views", mission.views >= task.max_views),

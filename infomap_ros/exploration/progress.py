@@ -10,10 +10,10 @@ from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.export import surface_sigmas
 
-_GOES_ON = 2  # [voxels] that a surface is continued
+_GOES_ON = OccupancyThresholds().surface_margin + 1  # [voxels] that a surface is continued
 _WALL = 1.0  # [m] of surface in a column, at which it is a wall,
 _WALL_SHARE = 0.6  # or such a share of the region's height where that is less
 _GAP = 0.2  # [m] width of gaps in walls that count as closed

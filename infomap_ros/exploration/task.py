@@ -30,7 +30,7 @@ class TaskConfig:
         (3.0, 3.0, 1.4), "Upper corner of the box that is to be mapped, map frame.", unit="m"
     )
     known_fraction: float = parameter(
-        0.97, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
+        0.95, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
     )
     mean_sigma: float = parameter(
         0.03,
@@ -58,6 +58,10 @@ class TaskConfig:
                 raise ConfigError(name, getattr(self, name), "three coordinates x, y, z")
         if not all(low < high for low, high in zip(self.region_low, self.region_high, strict=True)):
             raise ConfigError("region_high", self.region_high, f"above {self.region_low}")
+
+    def is_met(self, known_fraction: float, mean_sigma: float) -> bool:
+        """Whether expanse, 0 to 1, and resolution [m] suffice."""
+        return known_fraction >= self.known_fraction and mean_sigma <= self.mean_sigma
 
     @property
     def region(self) -> FloatArray:

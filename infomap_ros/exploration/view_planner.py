@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,71 +11,24 @@ from infomap_ros.exploration.explanation import explain
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_choice import ViewChoice
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PlacedSolid, StereoRig
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.clear_start import ClearStart
-from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
+from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.goal_memory import GoalMemory, GoalMemoryConfig
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.localisation_error import LocalisationError
-from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
+from infomap_ros.views.vain_looks import VainLooks
 from infomap_ros.views.view_information import ExpectedInformation
 
-
-@dataclass(frozen=True)
-class ViewPlannerConfig:
-    """How the next view is chosen.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    strategy: str = parameter(
-        "largest_information",
-        "How views are ranked: random, raster, largest_unknown, smallest_known, "
-        "largest_information, look_ahead, or the dotted path of a class of one's own.",
-    )
-    metric: str = parameter(
-        "expected_entropy_reduction", "What counts as information, by the name of a metric."
-    )
-    max_range: float = parameter(
-        4.0, "How far the camera measures well enough to map.", unit="m", low=0.1, high=1000.0
-    )
-    arm_views: int = parameter(
-        250, "Candidates that are drawn among the postures of the arm.", low=0, high=100_000
-    )
-    start_clearance: float = parameter(
-        0.9,
-        "Radius about the base's first place in which space that was never seen is taken for free, "
-        "and unseen ground for even, so that it can move at all: have nothing stand there.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
-    rounds: int = parameter(
-        4,
-        "When none of the views that were tried can be reached, others are drawn; so many times at "
-        "most.",
-        low=1,
-        high=100,
-    )
-    threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
-    seed: int = parameter(1, "Seed of the candidates.", low=0)
-    choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
-    memory: GoalMemoryConfig = field(default_factory=GoalMemoryConfig)
-    vain: VainLooksConfig = field(default_factory=VainLooksConfig)
-    reaching: ReachingConfig = field(default_factory=ReachingConfig)
-
-    def __post_init__(self) -> None:
-        check_config(self)
+__all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +71,7 @@ class ViewPlanner:
         sensor = replace(InformationConfig.of_stereo(rig), wanted_sigma=task.mean_sigma)
         information = ExpectedInformation(self.config.metric, sensor, threads=self.config.threads)
         self._information = information
-        self._choice = NextBestView(
-            self.config.choice, self.config.strategy, information, localisation_error
-        )
-        self._memory = GoalMemory(self.config.memory)
+        self._choice = ViewChoice(self.config, information, localisation_error)
         self._vain = VainLooks(self.config.vain)
         self._rng = np.random.default_rng(self.config.seed)
         self._heights = camera_heights(robot)
@@ -144,32 +94,23 @@ class ViewPlanner:
         """
         around = around or Surrounding()
         self._take_note(voxel_map, state, around.T_map_start)
-        decision = self._select(voxel_map, state, around)
+        progress = self._progress(voxel_map, state)
+        decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
         self._sent = route
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
-        return self._choice_of(decision, route, voxel_map, state)
+        return _choice_of(decision, route, progress, state)
 
-    def _select(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> ViewDecision:
-        """Choose among candidates; where none that was tried can be reached, among others."""
-        reach = _Attempts(self._reach(voxel_map, state))
-        situation = self._situation(voxel_map, state, reach.robot, around)
+    def _select(
+        self, voxel_map: VoxelMap, state: RobotState, around: Surrounding, progress: MapProgress
+    ) -> ViewDecision:
+        """Choose among candidates, more thoroughly while the task is not met."""
+        robot = self._reach(voxel_map, state)
+        situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_vain_looks(situation)
-        for _ in range(self.config.rounds):
-            decision = self._choice.select(
-                situation,
-                reach,
-                self._rng,
-                self._goal,
-                lambda poses: self._memory.reasons_against(poses, voxel_map),
-            )
-            if decision.chosen is not None or not reach.failures:
-                break
-            for pose, reason in reach.failures:
-                self._memory.remember(pose, reason, voxel_map)
-            reach.failures.clear()
-        return decision
+        is_met = self._task.is_met(progress.known_fraction, progress.mean_sigma)
+        return self._choice.select(situation, robot, self._rng, self._goal, thorough=not is_met)
 
     def _without_vain_looks(self, situation: Situation) -> Situation:
         """Note what the view just taken promised in vain, and expect it no more."""
@@ -204,7 +145,7 @@ class ViewPlanner:
             first = state.T_map_base if T_map_start is None else T_map_start
             self._start = ClearStart(first, self.config.start_clearance)
         for pose, reason in self._failures:
-            self._memory.remember(pose, reason, voxel_map)
+            self._choice.memory.remember(pose, reason, voxel_map)
         self._failures.clear()
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
@@ -258,33 +199,12 @@ class ViewPlanner:
         postures = random_postures(self.robot, self.config.arm_views, self._rng)
         return np.asarray(T_map_base @ self.robot.arm.camera_pose(postures))
 
-    def _choice_of(
-        self, decision: ViewDecision, route: Route | None, voxel_map: VoxelMap, state: RobotState
-    ) -> Choice:
-        chosen = decision.chosen
-        if chosen is not None and route is None:
-            raise TypeError("a view was chosen without a route")
-        return Choice(
-            self._progress(voxel_map, state),
-            None if chosen is None else chosen.pose,
-            route,
-            decision.reason,
-            explain(decision, state),
-        )
 
-
-class _Attempts:
-    """A robot that can be asked which views it reaches, and remembers which it does not."""
-
-    def __init__(self, robot: WholeBodyReach) -> None:
-        self.robot = robot
-        self.failures: list[tuple[FloatArray, str]] = []
-
-    def may_reach(self, poses: FloatArray) -> Sequence[str]:
-        return self.robot.may_reach(poses)
-
-    def reach(self, T_map_camera: FloatArray) -> ReachResult:
-        result = self.robot.reach(T_map_camera)
-        if result.route is None:
-            self.failures.append((T_map_camera, result.reason))
-        return result
+def _choice_of(
+    decision: ViewDecision, route: Route | None, progress: MapProgress, state: RobotState
+) -> Choice:
+    chosen = decision.chosen
+    if chosen is not None and route is None:
+        raise TypeError("a view was chosen without a route")
+    pose = None if chosen is None else chosen.pose
+    return Choice(progress, pose, route, decision.reason, explain(decision, state))

@@ -62,7 +62,7 @@ def test_hole_in_a_wall_counts_with_its_rim_and_what_is_behind_it() -> None:
     states[13, 5:13, 3:] = UNKNOWN  # 8 wide and up to the top
     known, missing = count_surface(states, START, SIZE)
     assert known == 13 * 20 + 12 * 5
-    assert missing == 2 * 2 * 5 + 6 * 20
+    assert missing == 2 * 3 * 5 + 6 * 20
 
 
 def test_air_that_was_not_seen_beside_a_wall_is_not_missing_surface() -> None:

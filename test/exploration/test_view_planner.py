@@ -7,19 +7,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from infomap_ros.exploration import view_planner
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxel_states import VoxelStates, information_of, put_states, unknown_states
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
 from infomap_ros.simulation.robot import read_description
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.views.next_best_view import NextBestViewConfig
 
 CAMERA = PinholeCamera(160, 120, 110.0, 110.0, 79.5, 59.5)
 TASK = TaskConfig(region_low=(-1.4, -1.4, -0.3), region_high=(1.4, 1.4, 1.0))
@@ -40,15 +40,15 @@ def half_known() -> VoxelMap:
 
 
 def box_of_voxels(known_from: int, sigma: float) -> VoxelMap:
-    """Even ground at z = 0 in a box of 3 x 3 x 1.6 m, known from a voxel along x.
+    """Even ground at z = 0 in a box of 3 x 3 m, seen up to 1.3 m, known from a voxel along x.
 
     Args:
         known_from: index of the first known voxel along x; the box begins at -30.
         sigma: of the ground [m].
     """
     voxel_map = VoxelMap()
-    size, first = voxel_map.config.voxel_size, np.int32((known_from, -30, -6))
-    indices = np.indices((30 - known_from, 60, 32), np.int32).reshape(3, -1).T + first
+    size, first = voxel_map.config.voxel_size, np.int32((known_from, -30, -1))
+    indices = np.indices((30 - known_from, 60, 27), np.int32).reshape(3, -1).T + first
     quanta = np.where(indices[:, 2] < 0, 20, -20).astype(np.int32)
     ground = indices[:, 2] == -1
     covariances = np.tile(sigma**2 * np.eye(3), (len(indices), 1, 1))
@@ -71,12 +71,12 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     return views
 
 
-def planner_of(robot: RobotModel, task: TaskConfig = TASK) -> ViewPlanner:
+def planner_of(robot: RobotModel, task: TaskConfig = TASK, thorough: float = 1.0) -> ViewPlanner:
     return ViewPlanner(
         robot,
         StereoRig(CAMERA, CAMERA, 0.1),
         task,
-        ViewPlannerConfig(arm_views=40, rounds=ROUNDS, threads=1),
+        ViewPlannerConfig(arm_views=40, rounds=ROUNDS, threads=1, thorough=thorough),
     )
 
 
@@ -91,7 +91,7 @@ def test_draws_others_when_no_view_can_be_reached(robot, half_known, tried):
     choice = planner_of(robot).choose(half_known, standing(robot))
     assert choice.pose is None and choice.route is None
     assert "the road is closed" in choice.reason
-    one_round = view_planner.NextBestViewConfig().selection.approach.attempts
+    one_round = NextBestViewConfig().selection.approach.attempts
     assert one_round < len(tried) <= ROUNDS * one_round
 
 
@@ -111,6 +111,19 @@ def test_looks_again_at_surfaces_that_are_not_precise_enough(robot, wanted, look
     voxel_map = box_of_voxels(known_from=-30, sigma=0.02)
     task = dataclasses.replace(TASK, mean_sigma=wanted)
     choice = planner_of(robot, task).choose(voxel_map, standing(robot))
+    assert (choice.pose is not None) == looks
+
+
+@pytest.mark.parametrize(
+    ("thorough", "wanted", "looks"), [(1.0, 1.0, False), (0.05, 0.5, False), (0.05, 1.0, True)]
+)
+def test_little_is_worth_a_view_where_the_task_asks_for_it(robot, thorough, wanted, looks):
+    """All is known but for a hole of 25 cm in the floor."""
+    voxel_map = box_of_voxels(known_from=-30, sigma=0.001)
+    hole = np.indices((5, 5, 1), np.int32).reshape(3, -1).T + np.int32((22, -2, -1))
+    put_states(voxel_map._storage, unknown_states(hole))
+    task = dataclasses.replace(TASK, known_fraction=wanted)
+    choice = planner_of(robot, task, thorough).choose(voxel_map, standing(robot))
     assert (choice.pose is not None) == looks
 
 

@@ -1,0 +1,131 @@
+"""The choice among candidates, again with others or with more patience where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.route import ReachResult
+from infomap_ros.views.decision import ViewDecision
+from infomap_ros.views.goal_memory import GoalMemory
+from infomap_ros.views.localisation_error import LocalisationError
+from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.options import InformationSource
+from infomap_ros.views.situation import Situation
+
+
+class ViewChoice:
+    """Chooses a view that can be reached and is worth its cost.
+
+    Where none of the views that were tried can be reached, they are remembered and others are
+    drawn. Where none is worth its cost although more is asked for, less is taken for worth it.
+
+    Args:
+        config: of choice and memory.
+        information: what views are expected to tell.
+        localisation_error: model of LE of eq. (11); odometry drift where not given.
+
+    Attributes:
+        memory: of views that could not be reached.
+    """
+
+    def __init__(
+        self,
+        config: ViewPlannerConfig,
+        information: InformationSource,
+        localisation_error: LocalisationError | None = None,
+    ) -> None:
+        self._rounds = config.rounds
+        self.memory = GoalMemory(config.memory)
+        choices = [config.choice]
+        if config.thorough < 1.0:
+            choices.append(_modest(config.choice, config.thorough))
+        self._choices = [
+            NextBestView(choice, config.strategy, information, localisation_error)
+            for choice in choices
+        ]
+
+    def select(
+        self,
+        situation: Situation,
+        robot: WholeBodyReach,
+        rng: np.random.Generator,
+        goal: FloatArray | None = None,
+        *,
+        thorough: bool = False,
+    ) -> ViewDecision:
+        """Choose the next view.
+
+        Args:
+            situation: what is known.
+            robot: asked for ways to views.
+            rng: draws candidates.
+            goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
+            thorough: where no view is worth its cost, take less for worth it.
+
+        Returns:
+            The last decision of those that were made, with the only view that was chosen.
+        """
+        attempts = _Attempts(robot)
+        decisions = self._decisions(situation, attempts, rng, goal, thorough)
+        decision = next(decisions)
+        while decision.chosen is None and (another := next(decisions, None)) is not None:
+            decision = another
+        return decision
+
+    def _decisions(
+        self,
+        situation: Situation,
+        attempts: _Attempts,
+        rng: np.random.Generator,
+        goal: FloatArray | None,
+        thorough: bool,
+    ) -> Iterator[ViewDecision]:
+        """One decision after the other, each knowing what could not be reached before."""
+        voxel_map = situation.voxel_map
+        for choice in self._choices[: None if thorough else 1]:
+            for _ in range(self._rounds):
+                yield choice.select(
+                    situation,
+                    attempts,
+                    rng,
+                    goal,
+                    lambda poses: self.memory.reasons_against(poses, voxel_map),
+                )
+                if not attempts.failures:
+                    break
+                for pose, reason in attempts.failures:
+                    self.memory.remember(pose, reason, voxel_map)
+                attempts.failures.clear()
+
+
+class _Attempts:
+    """A robot that can be asked which views it reaches, and remembers which it does not."""
+
+    def __init__(self, robot: WholeBodyReach) -> None:
+        self.robot = robot
+        self.failures: list[tuple[FloatArray, str]] = []
+
+    def may_reach(self, poses: FloatArray) -> Sequence[str]:
+        return self.robot.may_reach(poses)
+
+    def reach(self, T_map_camera: FloatArray) -> ReachResult:
+        result = self.robot.reach(T_map_camera)
+        if result.route is None:
+            self.failures.append((T_map_camera, result.reason))
+        return result
+
+
+def _modest(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
+    """A choice for which the way, and what a view must tell at least, count by a share."""
+    rating, selection = config.rating, config.selection
+    return replace(
+        config,
+        rating=replace(rating, distance_weight=share * rating.distance_weight),
+        selection=replace(selection, least_information=share * selection.least_information),
+    )

@@ -307,6 +307,36 @@ def test_odometry_tells_which_of_two_groups_moves() -> None:
     assert squared_distance(pose_error(np.eye(4), estimated), covariance) < chi2.ppf(0.999, 6)
 
 
+def test_a_small_second_group_makes_the_motion_ambiguous() -> None:
+    """Seven against four that move together: without odometry nobody knows."""
+    rng = np.random.default_rng(18)
+    points = wall(11, rng)
+    pose_filter = FiducialFilter(CAMERA)
+    pose_filter.add(observe(points, np.eye(4), rng))
+    points[:4] += [0.2, 0.1, 0.0]
+    pose_filter.predict(free_motion(0.5))
+    assert not pose_filter.update(observe(points, np.eye(4), rng)).is_consistent
+
+
+def test_new_fiducials_on_a_moving_body_do_not_decide() -> None:
+    """Fifteen that are known for longer against thirty that were added a moment ago."""
+    rng = np.random.default_rng(19)
+    points = wall(45, rng)
+    old = points[:15]
+    pose_filter = FiducialFilter(CAMERA)
+    pose_filter.add(observe(old, np.eye(4), rng))
+    pose_filter.predict(free_motion(0.1))
+    assert pose_filter.update(observe(old, np.eye(4), rng)).is_consistent
+    pose_filter.add(observe(points, np.eye(4), rng))
+    points[15:] += [0.3, 0.0, 0.1]
+    pose_filter.predict(free_motion(0.5))
+    update = pose_filter.update(observe(points, np.eye(4), rng))
+    assert update.is_consistent, update.reason
+    assert np.all(update.used < 15) and len(update.rejected) >= 30
+    estimated, covariance = pose_filter.pose
+    assert squared_distance(pose_error(np.eye(4), estimated), covariance) < chi2.ppf(0.999, 6)
+
+
 def test_nearly_all_fiducials_overrule_slipping_wheels() -> None:
     rng = np.random.default_rng(12)
     points = wall(50, rng)

@@ -40,7 +40,7 @@ class ErrorPredictionConfig:
     """
 
     waypoints: int = parameter(
-        3, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
+        6, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
     )
     pixel_sigma: float = parameter(
         0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
@@ -58,14 +58,14 @@ class ErrorPredictionConfig:
         2.0, "A ray may end so far before a fiducial, in voxels.", low=0.0, high=100.0
     )
     fiducials: int = parameter(
-        50,
+        40,
         "Of the known fiducials, so many are looked at; where there are more, each stands for "
         "several.",
         low=1,
         high=10_000,
     )
     cell: float = parameter(
-        0.4,
+        0.5,
         "What hides a fiducial from a place hides it from all places in a cube of this size.",
         unit="m",
         low=0.001,

@@ -63,6 +63,7 @@ class TargetWatch:
             ``corrected``; ``contradicted``, when the target was seen so often where it cannot be
             that the filter has to begin anew from it; else empty.
         """
+        self.reason = ""
         since = 1e-9 * (view.stamp - self._looked)
         if not self.exists or (tracking and since < self._config.target_interval):
             return ""

@@ -18,6 +18,7 @@ from infomap_ros.nodes.team_exchange import TeamExchange
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.authentication import TeamKey
 
 _GROWTH = 1.01  # by this factor the map must grow to count as growing
 
@@ -52,6 +53,7 @@ class MapListenerConfig:
     team: tuple[int, ...] = parameter(
         (), "Ids of the robots whose updates count; those of all robots where empty."
     )
+    team_key: str = parameter("", "File with the secret of the team, as map_fusion has it.")
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -68,6 +70,7 @@ class MapListener:
     def __init__(self, node: MonitoredNode, worker: Worker) -> None:
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
+        self._key = TeamKey.read(self._config.team_key) if self._config.team_key else None
         self._member: TeamMember | None = None
         self._known, self._grown, self._arrived = 0, 0.0, False
         for topic in ("map_updates", "team/map_updates"):
@@ -104,7 +107,8 @@ class MapListener:
         if not len(rows):
             return
         if self._member is None:
-            self._member = self._make_member(decode_update(rows).voxel_size)
+            genuine = rows if self._key is None else self._key.verify(rows)
+            self._member = self._make_member(decode_update(genuine).voxel_size)
         self._member.hear_update(rows, time.monotonic())
         self._node.health.produced()
         if not self._arrived:
@@ -117,7 +121,9 @@ class MapListener:
             voxel_size=round(voxel_size, 7), memory_limit=config.memory_limit
         )
         sharing = self._node.config(TeamConfig)
-        return TeamMember(config.robot_id, 0, 1, map_config, sharing, config.team, tells=False)
+        return TeamMember(
+            config.robot_id, 0, 1, map_config, sharing, config.team, tells=False, key=self._key
+        )
 
     def _note_growth(self, known: int) -> None:
         if known > _GROWTH * self._known:

@@ -75,7 +75,7 @@ class TeamMap:
         if not len(rows):
             return
         if self._member is None:
-            update = decode_update(rows)
+            update = decode_update(self._genuine(rows))
             self._join(update.robot, update.session)
         if self._member is not None and self._member.hear_update(rows, time.monotonic()):
             self._changed()
@@ -83,7 +83,7 @@ class TeamMap:
     def _hear_of(self, rows: Rows) -> None:
         """A digest may be the first that is heard of another robot."""
         if self._member is None:
-            digest = decode_digest(rows)
+            digest = decode_digest(self._genuine(rows))
             self._join(digest.sender, digest.session)
 
     def _join(self, robot: int, session: int) -> None:
@@ -93,8 +93,12 @@ class TeamMap:
             return
         sharing = self._node.config(TeamConfig)
         own = updates.robot, updates.session, updates.version
-        self._member = TeamMember(*own, self._config, sharing, updates.team)
+        self._member = TeamMember(*own, self._config, sharing, updates.team, key=updates.key)
         updates.join(self._member, self._changed)
+
+    def _genuine(self, rows: Rows) -> Rows:
+        key = self._updates.key
+        return rows if key is None else key.verify(rows)
 
     def _changed(self) -> None:
         self._on_change()

@@ -36,6 +36,7 @@ from infomap_ros.team import (
     next_version,
     version_at,
 )
+from infomap_ros.team.authentication import TeamKey
 
 _VOXEL_BYTES = 4  # of a message, about
 _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
@@ -54,6 +55,11 @@ class UpdateStreamConfig:
     )
     team: tuple[int, ...] = parameter(
         (), "Ids of the robots whose updates count; those of all robots where empty."
+    )
+    team_key: str = parameter(
+        "",
+        "File with the secret of the team: what is not signed with it is dropped. Empty: all is "
+        "taken for genuine.",
     )
 
     def __post_init__(self) -> None:
@@ -78,6 +84,7 @@ class UpdateStream:
         self._next_block = 0
         self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
+        self.key = TeamKey.read(self._config.team_key) if self._config.team_key else None
         self._member: TeamMember | None = None
         self._on_tell: Callable[[], None] = lambda: None
         self._resumed = self._replaced = self._joined = False
@@ -207,5 +214,7 @@ class UpdateStream:
         self._version = next_version(self._version)
         update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version, self.session)
         parts = encode_update(update, self._sharing.message_size)
+        if self.key is not None:
+            parts = [self.key.sign(rows) for rows in parts]
         for rows in parts or [np.zeros(0, OCCUPANCY_ROW)]:
             self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))

@@ -47,6 +47,26 @@ def with_more_facts(rows: NDArray[np.void], facts: Mapping[str, object]) -> NDAr
     )
 
 
+def layout_of(rows: NDArray[np.void]) -> list[tuple[str, np.dtype[np.generic], int]]:
+    """Name, type and offset of all fields, the one with the facts included."""
+    return [(name, entry[0], entry[1]) for name, entry in (rows.dtype.fields or {}).items()]
+
+
+def without_last_fact(rows: NDArray[np.void], name: str) -> tuple[NDArray[np.void] | None, str]:
+    """The same rows without their last fact, and its value; None if it is not of this name."""
+    fields = dict(rows.dtype.fields or {})
+    texts = [text for text in fields if text.startswith(_PREFIX)]
+    start, mark, value = texts[0].rpartition(f" {name}=") if len(texts) == 1 else ("", "", "")
+    if not mark:
+        return None, ""
+    names = [start if text == texts[0] else text for text in fields]
+    formats = [entry[0] for entry in fields.values()]
+    offsets = [entry[1] for entry in fields.values()]
+    size = rows.dtype.itemsize
+    plain = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+    return rows.view(plain), value
+
+
 def facts_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
     """The facts that the rows of a message tell.
 

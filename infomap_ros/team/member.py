@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import Summary, decode_digest, decode_request
 from infomap_ros.team.membership import Membership
@@ -42,6 +43,7 @@ class TeamMember:
         config: how it shares.
         team: ids of the robots that may write; all if empty.
         tells: whether it has a contribution; otherwise it only listens, and asks.
+        key: of the team; without it every message is taken for genuine.
 
     Attributes:
         replica: the shared map.
@@ -57,13 +59,14 @@ class TeamMember:
         team: Collection[int] = (),
         *,
         tells: bool = True,
+        key: TeamKey | None = None,
     ) -> None:
         self._config = config or TeamConfig()
         self.replica = MapReplica(map_config)
         self._membership = Membership(robot, session if tells else None, team, self._config.silence)
         self._outbox = Outbox(robot, session, version, self.replica, self._config)
         self._reconciler = Reconciler(self.replica, self._outbox, self._config, tells)
-        self._tells = tells
+        self._tells, self._key = tells, key
         self._recovered: list[MapUpdate] = []
         self._started, self._has_begun, self._adopts = np.nan, False, True
 
@@ -97,7 +100,7 @@ class TeamMember:
         if not self._has_begun and now >= self._reconciler.recovering_until:
             self._has_begun = True
             _mark_all(own_map)
-        return self._outbox.tell(own_map, now)
+        return self._signed(self._outbox.tell(own_map, now))
 
     def tell_everything(self) -> None:
         """Tell the whole own contribution again, for somebody who cannot ask."""
@@ -142,7 +145,7 @@ class TeamMember:
             CapacityError: the shared map would become too large.
             In all cases the map is as it was.
         """
-        update = decode_update(rows)
+        update = decode_update(self._genuine(rows))
         self._start(now)
         self._membership.check_update(update, now, self._outbox.version)
         speaker = update.robot if update.sender is None else update.sender
@@ -162,7 +165,7 @@ class TeamMember:
             UpdateRefusedError: its sender must not write.
         """
         self._start(now)
-        digest = decode_digest(rows)
+        digest = decode_digest(self._genuine(rows))
         self._membership.check_robot(digest.sender)
         if digest.sender == self.robot and self._tells:
             return
@@ -178,7 +181,7 @@ class TeamMember:
             InvalidInputError: it is malformed.
             UpdateRefusedError: its sender must not write.
         """
-        request = decode_request(rows)
+        request = decode_request(self._genuine(rows))
         self._membership.check_robot(request.sender)
         self._reconciler.hear_request(request, now)
 
@@ -200,7 +203,14 @@ class TeamMember:
 
     def _spend(self, messages: list[Rows]) -> list[Rows]:
         self._outbox.budget.spend(sum(message_bytes(rows) for rows in messages))
-        return messages
+        return self._signed(messages)
+
+    def _signed(self, messages: list[Rows]) -> list[Rows]:
+        key = self._key
+        return messages if key is None else [key.sign(rows) for rows in messages]
+
+    def _genuine(self, rows: Rows) -> Rows:
+        return rows if self._key is None else self._key.verify(rows)
 
 
 def _mark_all(own_map: VoxelMap) -> None:

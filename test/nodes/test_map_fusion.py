@@ -45,6 +45,7 @@ from infomap_ros.team import (
     encode_update,
     version_at,
 )
+from infomap_ros.team.authentication import TeamKey
 
 TYPES = RclpyMessageTypes()
 SECOND = 1_000_000_000
@@ -345,6 +346,23 @@ def test_robots_that_are_not_on_the_list_are_dropped(graph: Any) -> None:
     team.publish(other_robot(7, [20])[0])
 
     assert "robot 9" in bench.wait_for_drop("not on the team list")
+
+
+def test_what_is_not_signed_with_the_team_key_is_dropped(graph: Any, tmp_path: Path) -> None:
+    (tmp_path / "key").write_text("a secret of the team\n")
+    bench = Bench(graph, team_key=str(tmp_path / "key"))
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    (message,) = other_robot(7, [20])
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+
+    team.publish(message)
+
+    bench.wait_for_drop("not authentic")
+    key = TeamKey(b"a secret of the team")
+    signed = next(m for m in bench.updates if m.width)
+    assert len(decode_update(key.verify(decode_rows(signed)[2])).indices)
 
 
 def test_what_was_missed_is_asked_for_and_told(graph: Any) -> None:

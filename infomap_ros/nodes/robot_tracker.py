@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import String
 
@@ -21,9 +22,11 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.description_config import DescriptionConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.carried_pose import CarriedPose
 from infomap_ros.replay.messages import (
     decode_camera_info,
     decode_joint_state,
+    decode_odometry,
     decode_pose_with_covariance,
     decode_text,
 )
@@ -58,7 +61,9 @@ class RobotTrackerConfig:
 
 
 class RobotTracker:
-    """Listens to camera_pose, joint_states, robot_description and the camera infos.
+    """Listens to camera_pose, joint_states, odom, robot_description and the camera infos.
+
+    Between two poses, and where the camera is lost, odometry carries the last pose on.
 
     Callbacks of the node write, any thread reads.
 
@@ -80,11 +85,13 @@ class RobotTracker:
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
         self._description = ""
         self._robot: RobotModel | None = None
+        self._carried: CarriedPose | None = None
         self._log = node.get_logger()
         node.listen(
             PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
         )
         node.listen(JointState, "joint_states", self._on_joints, qos.sensor_data(100))
+        node.listen(Odometry, "odom", self._on_odometry, qos.sensor_data(100), required=False)
         node.listen(String, "robot_description", self._on_description, qos.latched())
         for number, topic in enumerate(infos):
             node.listen(CameraInfo, topic, self._info_listener(number), qos.sensor_data())
@@ -115,7 +122,7 @@ class RobotTracker:
             return known
 
     def state(self) -> RobotState:
-        """The newest pose at which the joints are known too.
+        """The newest pose at which the joints are known too, carried on by odometry.
 
         Raises:
             PoseUnavailableError: pose, joints or description have not arrived.
@@ -176,10 +183,21 @@ class RobotTracker:
             raise PoseUnavailableError("no camera_pose has arrived yet")
         for pose in reversed(self._poses):
             try:
-                return pose, self._joints.at(pose.stamp)
+                joints = self._joints.at(pose.stamp)
+                return self._carry(pose, joints)
             except PoseUnavailableError as error:
                 problem = error
         raise problem
+
+    def _carry(
+        self, pose: PoseRecord, joints: dict[str, float]
+    ) -> tuple[PoseRecord, dict[str, float]]:
+        """The pose and joints of now, or as they are given where odometry does not tell."""
+        if self._carried is None:
+            return pose, joints
+        assumed = self._assumed.covariance() if pose.covariance is None else pose.covariance
+        here = self._carried.carry(replace(pose, covariance=assumed))
+        return (pose, joints) if here.stamp == pose.stamp else (here, self._joints.at(here.stamp))
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         pose = decode_pose_with_covariance(message)
@@ -194,9 +212,18 @@ class RobotTracker:
             self._news.notify_all()
 
     def _on_joints(self, message: JointState) -> None:
+        record = decode_joint_state(message)
         with self._news:
-            self._joints.add(decode_joint_state(message))
+            self._joints.add(record)
+            if self._carried is not None:
+                self._carried.add_joints(record)
             self._news.notify_all()
+
+    def _on_odometry(self, message: Odometry) -> None:
+        with self._news:
+            if self._carried is not None:
+                self._carried.add_odometry(decode_odometry(message))
+                self._news.notify_all()
 
     def _on_description(self, message: String) -> None:
         with self._news:
@@ -223,5 +250,6 @@ class RobotTracker:
         self._robot = config.robot.read(
             self._description, self._camera_frame, config.base_frame, config.arm_joints
         )
+        self._carried = CarriedPose(self._camera_frame, self._robot)
         self._log.info(f"robot '{self._robot.name}', camera in '{self._camera_frame}'")
         self._news.notify_all()

@@ -176,8 +176,13 @@ class SimulatedRobot:
         return dict(zip(record.names, map(float, record.positions), strict=True))
 
     def _fuse(self, scan: PosedScan) -> None:
-        """One scan into the map, without the robot's own body."""
+        """One scan into the map, without the robot's own body.
+
+        The map takes pose errors of scans to be independent. Where the n scans of a view share one,
+        each gets n times its covariance C: together they have C + R / n then, R of the ranges.
+        """
         cloud, pose = scan.cloud, scan.pose
+        shared = self._config.scans_per_view if self.poses.shares_errors else 1
         points = cloud.organised_points
         body = self._robot.solids_in(self._robot.camera_frame, self._joints())
         on_body = body_mask(points, cloud.covariance_triangles, body, self._config.body)
@@ -187,7 +192,7 @@ class SimulatedRobot:
             points,
             pose.transform,
             cloud.covariance_triangles,
-            pose.covariance,
+            shared * pose.covariance,
             camera=cloud.camera,
             error_correlation=cloud.error_correlation,
         )

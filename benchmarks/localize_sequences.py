@@ -6,6 +6,7 @@ follow the same views from frame to frame without odometry. Errors are those of 
 (`trajectory_errors.py`) against the sequence's truth. Prints a table and one JSON line.
 
     python benchmarks/localize_sequences.py [--data FOLDER] [--work FOLDER] [--only NAME ...]
+        [--baselines NAME ...]
 
 Real sequences are looked for in `--data` (default: INFOMAP_DATA or ../shared/data) and converted
 into bags in `--work`; those that are absent are named and left out.
@@ -91,7 +92,7 @@ def views_of(bag: BagReader, options: LocalizeOptions) -> Iterator[RangeView]:
             yield entry.view
 
 
-def compare(path: Path, sequence: Sequence) -> dict[str, dict[str, float]]:
+def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, dict[str, float]]:
     """Figures of localisation and of each baseline, by name."""
     options = with_settings(LocalizeOptions(), sequence.settings)
     with BagReader(path) as bag:
@@ -110,10 +111,10 @@ def compare(path: Path, sequence: Sequence) -> dict[str, dict[str, float]]:
         errors = errors_of(truth, trajectory.stamps.tolist(), trajectory.transforms, sequence.delta)
         located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}
         results[name] = asdict(errors) | located
-    for name, motion in BASELINES.items():
+    for name in baselines:
         start = time.perf_counter()
         with BagReader(path) as bag:
-            stamps, poses, failures = follow(views_of(bag, options), motion)
+            stamps, poses, failures = follow(views_of(bag, options), BASELINES[name])
         errors = errors_of(truth, stamps, poses, sequence.delta)
         seconds = time.perf_counter() - start
         results[name] = asdict(errors) | {
@@ -146,6 +147,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(default))
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
     parser.add_argument("--only", nargs="*", default=list(SEQUENCES), choices=list(SEQUENCES))
+    names = list(BASELINES)
+    parser.add_argument("--baselines", nargs="*", default=names, choices=names)
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     print(
@@ -158,7 +161,7 @@ def main() -> None:
         if bag is None:
             print(f"| {name} | absent | | | | | | |")
             continue
-        results[name] = compared = compare(bag, SEQUENCES[name])
+        results[name] = compared = compare(bag, SEQUENCES[name], arguments.baselines)
         for method, figures in compared.items():
             print(row(name, method, figures), flush=True)
     print(json.dumps({"benchmark": "localize_sequences", "results": results}))

@@ -58,7 +58,7 @@ class FiducialSelectionConfig:
     )
     candidates: int = parameter(250, "Most corners that are evaluated.", low=10, high=5000)
     min_corner: float = parameter(
-        2.0,
+        4.0,
         "Least corner strength: square root of the smaller eigenvalue of the mean gradient "
         "product in a 7 x 7 window (Shi and Tomasi 1994).",
         unit="grey levels/px",

@@ -40,7 +40,7 @@ __all__ = ["FiducialTracker", "FiducialTrackerConfig"]
 _FLOW_SEARCH = 2
 
 # How much an image may be blurred against the templates (sigma) [px].
-_BLURS = (1.2, 2.0, 3.0)
+_BLURS = (0.0, 1.2, 2.0, 3.0)
 
 
 class FiducialTracker:
@@ -237,22 +237,22 @@ class FiducialTracker:
         search: NDArray[np.int64],
         found: NDArray[np.bool_],
     ) -> tuple[Alignment, NDArray[np.bool_]]:
-        """Align with the templates; where many fail, blurred ones may fit a blurred image.
+        """Align with the templates; where few fit well, blurred ones may fit a blurred image.
 
         Returns:
             The alignment of all, and which of them are believed, shape (N,).
         """
         tracks, config = self._tracks, self.config
-        best = align_templates(image, tracks.templates, places, tracks.warps, search)
-        seen = believed(best, places, search, config)
+        best, most = None, -1
         for blur in _BLURS:
-            if np.count_nonzero(seen) > config.sharp_share * np.count_nonzero(found):
+            aligned = align_templates(image, tracks.templates, places, tracks.warps, search, blur)
+            fitting = int(np.count_nonzero(aligned.correlations >= config.good_correlation))
+            if best is None or fitting > most:
+                best, most = aligned, fitting
+            if most > config.sharp_share * np.count_nonzero(found):
                 break
-            again = align_templates(image, tracks.templates, places, tracks.warps, search, blur)
-            seen_again = believed(again, places, search, config)
-            if np.count_nonzero(seen_again) > np.count_nonzero(seen):
-                best, seen = again, seen_again
-        return best, seen
+        assert best is not None
+        return best, believed(best, places, search, config)
 
     def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
         """Keep where fiducials are; renew templates that are stretched a lot but well seen."""

@@ -33,7 +33,7 @@ class FiducialTrackerConfig:
         high=50.0,
     )
     max_sigma: float = parameter(
-        0.3,
+        0.7,
         "Fiducials whose pixel is less certain than this are not believed: they slide along edges.",
         unit="px",
         low=0.01,
@@ -71,8 +71,8 @@ class FiducialTrackerConfig:
     )
     sharp_share: float = parameter(
         0.7,
-        "Where fewer of the fiducials that flow has found fit their templates, the image is taken "
-        "to be blurred, and blurred templates are tried.",
+        "Where fewer of the fiducials that flow has found are well seen, the image is taken to be "
+        "blurred, and blurred templates are tried.",
         low=0.0,
         high=1.0,
     )

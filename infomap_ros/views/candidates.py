@@ -48,6 +48,14 @@ class CandidateConfig:
     local_radius: float = parameter(
         1.0, "What counts as near the present position.", unit="m", low=0.01, high=100.0
     )
+    periphery_share: float = parameter(
+        0.0,
+        "Share of the positions that is drawn within the camera's range of the periphery of the "
+        "known and of uncertain voxels, all of these alike: where little is left to see, few of "
+        "the positions that are drawn uniformly see it.",
+        low=0.0,
+        high=1.0,
+    )
     periphery_distance: float = parameter(
         0.75,
         "Farthest distance to the periphery of the known or an obstacle, as a share of the "
@@ -157,7 +165,7 @@ def _draw(
     """Positions that pass, those that do not, and why not."""
     accepted, rejected = np.empty((0, 3)), np.empty((0, 3))
     reasons: list[str] = []
-    for share, source in _sources(situation, surroundings, settings):
+    for share, source in _sources(situation, surroundings, rng, settings, wanted):
         missing = round(wanted * share) - len(accepted)
         drawn = rng.permutation(source[_sample(len(source), _OVERSAMPLED * missing, rng)])
         if source.ndim == 1:
@@ -177,7 +185,11 @@ def _sample(size: int, count: int, rng: np.random.Generator) -> NDArray[np.int64
 
 
 def _sources(
-    situation: Situation, surroundings: Surroundings, settings: CandidateConfig
+    situation: Situation,
+    surroundings: Surroundings,
+    rng: np.random.Generator,
+    settings: CandidateConfig,
+    wanted: int,
 ) -> Iterator[tuple[float, NDArray[Any]]]:
     """Where to draw from, and the share of the positions that should then have been found.
 
@@ -190,12 +202,36 @@ def _sources(
         yield 1.0, situation.positions_hint
         return
     yield settings.local_share, surroundings.reached_near(settings.local_radius)
-    if settings.local_share < 1.0:
+    share = min(settings.local_share + settings.periphery_share, 1.0)
+    if share > settings.local_share:
+        yield share, _near_periphery(situation, surroundings, rng, _OVERSAMPLED * wanted)
+    if share < 1.0:
         sides = zip(surroundings.first, surroundings.reached.shape, strict=True)
         box = surroundings.states[tuple(slice(a, a + n) for a, n in sides)]
         in_band = _height_band(situation, surroundings)
         yield 1.0, np.flatnonzero((box == FREE) & in_band)
         yield 1.0, np.flatnonzero(surroundings.reached & in_band)
+
+
+def _near_periphery(
+    situation: Situation, surroundings: Surroundings, rng: np.random.Generator, count: int
+) -> NDArray[np.int64]:
+    """Voxels of the box that are reached, each within range of something to look at."""
+    targets = surroundings.targets
+    if not len(targets.counts):
+        return np.empty(0, np.int64)
+    share = targets.counts / targets.counts.sum()
+    about = targets.places[rng.choice(len(share), count, p=share)]
+    offsets = rng.normal(size=(count, 3)) * (1.0, 1.0, 0.0 if situation.is_planar else 1.0)
+    offsets *= (
+        situation.max_range
+        * rng.random((count, 1))
+        / np.linalg.norm(offsets, axis=1, keepdims=True)
+    )
+    places, inside = surroundings.in_box(about + offsets)
+    places = places[inside]
+    places = places[surroundings.reached[tuple(places.T)]]
+    return np.unique(np.ravel_multi_index(tuple(places.T), surroundings.reached.shape))
 
 
 def _height_band(situation: Situation, surroundings: Surroundings) -> NDArray[np.bool_]:

@@ -13,8 +13,9 @@ from infomap_ros.views import tour_kernels
 from infomap_ros.views.look_ahead import LookAhead, distances_between, shared_voxels
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
+from infomap_ros.views.situation import Situation
 from infomap_ros.views.strategy import Scores
-from infomap_ros.views.surroundings import IntArray
+from infomap_ros.views.surroundings import IntArray, Surroundings
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,13 @@ class ViewTour:
             first: makes the first ranking, of all views, by information of which not all is exact.
         """
         self.config, self._first = config or ViewTourConfig(), first or LookAhead()
+        self._planned = np.empty((0, 4, 4))
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """The rest of the last tour, so that it goes on unless a better one is found."""
+        return self._planned
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Worth of the best tour that starts with each view [full views, discounted].
@@ -88,6 +96,7 @@ class ViewTour:
         values = ratings.ratings - float(np.ptp(ratings.ratings)) - 1e3
         chosen, prizes = self._cover(options, ratings)
         plans: dict[int, tuple[int, ...]] = {}
+        self._planned = np.empty((0, 4, 4))
         if not len(chosen):
             return Scores(values, plans)
         ways = ratings.terms["distance"][chosen], distances_between(options, ratings, chosen)
@@ -95,6 +104,7 @@ class ViewTour:
             first, *others = (int(chosen[view]) for view in order)
             if worth > values[first]:
                 values[first], plans[first] = worth, tuple(others)
+        self._planned = options.poses[list(plans[int(values.argmax())])]
         return Scores(values, plans)
 
     def _cover(self, options: Options, ratings: Ratings) -> tuple[IntArray, FloatArray]:

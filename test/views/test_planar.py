@@ -16,6 +16,7 @@ from infomap_ros.views import (
     RegionOfTask,
     Situation,
 )
+from infomap_ros.views.candidates import CandidateConfig, find_candidates
 from infomap_ros.views.flight import FreeFlight
 from infomap_ros.views.glances import full_volume
 from infomap_ros.views.options import Options
@@ -136,3 +137,18 @@ def test_views_that_a_strategy_proposes_are_candidates() -> None:
     np.testing.assert_array_equal(decision.chosen.pose, Proposing.view)
     ruled_out = [view for view in decision.candidates if view.pose[0, 3] == 15.0]
     assert [view.rejection for view in ruled_out] == ["not known to be free"]
+
+
+def test_positions_are_drawn_near_the_periphery() -> None:
+    """All of them on request, and everywhere without it."""
+    now = half_known()
+    known = survey(now, LEVEL.surroundings)
+    distances = []
+    for share in (0.0, 1.0):
+        config = CandidateConfig(
+            candidates=200, local_share=0.0, periphery_share=share, periphery_distance=1.0
+        )
+        found = find_candidates(now, known, np.random.default_rng(2), config, LEVEL.orientations)
+        distances.append(10.0 - found.positions[1:, 0])  # the first is where the camera is
+    assert distances[1].max() <= REACH + 0.5 * SIZE
+    assert np.median(distances[1]) < 0.7 * np.median(distances[0])

@@ -56,7 +56,7 @@ class PlanarStudyConfig:
     )
     scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
     most_scans: int = parameter(
-        400,
+        300,
         "So many scans the strategies that are compared by the distance to `share` may take; the "
         "other four of the paper stop after `scans`.",
         low=2,
@@ -75,7 +75,7 @@ class PlanarStudyConfig:
     cell: float = parameter(
         1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
     )
-    candidates: int = parameter(240, "Candidate views of each choice.", low=10, high=100_000)
+    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
     sensor: SensorConfig = field(default_factory=SensorConfig)
 
     def __post_init__(self) -> None:
@@ -136,7 +136,7 @@ class TeamStudyConfig:
     cell: float = parameter(
         1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
     )
-    candidates: int = parameter(240, "Candidate views of each choice.", low=10, high=100_000)
+    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
     sensor: SensorConfig = field(
         default_factory=lambda: SensorConfig(field_of_view=75.0, max_range=10.0)
     )

@@ -15,7 +15,7 @@ _RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a way of one range costs [full vie
 
 
 def planar_choice(
-    max_range: float, cell: float, candidates: int = 240, strategy: str = ""
+    max_range: float, cell: float, candidates: int = 400, strategy: str = ""
 ) -> NextBestViewConfig:
     """The choice for a sensor of this range [m] in a world with cells of this edge [m].
 
@@ -35,7 +35,10 @@ def planar_choice(
             surface_margin=0, camera_radius=0.0, start_radius=cell, horizon=1000.0, cell=cell
         ),
         candidates=CandidateConfig(
-            candidates=candidates, local_radius=max_range, teammate_clearance=0.2 * max_range
+            candidates=candidates,
+            local_radius=max_range,
+            periphery_share=0.4,
+            teammate_clearance=0.2 * max_range,
         ),
         orientations=OrientationConfig(
             directed=3, spread=1, lowest_elevation=0.0, highest_elevation=0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -53,7 +53,8 @@ class Exploration:
     Attributes:
         fraction: share of the mappable cells that are mapped, in [0, 1].
         distance: moved until then [m].
-        seconds: that the choice of the view took [s]; 0 for the first.
+        seconds: that the choice of the view took, time of the processor [s], so that what else runs
+            does not count; 0 for the first.
         corners: of the way flown, shape (N, 2) [m].
         views: place [m] and azimuth [rad] of each scan, shape (K, 3).
         ended: why it ended: all scans are taken, enough is mapped, or what the choice says.
@@ -181,9 +182,9 @@ def explore(
             break
         if len(rows) == settings.scans:
             break
-        start = perf_counter()
+        start = process_time()
         corners, reason = sensor.move(sensor.situation(sensor.map))
-        seconds = perf_counter() - start
+        seconds = process_time() - start
         if corners is None:
             ended = reason
             break

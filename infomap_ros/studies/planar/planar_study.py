@@ -177,7 +177,7 @@ class Row:
         area: mean fraction mapped over the first `reach` metres.
         distance: moved until the end [m].
         distance_to_share: moved until `share` was mapped [m]; inf where it never was.
-        seconds: of the choice of a view, mean [s].
+        seconds: of the choice of a view, mean time of the processor [s].
         seconds_most: the longest [s].
     """
 

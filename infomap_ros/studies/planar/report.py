@@ -61,7 +61,7 @@ def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
     lines = [
         f"| strategy | worlds | mapped after {config.scans} scans [%] | area under coverage per "
         f"distance, {config.reach:g} m [%] | distance to {100 * config.share:g} % [m] "
-        "| not reached in | choice of a view [s] |",
+        "| not reached in | choice of a view, processor time [s] |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name in dict.fromkeys(row.strategy for row in rows):

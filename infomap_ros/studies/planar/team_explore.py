@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -96,9 +96,9 @@ def explore_together(
     for scan in range(config.scans):
         sensor, seconds = team[scan % sensors], 0.0
         if scan >= sensors:
-            start = perf_counter()
+            start = process_time()
             corners, reason = sensor.move(team)
-            seconds = perf_counter() - start
+            seconds = process_time() - start
             if corners is None:
                 ended = reason
                 break

@@ -2,12 +2,13 @@
 
     python benchmarks/team_sharing.py wire
     python benchmarks/team_sharing.py link --seconds 20
-    python benchmarks/team_sharing.py team --robots 2 4 8 16 32 --seconds 6
+    python benchmarks/team_sharing.py team --robots 2 4 8 16 32 --seconds 2 --voxel-size 0.1
 
 `wire` counts the bytes of serialised messages (CDR, before the headers of DDS) for the voxels that
 each view changes, and beside it OctoMap's file of the whole map. `link` lets two robots map and
 measures how far they are behind each other. `team` counts bytes and processor time of each robot.
-Robots drive through one simulated hall with 2 views a second, voxels of 5 cm.
+Robots drive through one simulated hall with 2 views a second, voxels of 5 cm where nothing else
+is said.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def link(seconds: float, radio: Radio, message_size: int) -> None:
     )
 
 
-def team(sizes: list[int], seconds: float) -> None:
+def team(sizes: list[int], seconds: float, voxel_size: float) -> None:
     """Bytes and processor time of each robot, for teams of several sizes."""
     print(
         "| robots | sent by each [kB/s] | heard by each [kB/s] | processor of each [%] | "
@@ -112,7 +113,9 @@ def team(sizes: list[int], seconds: float) -> None:
     )
     print("| --- | --- | --- | --- | --- | --- |")
     for count in sizes:
-        network = TeamNetwork(count, Radio(rate=1e9, loss=0.0), TeamConfig(bandwidth=2.0))
+        network = TeamNetwork(
+            count, Radio(rate=1e9, loss=0.0), TeamConfig(bandwidth=2.0), voxel_size
+        )
         views = 0
         while network.now < seconds:
             if network.now >= views * PERIOD:
@@ -142,6 +145,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="[Mbit/s]")
     parser.add_argument("--message-size", type=int, default=1400)
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 4, 8, 16, 32])
+    parser.add_argument("--voxel-size", type=float, default=0.1, help="of `team` [m]")
     arguments = parser.parse_args()
     start = time.monotonic()
     if arguments.what == "wire":
@@ -150,7 +154,7 @@ def main() -> None:
         radio = Radio(rate=arguments.rate * 1e6, loss=arguments.loss)
         link(arguments.seconds, radio, arguments.message_size)
     else:
-        team(arguments.robots, arguments.seconds)
+        team(arguments.robots, arguments.seconds, arguments.voxel_size)
     print(f"took {time.monotonic() - start:.0f} s")
 
 

@@ -170,10 +170,10 @@ class Outbox:
 
     def _publish(self, update: MapUpdate) -> list[NDArray[np.void]]:
         """Encode those states of an update that were not told like that before."""
+        self.version = next_version(self.version)
         update = update.rows(self._replica.accept(update))
         if not len(update.versions):
             return []
-        self.version = update.version
         self._touched.append(np.unique(update.indices >> BLOCK_BITS, axis=0))
         return encode_update(update, self._config.message_size)
 

@@ -1,0 +1,169 @@
+"""Single stories of a team: late, dead and returning robots, bandwidth, lost messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.team import TeamConfig, TeamMember, decode_update
+
+CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
+TEAM = TeamConfig(message_size=2000, silence=1.0, recovery=2.0)
+
+
+CENTRES = (np.indices((40, 40, 40)).reshape(3, -1).T - 19.5) * 0.1
+
+
+def make_map(*seeds: int) -> VoxelMap:
+    own = VoxelMap(CONFIG)
+    own.track_changes(True)
+    for seed in seeds:
+        look(own, seed)
+    return own
+
+
+def look(own: VoxelMap, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (40, 2)), np.full(40, 1.0)])
+    pose = np.eye(4)
+    pose[:3, 3] = rng.uniform(-1.0, 1.0, 3)
+    own.integrate(points, pose)
+
+
+def member(robot: int, session: int = 1, config: TeamConfig = TEAM) -> TeamMember:
+    return TeamMember(robot, session, 100, CONFIG, config)
+
+
+def talk(
+    parts: list[tuple[TeamMember, VoxelMap]], start: float, seconds: float, loss: float = 0.0
+) -> float:
+    """Everybody tells everybody, every 0.1 s; returns the time."""
+    rng, now = np.random.default_rng(5), start
+    while now < start + seconds:
+        now += 0.1
+        for speaker, own in parts:
+            for name, messages in (
+                ("hear_update", speaker.tell(own, now)),
+                ("hear_digest", speaker.digests(now)),
+                ("hear_request", speaker.requests(now)),
+            ):
+                for rows in messages:
+                    for hearer, _ in parts:
+                        if hearer is not speaker and rng.random() >= loss:
+                            getattr(hearer, name)(rows, now)
+    return now
+
+
+def hashes(parts: list[tuple[TeamMember, VoxelMap]]) -> set[int]:
+    return {part.replica.hash() for part, _ in parts}
+
+
+def test_lost_messages_are_mended_soon() -> None:
+    parts = [(member(robot), make_map(robot, robot + 10)) for robot in range(2)]
+    for part, own in parts:
+        part.begin(own)
+
+    talk(parts, 0.0, 4.0, loss=0.2)
+
+    assert len(hashes(parts)) == 1
+    assert parts[0][0].replica.robots == (0, 1)
+
+
+def test_a_late_robot_gets_everything_while_the_others_go_on() -> None:
+    parts = [(member(robot), make_map(robot)) for robot in range(2)]
+    now = talk(parts, 0.0, 3.0)
+    parts.append((member(2), make_map(2)))
+    for seed in range(5):
+        look(parts[0][1], 100 + seed)
+        now = talk(parts, now, 0.5)
+
+    talk(parts, now, 4.0)
+
+    assert len(hashes(parts)) == 1
+    assert parts[2][0].replica.robots == (0, 1, 2)
+
+
+def test_what_a_dead_robot_told_is_passed_on() -> None:
+    parts = [(member(robot), make_map(robot)) for robot in range(2)]
+    now = talk(parts, 0.0, 3.0)
+    survivor = parts[1]
+    late = member(2), make_map(2)
+
+    talk([survivor, late], now, 6.0)
+
+    assert late[0].replica.robots == (0, 1, 2)
+    assert len(hashes([survivor, late])) == 1
+    told = survivor[0].replica.contribution(0)
+    assert late[0].replica.contribution(0).hash() == told.hash() != 0
+
+
+@pytest.mark.parametrize("clock", [100, 50, 2**31 - 7])
+def test_a_robot_that_lost_its_map_gets_it_back_and_counts_once(clock: int) -> None:
+    first = member(0), make_map(1, 2, 3)
+    mate = member(1), make_map(4)
+    now = talk([first, mate], 0.0, 4.0)
+    told = mate[0].replica.voxel_map.log_odds(CENTRES)
+    again = TeamMember(0, 2, clock, CONFIG, TEAM), make_map()
+
+    talk([again, mate], now, 6.0)
+
+    assert again[1].known_voxels == first[1].known_voxels
+    assert len(hashes([again, mate])) == 1
+    np.testing.assert_array_equal(mate[0].replica.voxel_map.log_odds(CENTRES), told)
+
+
+def test_a_map_that_is_reset_is_taken_back_everywhere() -> None:
+    first, mate = (member(0), make_map(1, 2)), (member(1), make_map(3))
+    now = talk([first, mate], 0.0, 4.0)
+    empty = make_map()
+
+    first[0].replace(empty)
+    talk([(first[0], empty), mate], now, 4.0)
+
+    assert mate[0].replica.voxel_map.known_voxels == mate[1].known_voxels
+    assert first[0].replica.hash() == mate[0].replica.hash()
+
+
+def test_the_bandwidth_is_kept() -> None:
+    slow = TeamConfig(bandwidth=0.01, message_size=1000)
+    part, own = member(0, config=slow), make_map(*range(8))
+    part.begin(own)
+    sent, now = 0, 0.0
+    while own.known_voxels > part.replica.voxel_map.known_voxels and now < 20.0:
+        now += 0.1
+        sent += sum(rows.nbytes for rows in part.tell(own, now))
+
+    assert own.known_voxels == part.replica.voxel_map.known_voxels
+    assert now > 0.5
+    assert sent <= 10_000 * (now + 0.15) + 4000
+
+
+def test_what_tells_most_goes_first() -> None:
+    part, own = member(0, config=TeamConfig(bandwidth=0.02)), make_map(1, 1, 1, 1, 1)
+    part.begin(own)
+    for tick in range(1, 40):
+        part.tell(own, float(tick))
+    before = own.voxels()[0]
+    look(own, 1)
+    look(own, 2)
+
+    news = np.concatenate([decode_update(rows).indices for rows in part.tell(own, 41.0)])
+
+    was_known = (news[:, None] == before[None]).all(axis=2).any(axis=1)
+    assert len(news) > 50
+    assert was_known.mean() < 0.2
+
+
+def test_a_listener_asks_but_tells_nothing() -> None:
+    listener = TeamMember(0, 0, 1, CONFIG, TEAM, tells=False)
+    robot = member(0), make_map(1)
+    empty = make_map()
+    robot[0].begin(robot[1])
+    lost = robot[0].tell(robot[1], 0.0)
+
+    now = talk([robot, (listener, empty)], 0.0, 4.0)
+
+    assert lost
+    assert listener.replica.hash() == robot[0].replica.hash()
+    assert listener.digests(now) == []

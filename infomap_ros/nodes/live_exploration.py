@@ -19,6 +19,7 @@ _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
 _AUTOSAVE = 5.0  # [s]
+_MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 
 Parameters = Mapping[str, object]
 
@@ -70,6 +71,7 @@ class LiveExploration(LiveGraph):
                 "map_file": self.map_file,
                 "resume": True,
                 "autosave_period": _AUTOSAVE,
+                "waiting.max_wait": _MAX_WAIT,
                 **chain,
             },
             "next_best_view": {**updates},

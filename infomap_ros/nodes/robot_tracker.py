@@ -223,7 +223,6 @@ class RobotTracker:
         with self._news:
             if self._carried is not None:
                 self._carried.add_odometry(decode_odometry(message))
-                self._news.notify_all()
 
     def _on_description(self, message: String) -> None:
         with self._news:

@@ -88,6 +88,9 @@ class TeamExchange:
         if member is None:
             return
         self._publish(DIGESTS, member.digests(time.monotonic()))
+        for robot, found in member.contradictions.items():
+            known = f"{found.contradicted} of {found.compared} surface voxels"
+            self._node.drop("maps contradict", f"robot {robot}: {known}; it is left out")
         self._publish(REQUESTS, member.requests(time.monotonic()))
 
     def _publish(self, topic: str, messages: list[Rows]) -> None:

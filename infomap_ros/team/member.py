@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.team.agreement import Agreement, compare
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import Summary, decode_digest, decode_request
@@ -25,6 +26,7 @@ from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]
+_REVIEW_PERIOD = 2.0  # [s] between two comparisons of the maps
 
 
 class TeamMember:
@@ -47,6 +49,8 @@ class TeamMember:
 
     Attributes:
         replica: the shared map.
+        contradictions: robots whose maps contradict this robot's: they are kept, but left out of
+            the shared map here until they fit.
     """
 
     def __init__(
@@ -67,6 +71,8 @@ class TeamMember:
         self._outbox = Outbox(robot, session, version, self.replica, self._config)
         self._reconciler = Reconciler(self.replica, self._outbox, self._config, tells)
         self._tells, self._key = tells, key
+        self._reviewed = -np.inf
+        self.contradictions: dict[int, Agreement] = {}
         self._recovered: list[MapUpdate] = []
         self._started, self._has_begun, self._adopts = np.nan, False, True
 
@@ -127,6 +133,9 @@ class TeamMember:
     def digests(self, now: float) -> list[Rows]:
         """Digests to send now, to be called every `digest_period`."""
         self._start(now)
+        if now - self._reviewed >= _REVIEW_PERIOD:
+            self._reviewed = now
+            self._review()
         return self._spend(self._reconciler.digests(now))
 
     def requests(self, now: float) -> list[Rows]:
@@ -152,6 +161,9 @@ class TeamMember:
         if update.serial is not None and (speaker != self.robot or not self._tells):
             self._reconciler.losses.hear(speaker, update.serial, now)
         if update.robot != self.robot or not self._tells:
+            if self._tells and update.robot not in self.replica.robots:
+                self.replica.set_aside(update.robot, True)
+                self._reviewed = -np.inf
             return self.replica.apply(update)
         if update.sender is not None and update.sender != self.robot:
             self._recover(update)
@@ -184,6 +196,19 @@ class TeamMember:
         request = decode_request(self._genuine(rows))
         self._membership.check_robot(request.sender)
         self._reconciler.hear_request(request, now)
+
+    def _review(self) -> None:
+        """Leave maps out that contradict the own one, and let others in."""
+        own = self.replica.contribution(self.robot)
+        self.contradictions = {}
+        for robot in self.replica.robots:
+            other = self.replica.contribution(robot)
+            if robot == self.robot or other is None:
+                continue
+            found = Agreement(0, 0) if own is None else compare(own, other)
+            if found.is_contradiction:
+                self.contradictions[robot] = found
+            self.replica.set_aside(robot, found.is_contradiction)
 
     def _start(self, now: float) -> None:
         if np.isnan(self._started):

@@ -10,6 +10,7 @@ is seen (innovation-based adaptation: R. K. Mehra, IEEE Transactions on Automati
 from __future__ import annotations
 
 from infomap_ros.localization.filter_records import FilterUpdate
+from infomap_ros.localization.hypothesis_choice import AMBIGUITY, DISAGREEMENT, MINORITY
 from infomap_ros.localization.observations import FiducialObservations
 
 _DISAGREE = 1.2  # mean squared distance from which on the factor grows
@@ -53,6 +54,19 @@ class AdaptiveNoise:
             self.factor = min(self.factor * _GROWTH, self._largest)
         elif mean < _AGREE and rejected < 0.5 * _REJECTED:
             self.factor = max(self.factor * _DECAY, 1.0)
+
+    def may_explain(self, reason: str) -> bool:
+        """Whether larger sigmas may be why the filter has refused an image.
+
+        Two groups that show different motions may be one group with a little more noise, but with
+        much more noise everything would be one group.
+
+        Args:
+            reason: of `FilterUpdate`.
+        """
+        if reason == AMBIGUITY:
+            return self.factor < _STEP
+        return reason in (DISAGREEMENT, MINORITY)
 
     def grow(self) -> bool:
         """Try a clearly larger factor; False where the limit is reached."""

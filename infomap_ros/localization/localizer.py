@@ -25,7 +25,6 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.adaptive_noise import AdaptiveNoise
 from infomap_ros.localization.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter_records import Fiducials, FilterUpdate, KeptPoses
-from infomap_ros.localization.hypothesis_choice import DISAGREEMENT, MINORITY
 from infomap_ros.localization.localisation import Choice, Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.motion_prior import MotionPrior, free_motion
@@ -234,7 +233,7 @@ class Localizer:
         """Filter; where the fiducials disagree, with larger sigmas."""
         usual = self._noise.factor
         update = self._filter.update(self._noise.applied(seen))
-        while update.reason in (DISAGREEMENT, MINORITY) and self._noise.grow():
+        while self._noise.may_explain(update.reason) and self._noise.grow():
             update = self._filter.update(self._noise.applied(seen))
         if not update.is_consistent:
             self._noise.factor = usual

@@ -180,6 +180,30 @@ def test_only_the_wanted_topics_are_played(graph: Any, bag: Path) -> None:
     assert f"{graph.namespace}/left/image_raw" not in published
 
 
+def test_topics_that_are_left_out_are_not_played(graph: Any, bag: Path) -> None:
+    player = graph.add(BagPlayerNode, bag=str(bag), left_out=["/joint_states"])
+
+    published = {
+        name
+        for name, _ in player.get_publisher_names_and_types_by_node("bag_player", graph.namespace)
+    }
+
+    assert f"{graph.namespace}/joint_states" not in published
+    assert f"{graph.namespace}/left/image_raw" in published
+
+
+def test_it_waits_for_who_makes_something_of_the_bag(graph: Any, bag: Path) -> None:
+    joints = graph.collect(JointState, "joint_states")
+    player = graph.add(BagPlayerNode, bag=str(bag), wait_for_publishers=["result"], rate=100.0)
+    started = graph.collect(Clock, "/clock")
+    graph.spin_until(lambda: player.count_subscribers(f"{graph.namespace}/joint_states"), "us")
+    assert not joints and not started
+
+    graph.publisher(Clock, "result")
+
+    graph.spin_until(lambda: joints, "joint states")
+
+
 def test_a_truncated_bag_is_played_as_far_as_it_is_whole(graph: Any, bag: Path) -> None:
     (file,) = bag.glob("*.mcap")
     content = file.read_bytes()

@@ -10,7 +10,9 @@ from rclpy.node import Node
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes.parameters import declare_config
+from infomap_ros.localization.fiducial_selection import FiducialSelectionConfig
+from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.nodes.parameters import declare_config, parameter_values
 
 
 @dataclass(frozen=True)
@@ -79,3 +81,14 @@ def test_a_prefix_keeps_configurations_apart(graph: Any) -> None:
     assert declare_config(node, Sample, "near.").size == 0.5
     with pytest.raises(ConfigError, match=r"'far\.size'"):
         declare_config(node, Sample, "far.")
+
+
+def test_the_values_of_a_configuration_declare_it_again(graph: Any) -> None:
+    config = LocalizerConfig(
+        wanted_fiducials=90, selection=FiducialSelectionConfig(depth_windows=(5, 7))
+    )
+    values = parameter_values(config, "localizer.")
+    assert values["localizer.wanted_fiducials"] == 90
+    assert values["localizer.selection.depth_windows"] == [5, 7]
+    node = graph.add(Node, "configured", **{k.replace(".", "__"): v for k, v in values.items()})
+    assert declare_config(node, LocalizerConfig, "localizer.") == config

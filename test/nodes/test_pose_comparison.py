@@ -1,0 +1,51 @@
+"""Poses of a run against its ground truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.pose_comparison import PoseComparison
+from infomap_ros.replay.messages import encode_pose
+
+
+class FakeRun:
+    """Hands messages to those who subscribe."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, Any] = {}
+
+    def subscribe(self, kind: type, topic: str, receive: Any) -> None:
+        self.topics[topic] = receive
+
+    def tell(self, topic: str, stamp: int, transform: np.ndarray) -> None:
+        record = PoseRecord(stamp, "map", transform, 1e-6 * np.eye(6))
+        self.topics[topic](encode_pose(RclpyMessageTypes(), record))
+
+
+def test_errors_are_those_of_the_motion_since_the_first_pose() -> None:
+    run = FakeRun()
+    comparison = PoseComparison(run)  # type: ignore[arg-type]
+    elsewhere = perturb_transform(np.eye(4), [3.0, -1.0, 0.5, 0.2, 0.1, 1.5])
+    for stamp in range(5):
+        true = make_transform(np.eye(3), [0.5 * stamp, 0.0, 0.0])
+        off = make_transform(np.eye(3), [0.5 * stamp, 0.003 * stamp, 0.0])
+        run.tell("ground_truth/camera_pose", stamp, true)
+        run.tell("camera_pose", stamp, elsewhere @ off)
+    run.tell("ground_truth/camera_pose", 99, np.eye(4))
+    figures = comparison.figures()
+    assert figures["poses"] == 5
+    assert figures["way_m"] == pytest.approx(2.0)
+    assert figures["largest_pose_error_mm"] == pytest.approx(12.0)
+    assert figures["pose_error_mm"] == pytest.approx(3.0 * np.sqrt(6.0), abs=0.01)
+
+
+def test_without_truth_there_is_only_their_number() -> None:
+    run = FakeRun()
+    comparison = PoseComparison(run)  # type: ignore[arg-type]
+    run.tell("camera_pose", 1, np.eye(4))
+    assert comparison.figures() == {"poses": 1}

@@ -122,6 +122,25 @@ def check_pose(
     )
 
 
+def flat_share(shape: ModelShape, pose: FloatArray, spacing: float, tolerance: float) -> float:
+    """Share of the visible surface that lies on one plane, which could be anything's.
+
+    Args:
+        shape: of the model, points `spacing` apart.
+        pose: ``T_camera_model``, shape (4, 4).
+        spacing: [m].
+        tolerance: distance from the plane that counts as on it [m].
+    """
+    seen = visible_points(shape, pose, spacing)
+    if not len(seen):
+        return 1.0
+    points, normals = shape.points[seen], shape.normals[seen]
+    some = slice(None, None, max(1, len(seen) // 60))
+    offsets = np.einsum("ni,ni->n", points[some], normals[some])
+    on = np.abs(points @ normals[some].T - offsets) < tolerance
+    return float(on.mean(axis=0).max())
+
+
 def _ranges_at(cloud: RangeCloud, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Depth and its sigma in the pixels of points, shape (N,) each [m]; NaN where none."""
     u, v, inside = _pixels(cloud, points)

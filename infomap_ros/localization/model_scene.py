@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from infomap_ros.geometry.transforms import FloatArray
@@ -13,6 +14,8 @@ from infomap_ros.stereo import RangeCloud
 _NEIGHBOURS = 16
 _VAGUE = 1.25  # points with a larger sigma, in spacings, are left out
 _NORMALS_AT_ONCE = 20_000
+_MOST_PLANES = 8
+_PLANES_TRIED, _COUNTED = 100, 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,41 @@ class ModelScene:
         """One point per cube of that edge [m], with its normal, shape (M, 3) each."""
         _, first = np.unique(_cubes(self.points, spacing), return_index=True)
         return self.points[first], self.normals[first]
+
+
+def on_large_planes(
+    points: FloatArray, normals: FloatArray, extent: float, tolerance: float
+) -> NDArray[np.bool_]:
+    """Points on planes that reach farther than a model does, as floors and walls.
+
+    Planes are tried through random points with their normals; the one with most points is taken
+    out, again and again until the largest is not larger than `extent`.
+
+    Args:
+        points: shape (N, 3) [m].
+        normals: shape (N, 3).
+        extent: [m].
+        tolerance: distance from a plane that counts as on it [m].
+    """
+    rng = np.random.default_rng(0)
+    left = np.ones(len(points), bool)
+    for _ in range(_MOST_PLANES):
+        rest = np.flatnonzero(left)
+        if len(rest) < 100:
+            break
+        sample = rng.choice(rest, min(len(rest), _COUNTED), replace=False)
+        tried = rng.choice(rest, _PLANES_TRIED)
+        offsets = np.einsum("ni,ni->n", points[tried], normals[tried])
+        near = np.abs(points[sample] @ normals[tried].T - offsets) < tolerance
+        near &= normals[sample] @ normals[tried].T > 0.9
+        best = int(np.argmax(near.sum(axis=0)))
+        on = np.abs(points[rest] @ normals[tried[best]] - offsets[best]) < 2.0 * tolerance
+        on &= normals[rest] @ normals[tried[best]] > 0.8
+        spread = np.linalg.svd(np.cov(points[rest[on]].T), compute_uv=False)
+        if on.sum() < 50 or np.sqrt(12.0 * spread[0]) < extent:
+            break
+        left[rest[on]] = False
+    return ~left
 
 
 def _cubes(points: FloatArray, spacing: float) -> FloatArray:

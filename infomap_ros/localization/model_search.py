@@ -9,15 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import make_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray, perturb_transform
-from infomap_ros.localization.model_check import Agreement, check_pose, visible_points
-from infomap_ros.localization.model_scene import ModelScene
+from infomap_ros.localization.model_check import Agreement, check_pose, flat_share, visible_points
+from infomap_ros.localization.model_scene import ModelScene, on_large_planes
 from infomap_ros.localization.model_shape import ModelShape
 from infomap_ros.localization.point_pairs import PairTable, Votes, build_table, vote
 
 _PAIR_SPACING = 0.05  # of the points that vote, as a share of the diameter
 _CHECK_SPACING = 0.02
-_REFERENCES = 1500  # points of the scene that vote
-_CLUSTERS = 60  # that are registered
+_REFERENCES = 2000  # points of the scene that vote
+_LARGE = 1.3  # planes that reach farther, in diameters, are not of the model
+_CLUSTERS = 30  # that are registered
 _NEAR = 0.1  # clusters: poses nearer than this share of the diameter
 _TURNED = np.cos(np.radians(20.0))
 _OTHER_TURNS = 100  # poses about the found place that are tried beside it
@@ -56,8 +57,11 @@ class ModelSearch:
     def find(self, scene: ModelScene) -> list[Hypothesis]:
         """Poses that the scene's points vote for, the best first."""
         points, normals = scene.thinned(_PAIR_SPACING * self.shape.diameter)
-        step = max(1, len(points) // _REFERENCES)
-        votes = vote(self._table, points, normals, np.arange(0, len(points), step))
+        diameter = self.shape.diameter
+        large = on_large_planes(points, normals, _LARGE * diameter, _CHECK_SPACING * diameter)
+        rest = np.flatnonzero(~large)
+        step = max(1, len(rest) // _REFERENCES)
+        votes = vote(self._table, points, normals, rest[::step])
         starts = self._clusters(votes)
         found = [self.refine(start, scene) for start in starts]
         return sorted(found, key=lambda one: -one.agreement.score)
@@ -82,6 +86,10 @@ class ModelSearch:
     def check(self, pose: FloatArray, scene: ModelScene) -> Agreement:
         """How a pose agrees with the range image."""
         return check_pose(self._checked, pose, scene.cloud, self._spacing, self.tolerance)
+
+    def flat_share(self, pose: FloatArray) -> float:
+        """Share of what the camera sees of the model that lies on one plane."""
+        return flat_share(self._checked, pose, self._spacing, self.tolerance)
 
     def _clusters(self, votes: Votes) -> list[FloatArray]:
         """The poses with most votes, those of poses nearby included."""

@@ -14,7 +14,8 @@ from infomap_ros.geometry.transforms import FloatArray, float_array
 
 _SAMPLES = 60_000
 _DIRECTIONS = 60  # from which the outside is looked at
-_ACROSS = 120  # cells of a look across the model
+_CERTAIN = 3.0  # sum of cosines under which a sample was seen from them
+_ACROSS = 80  # cells of a look across the model
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,4 +157,4 @@ def _outside(points: FloatArray, normals: FloatArray) -> FloatArray:
         slack = extent / _ACROSS * (0.5 + 1.0 / np.maximum(np.abs(facing), 0.2))
         seen = (height > nearest[keys] - slack) & (np.abs(facing) > 0.2)
         score += np.where(seen, facing, 0.0)
-    return np.asarray(np.where(np.abs(score) > 0.5, np.sign(score), 0.0))
+    return np.asarray(np.where(np.abs(score) > _CERTAIN, np.sign(score), 0.0))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.model_fit import ModelFitter
@@ -62,6 +63,12 @@ class ModelTargetConfig:
         low=0.0,
         high=1.0,
     )
+    max_flat: float = parameter(
+        0.75,
+        "Largest share of the visible surface that may lie on one plane, which could be anything.",
+        low=0.1,
+        high=1.0,
+    )
     surface_sigma: float = parameter(
         0.001, "How far the real surface is from the mesh.", unit="m", low=0.0, high=0.1
     )
@@ -103,11 +110,16 @@ class ModelTargetDetector:
         if len(scene.points) < 100:
             return _refuse("not in view", f"{len(scene.points)} points with a usable range")
         found = self._search.find(scene)
-        if not found or not self._believed(found[0]):
+        believed = [one for one in found if self._believed(one)]
+        if not believed:
             text = found[0].agreement.text() if found else "no votes"
             return _refuse("not in view", f"best pose: {text}")
-        others = self._search.others(scene, found[0].transform)
-        best = max([found[0], *others], key=lambda one: one.agreement.score)
+        shaped = [one for one in believed if self._is_shaped(one)]
+        if not shaped:
+            return _refuse("ambiguous", "most of what is seen is one plane")
+        others = self._search.others(scene, shaped[0].transform)
+        shaped += [one for one in others if self._believed(one) and self._is_shaped(one)]
+        best = max(shaped, key=lambda one: one.agreement.score)
         rival = self._rival(best, [*found, *others])
         if rival is not None:
             apart, turn = self._search.difference(best.transform, rival.transform)
@@ -120,20 +132,25 @@ class ModelTargetDetector:
         enough = agreement.score >= self.config.min_score
         return enough and agreement.seen_through <= self.config.max_seen_through
 
+    def _is_shaped(self, one: Hypothesis) -> bool:
+        return self._search.flat_share(one.transform) <= self.config.max_flat
+
     def _rival(self, best: Hypothesis, others: list[Hypothesis]) -> Hypothesis | None:
         """Another pose that fits about as well."""
         limit = best.agreement.score - self.config.distinction
         for other in others:
             apart, turn = self._search.difference(best.transform, other.transform)
             elsewhere = apart > _SAME_PLACE * self.shape.diameter or turn > _SAME_TURN
-            if elsewhere and other.agreement.score > limit:
+            if elsewhere and other.agreement.score > limit and self._is_shaped(other):
                 return other
         return None
 
     def _sighting(self, scene: ModelScene, best: Hypothesis) -> TargetSighting | TargetRefusal:
         config, reach = self.config, self.config.tolerance * self.shape.diameter
-        sigma = float(np.sqrt(np.median(scene.cloud.covariances[:, 2, 2])))
-        fit = self._fitter.fit(scene.cloud, best.transform, reach + 3.0 * sigma)
+        depth = transform_points(best.transform, self.shape.centre)[2]
+        near = np.abs(scene.cloud.points[:, 2] - depth) < 0.5 * self.shape.diameter
+        sigma = float(np.sqrt(np.median(scene.cloud.covariances[near, 2, 2])))
+        fit = self._fitter.fit(scene.cloud, best.transform, max(reach, 3.0 * sigma))
         if fit is None:
             return _refuse("too uncertain", "the visible surface leaves a direction open")
         moved, turned = self._search.difference(best.transform, fit.transform)

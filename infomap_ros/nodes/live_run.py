@@ -1,4 +1,6 @@
-"""A bag through bag_player, stereo_range and map_fusion as three processes, watched from outside.
+"""A bag through bag_player, stereo_range and map_fusion, each a process, watched from outside.
+
+With fiducial_localization as a fourth one, where the bag's own poses are not to be used.
 
 The demo, the benchmark of the live chain and the soak test are such runs.
 """

@@ -76,10 +76,11 @@ def wire(views: int) -> None:
     print(f"{robot.own.known_voxels} voxels known; {sizes.sum() / views:.0f} bytes told a view")
 
 
-def link(seconds: float, radio: Radio, message_size: int) -> None:
+def link(seconds: float, radio: Radio, message_size: int, max_range: float) -> None:
     """How far two robots are behind each other."""
     bandwidth = 0.9 * radio.rate / 8e6
-    network = TeamNetwork(2, radio, TeamConfig(bandwidth=bandwidth, message_size=message_size))
+    config = TeamConfig(bandwidth=bandwidth, message_size=message_size)
+    network = TeamNetwork(2, radio, config, max_range=max_range)
     meter, views = LagMeter(network), 0
     while network.now < seconds:
         if network.now >= views * PERIOD:
@@ -145,6 +146,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="[Mbit/s]")
     parser.add_argument("--message-size", type=int, default=1400)
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 4, 8, 16, 32])
+    parser.add_argument("--max-range", type=float, default=5.0, help="of `link` [m]")
     parser.add_argument("--voxel-size", type=float, default=0.1, help="of `team` [m]")
     arguments = parser.parse_args()
     start = time.monotonic()
@@ -152,7 +154,7 @@ def main() -> None:
         wire(arguments.views)
     elif arguments.what == "link":
         radio = Radio(rate=arguments.rate * 1e6, loss=arguments.loss)
-        link(arguments.seconds, radio, arguments.message_size)
+        link(arguments.seconds, radio, arguments.message_size, arguments.max_range)
     else:
         team(arguments.robots, arguments.seconds, arguments.voxel_size)
     print(f"took {time.monotonic() - start:.0f} s")

@@ -113,6 +113,7 @@ class TeamNetwork:
         team: how they share.
         voxel_size: [m].
         seed: of the hall, the views and the losses.
+        max_range: to which robots map [m].
     """
 
     def __init__(
@@ -122,9 +123,10 @@ class TeamNetwork:
         team: TeamConfig | None = None,
         voxel_size: float = 0.05,
         seed: int = 0,
+        max_range: float = 5.0,
     ) -> None:
         self.radio, self.now = radio, 0.0
-        self.config = VoxelMapConfig(voxel_size=voxel_size, max_range=5.0)
+        self.config = VoxelMapConfig(voxel_size=voxel_size, max_range=max_range)
         self._team = team or TeamConfig()
         self._rng = np.random.default_rng(seed)
         self.scene = make_hall(self._rng)

@@ -52,7 +52,7 @@ class TeamConfig:
         high=600.0,
     )
     patience: float = parameter(
-        0.3,
+        0.2,
         "Time until what was asked for and has not come is asked for again.",
         unit="s",
         low=0.05,

@@ -117,7 +117,8 @@ class Reconciler:
         """Messages that ask others for what is missing, again where no answer has come."""
         for robot, serials in self.losses.to_ask(now).items():
             numbers = np.stack([serials, 0 * serials, 0 * serials], axis=-1)
-            self._ask(robot, robot, "messages", 0, 0, numbers)
+            for _ in range(2):  # a request is small, and lost as easily as what it asks for
+                self._ask(robot, robot, "messages", 0, 0, numbers)
         for robot, missed in list(self._missed.items()):
             left = missed.left(self._replica.contribution(robot), now - 3.0 * self._config.patience)
             corners = self._not_yet_asked(robot, left, 0, now)

@@ -102,8 +102,11 @@ class TagTargetDetector:
 
     def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
         """Find the board, or say why not."""
-        tags = own_tags(self._finder.find(view.image), self.board)
-        return self.locate(tags, view)
+        return self.locate(self.find(view.image), view)
+
+    def find(self, image: NDArray[np.uint8]) -> Tags:
+        """The board's tags in a grey image, shape (H, W)."""
+        return own_tags(self._finder.find(image), self.board)
 
     def locate(self, tags: Tags, view: RangeView) -> TargetSighting | TargetRefusal:
         """Work out the board's pose from tags that were found before.

@@ -1,4 +1,4 @@
-"""Whole states of voxels: read them, add them up, write them into a map.
+"""Whole states of voxels: write them into a map.
 
 A state is a voxel's evidence and the information of its surface point. Where a map is the sum of
 several contributions, its voxels are not observed but set: to what the contributions add up to.
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping.block_kernels import (
-    find_block,
     find_or_add_block,
     make_room,
     mark_dirty,
@@ -96,11 +95,6 @@ def information_of(
     return information
 
 
-def add_states(storage: MapStorage, sums: VoxelStates) -> None:
-    """Add the states that a map holds to those of the same voxels in `sums`."""
-    _add_states(storage.blocks, storage.gaussians, *sums)
-
-
 def put_states(storage: MapStorage, states: VoxelStates) -> NDArray[np.bool_]:
     """Replace the states of voxels by others; each voxel at most once.
 
@@ -160,31 +154,6 @@ def _invert_all(
         if not (out[0] > 0.0 and np.isfinite(np.sum(out))):
             return row
     return -1
-
-
-@njit(cache=True, nogil=True)
-def _add_states(
-    blocks: Any, gaussians: Any, indices: Any, known: Any, quanta: Any, information: Any
-) -> None:
-    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
-    narrow, wide = blocks.narrow, blocks.wide
-    table, owner, stored = gaussians.table, gaussians.owner, gaussians.information
-    last_key, slot = np.int64(-1), np.int64(-1)
-    for row in range(len(quanta)):
-        x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
-        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
-        if key != last_key:
-            slot, last_key = np.int64(find_block(blocks, key)), key
-        if slot < 0:
-            continue
-        local = local_index(x, y, z)
-        is_known, value = quanta_of(kinds[slot], bases[slot], planes[slot], narrow, wide, local)
-        known[row] |= is_known
-        quanta[row] += value
-        place = find_row(table, owner, slot * BLOCK_VOXELS + local)
-        if place >= 0:
-            for i in range(INFORMATION_SIZE):
-                information[row, i] += stored[place, i]
 
 
 @njit(cache=True, nogil=True)

@@ -31,6 +31,7 @@ AMBIGUITY = "two groups of fiducials show different motions"
 MINORITY = "too few of the fiducials agree on one pose"
 CONTESTED = (DISAGREEMENT, AMBIGUITY, MINORITY)
 _MOST = 3
+_SUSPICIOUS = 0.01  # probability of a motion so far from its prior
 _LEAST = 3  # fiducials that agree on some motion by chance
 
 
@@ -172,15 +173,31 @@ def choose(
     best = plausible[0]
     if best.count < config.least_fiducials:
         return None, DISAGREEMENT
-    if len(plausible) > 1 and plausible[1].count >= config.ambiguity * best.count:
+    others = [one for one in found if one is not best and one.has_plausible_motion(config)]
+    if any(_is_rival(one, best, config) for one in others):
         return None, AMBIGUITY
     # Who wins must not hang on what happens to be in view.
     was_contested = 2 * np.count_nonzero(best.members & contested) > best.count
-    share = config.overruling_share if was_contested else config.majority
-    excluded = sum(one.count for one in sound if not one.has_plausible_motion(config))
-    if best.count + excluded < share * known:
+    needed = config.majority * known
+    if was_contested:
+        needed = config.overruling_share * len(contested)
+    least = max(config.least_fiducials, config.ambiguity * best.count)
+    excluded = sum(
+        one.count for one in sound if one.count >= least and not one.has_plausible_motion(config)
+    )
+    if best.count + excluded < needed:
         return None, MINORITY
     return best, ""
+
+
+def _is_rival(one: Hypothesis, best: Hypothesis, config: FiducialFilterConfig) -> bool:
+    """Whether another group is large enough to be right, or agrees better with the prior."""
+    fits_better = (
+        one.count >= config.least_fiducials
+        and best.motion_nis > chdtri(6, _SUSPICIOUS)
+        and one.motion_nis < 0.5 * best.motion_nis
+    )
+    return one.count >= config.ambiguity * best.count or fits_better
 
 
 def overruled_prior(

@@ -49,7 +49,7 @@ class ModelTargetConfig:
         high=0.1,
     )
     min_score: float = parameter(
-        0.75,
+        0.8,
         "Smallest share of the visible surface that must agree, less what is seen through.",
         low=0.1,
         high=1.0,
@@ -136,12 +136,14 @@ class ModelTargetDetector:
         return self._search.flat_share(one.transform) <= self.config.max_flat
 
     def _rival(self, best: Hypothesis, others: list[Hypothesis]) -> Hypothesis | None:
-        """Another pose that fits about as well."""
+        """Another pose that fits about as well, or one of a single plane that fits better."""
         limit = best.agreement.score - self.config.distinction
         for other in others:
             apart, turn = self._search.difference(best.transform, other.transform)
             elsewhere = apart > _SAME_PLACE * self.shape.diameter or turn > _SAME_TURN
-            if elsewhere and other.agreement.score > limit and self._is_shaped(other):
+            if not elsewhere or other.agreement.score <= limit:
+                continue
+            if other.agreement.score > best.agreement.score or self._is_shaped(other):
                 return other
         return None
 
@@ -159,8 +161,10 @@ class ModelTargetDetector:
         position, rotation = _largest_sigmas(fit.covariance, fit.transform, self.shape.centre)
         if position > config.max_position_sigma or rotation > config.max_rotation_sigma:
             return _refuse("too uncertain", f"sigma {position:.3f} m and {rotation:.3f} rad")
-        score = self._search.check(fit.transform, scene).score
-        return TargetSighting(fit.transform, fit.covariance, score, _NAME)
+        refined = Hypothesis(fit.transform, self._search.check(fit.transform, scene))
+        if not self._believed(refined):
+            return _refuse("inconsistent", f"after refinement: {refined.agreement.text()}")
+        return TargetSighting(fit.transform, fit.covariance, refined.agreement.score, _NAME)
 
 
 def _largest_sigmas(

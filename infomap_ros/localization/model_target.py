@@ -49,7 +49,7 @@ class ModelTargetConfig:
         high=0.1,
     )
     min_score: float = parameter(
-        0.8,
+        0.82,
         "Smallest share of the visible surface that must agree, less what is seen through.",
         low=0.1,
         high=1.0,
@@ -64,7 +64,7 @@ class ModelTargetConfig:
         high=1.0,
     )
     max_flat: float = parameter(
-        0.75,
+        0.6,
         "Largest share of the visible surface that may lie on one plane, which could be anything.",
         low=0.1,
         high=1.0,

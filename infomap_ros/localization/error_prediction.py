@@ -40,7 +40,7 @@ class ErrorPredictionConfig:
     """
 
     waypoints: int = parameter(
-        6, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
+        5, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
     )
     pixel_sigma: float = parameter(
         0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
@@ -55,10 +55,15 @@ class ErrorPredictionConfig:
         10.0, "So near to the edge of the image nothing is tracked.", unit="px", low=0.0, high=500.0
     )
     tolerance: float = parameter(
-        2.0, "A ray may end so far before a fiducial, in voxels.", low=0.0, high=100.0
+        6.0,
+        "A ray may end so far before a fiducial: along flat lines of sight it meets the voxels of "
+        "the fiducial's own surface early.",
+        unit="voxels",
+        low=0.0,
+        high=100.0,
     )
     fiducials: int = parameter(
-        40,
+        60,
         "Of the known fiducials, so many are looked at; where there are more, each stands for "
         "several.",
         low=1,

@@ -62,6 +62,7 @@ setup(
         "rich>=13.7",
         "rosbags>=0.11.9",
         "scipy>=1.11",
+        "threadpoolctl>=3.0",
         "typer>=0.9",
     ],
     extras_require={

@@ -10,6 +10,7 @@ from typing import Annotated, Optional
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
@@ -254,6 +255,7 @@ def doctor(context: typer.Context) -> None:
 
 def main() -> None:
     """Run the command line; errors end it with one line and exit status 1."""
+    threadpool_limits(1, user_api="blas")  # its threads spin, and slow down small problems
     try:
         app()
     except (InfomapError, OSError) as error:

@@ -13,6 +13,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import InfomapError
 
@@ -39,6 +40,7 @@ def run_node(
     Returns:
         Exit status: 0, 2 when the node could not start, or the result of the future.
     """
+    threadpool_limits(1, user_api="blas")  # its threads spin, and take the cores from the others
     rclpy.init(
         args=None if arguments is None else list(arguments),
         signal_handler_options=SignalHandlerOptions.NO,

@@ -113,9 +113,7 @@ def test_alignments_are_as_good_as_they_say(kind: str, rng: np.random.Generator)
     first, second, third = (some_pose(rng) for _ in range(3))
     values = []
     for _ in range(400):
-        parts = [
-            Alignment(drawn(sigmas, pose, rng), covariance) for pose in (first, second, third)
-        ]
+        parts = [Alignment(drawn(sigmas, pose, rng), covariance) for pose in (first, second, third)]
         if kind == "target":
             result = align_by_target(parts[0], parts[2])
             truth = first @ invert_transform(third)

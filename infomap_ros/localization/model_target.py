@@ -29,6 +29,7 @@ _NAME = "model"
 _FINE = 0.02  # spacing of the scene's points, as a share of the diameter
 _DENSE = 0.008  # of the model's points for the refinement
 _SAME_PLACE = 0.05  # poses nearer than this share of the diameter and
+_SAME_OBJECT = 0.5  # as is the object of poses nearer than this
 _SAME_TURN = 0.2  # [rad] are the same
 
 
@@ -143,7 +144,9 @@ class ModelTargetDetector:
             elsewhere = apart > _SAME_PLACE * self.shape.diameter or turn > _SAME_TURN
             if not elsewhere or other.agreement.score <= limit:
                 continue
-            if other.agreement.score > best.agreement.score or self._is_shaped(other):
+            same_object = apart < _SAME_OBJECT * self.shape.diameter
+            better = other.agreement.score > best.agreement.score
+            if same_object or better or self._is_shaped(other):
                 return other
         return None
 

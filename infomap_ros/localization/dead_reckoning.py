@@ -27,6 +27,14 @@ class DeadReckoningConfig:
         low=0.0,
         high=10.0,
     )
+    position_per_radian: float = parameter(
+        0.02,
+        "Position sigma after turning by one radian, likewise: wheels that turn on the spot slip "
+        "aside. A skid-steered rover on a slope needs more, such as 0.05.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
     rotation_per_metre: float = parameter(
         0.01, "Rotation sigma after one metre, likewise.", unit="rad", low=0.0, high=3.0
     )
@@ -125,7 +133,7 @@ class DeadReckoning:
         config = self.config
         over = np.eye(6)
         over[:3, 3:] = -skew(step)
-        position = config.position_per_metre**2 * way
+        position = config.position_per_metre**2 * way + config.position_per_radian**2 * turned
         rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
         added = np.diag([position] * 3 + [rotation] * 3)
         self._grown = over @ self._grown @ over.T + added

@@ -131,7 +131,7 @@ class KinematicMotion:
         way = float(np.linalg.norm(base_motion[:3, 3]))
         turned = float(Rotation.from_matrix(base_motion[:3, :3]).magnitude())
         config = self.config
-        position = config.position_per_metre**2 * way
+        position = config.position_per_metre**2 * way + config.position_per_radian**2 * turned
         rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
         lever = base_motion[:3, :3] @ after.T_base_camera[:3, 3]
         over = np.eye(6)

@@ -59,14 +59,19 @@ def test_covariance_at_the_end_of_the_lever_is_that_of_sampled_poses() -> None:
 
 @pytest.mark.parametrize("given", [None, np.zeros((6, 6))])
 def test_unknown_covariance_grows_like_the_drift_of_random_steps(given: np.ndarray | None) -> None:
-    config = DeadReckoningConfig(0.02, 0.02, 0.03)
+    config = DeadReckoningConfig(
+        position_per_metre=0.02,
+        position_per_radian=0.03,
+        rotation_per_metre=0.02,
+        rotation_per_radian=0.03,
+    )
     steps = [pose(0.1, 0.0, 0.05)] * 60
     reckoning, measured = DeadReckoning(config), np.eye(4)
     for step in [np.eye(4), *steps]:
         measured = measured @ step
         base = reckoning.add(OdometryRecord(0, "odom", measured, given))
     rng = np.random.default_rng(5)
-    sigma_position = 0.02 * np.sqrt(0.1)
+    sigma_position = np.sqrt(0.02**2 * 0.1 + 0.03**2 * 0.05)
     sigma_rotation = np.sqrt(0.02**2 * 0.1 + 0.03**2 * 0.05)
     sigmas = [sigma_position] * 3 + [sigma_rotation] * 3
     errors = []

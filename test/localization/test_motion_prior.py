@@ -79,6 +79,7 @@ def test_kinematic_covariance_is_that_of_sampled_errors() -> None:
     rng = np.random.default_rng(3)
     config = DeadReckoningConfig(
         position_per_metre=0.03,
+        position_per_radian=0.04,
         rotation_per_metre=0.01,
         rotation_per_radian=0.02,
         kinematics_position_sigma=0.004,
@@ -89,7 +90,7 @@ def test_kinematic_covariance_is_that_of_sampled_errors() -> None:
     after = RobotPosture(before.T_odom_base @ base_motion, some_pose(rng, 0.8))
     prior = KinematicMotion(config).between(before, after)
     way = np.linalg.norm(base_motion[:3, 3])
-    sigmas = np.sqrt([0.03**2 * way] * 3 + [0.01**2 * way + 0.02**2 * 0.6] * 3)
+    sigmas = np.sqrt([0.03**2 * way + 0.04**2 * 0.6] * 3 + [0.01**2 * way + 0.02**2 * 0.6] * 3)
     ends = np.repeat([0.004, 0.005], 3)
     errors = []
     for _ in range(4000):

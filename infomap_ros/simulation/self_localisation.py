@@ -34,6 +34,7 @@ def _board_of_the_worlds() -> TargetConfig:
 def _rover_on_rough_ground() -> DeadReckoningConfig:
     return DeadReckoningConfig(
         position_per_metre=0.08,
+        position_per_radian=0.05,
         rotation_per_metre=0.02,
         rotation_per_radian=0.02,
         kinematics_position_sigma=0.003,
@@ -62,14 +63,6 @@ class SelfLocalisationConfig:
     )
     pair_angle: float = parameter(
         0.25, "Likewise after this turn of the camera.", unit="rad", low=0.01, high=3.0
-    )
-    turn_slip: float = parameter(
-        0.05,
-        "How far the wheels carry the base aside, in any direction, while it turns by 1 rad: a "
-        "rover that turns by skidding slips downhill. Grows with the root.",
-        unit="m",
-        low=0.0,
-        high=1.0,
     )
     target: TargetConfig = field(default_factory=_board_of_the_worlds)
     motion: DeadReckoningConfig = field(default_factory=_rover_on_rough_ground)
@@ -162,7 +155,7 @@ class SelfLocalisation:
         if self._known is None:
             raise PoseUnavailableError("the first pose is not known: no pair was taken")
         pose, posture = self._known
-        return pose.moved(self._motion(self._kinematics, posture, self._measured_posture()))
+        return pose.moved(self._kinematics.between(posture, self._measured_posture()))
 
     def take_scan(self, voxel_map: VoxelMap) -> PosedScan:
         """Take a stereo pair now, and localise by it.
@@ -224,17 +217,7 @@ class SelfLocalisation:
             return None
         is_known = self.last.state == "tracking"
         kinematics = self._kinematics if is_known else self._odometry_alone
-        return self._motion(kinematics, self._posture, posture)
-
-    def _motion(
-        self, kinematics: KinematicMotion, before: RobotPosture, after: RobotPosture
-    ) -> MotionPrior:
-        """Motion between two postures, with what the wheels slip while the base turns."""
-        motion = kinematics.between(before, after)
-        turn = before.T_odom_base[:3, :3].T @ after.T_odom_base[:3, :3]
-        angle = float(Rotation.from_matrix(turn).magnitude())
-        slip = self.config.turn_slip**2 * angle * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-        return MotionPrior(motion.T_before_after, motion.covariance + slip)
+        return kinematics.between(self._posture, posture)
 
     def _joints(self) -> dict[str, float]:
         record = self._simulator.joint_state()

@@ -9,7 +9,6 @@ from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
@@ -19,6 +18,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.localize_command import localize
 from infomap_ros.replay.map_inputs import MapOptions
 from infomap_ros.replay.map_run import MapRun
+from infomap_ros.replay.progress_bar import run_with_bar
 from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.sequences import FORMATS
 from infomap_ros.replay.sequences import convert as convert_sequence
@@ -112,20 +112,13 @@ def _map(bag: Path, out: Path, options: MapOptions) -> None:
 
     with BagReader(bag) as reader:
         run = MapRun(reader, options)
-        _run_with_progress(run)
+        run_with_bar(run.run, "mapping", "frames", run.inputs.frames)
         summary = write_map_files(run, out)
         for text in _remarks(run, reader):
             typer.echo(f"infomap: {text}", err=True)
     typer.echo(json.dumps(summary))
     if run.full:
         raise CapacityError(f"the map is full, what came later is not in it: {run.full}")
-
-
-def _run_with_progress(run: MapRun) -> None:
-    columns = ("mapping", BarColumn(), MofNCompleteColumn(), "frames", TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=run.inputs.frames)
-        run.run(lambda done, total: progress.update(task, completed=done, total=total))
 
 
 def _remarks(run: MapRun, reader: BagReader) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from infomap_ros.errors import InvalidInputError, MissionFileError
 from infomap_ros.geometry import check_transform
+from infomap_ros.geometry.atomic_file import write_json
 
 
 @dataclass
@@ -41,12 +41,7 @@ class Mission:
         Raises:
             OSError: the file cannot be written.
         """
-        beside = path.with_name(path.name + ".new")
-        with beside.open("w", encoding="utf-8") as file:
-            json.dump(dataclasses.asdict(self), file)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
+        write_json(path, dataclasses.asdict(self))
 
     @classmethod
     def load(cls, path: Path) -> Mission:

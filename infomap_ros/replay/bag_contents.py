@@ -34,6 +34,11 @@ def tf_topics_of(types: Topics) -> list[str]:
     return [name for name, kind in types.items() if kind in _TF_TYPES]
 
 
+def moving_tf_topics(tf_topics: list[str]) -> list[str]:
+    """Those of the topics of transforms that carry changing ones."""
+    return [name for name in tf_topics if not name.endswith("tf_static")]
+
+
 def static_transforms(bag: BagReader, tf_topics: list[str]) -> list[TransformRecord]:
     """All transforms on those of the topics that carry fixed ones."""
     static = [name for name in tf_topics if name.endswith("tf_static")]

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from infomap_ros.replay.localize_inputs import LocalizeOptions
 from infomap_ros.replay.localize_run import LocalizeRun
+from infomap_ros.replay.progress_bar import run_with_bar
 from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.settings import setting_names, with_settings
 
@@ -83,22 +82,14 @@ def _localize(bag: Path, out: Path, options: LocalizeOptions) -> None:
 
     with BagReader(bag) as reader:
         run = LocalizeRun(reader, options)
-        run_with_progress(run)
+        run_with_bar(run.run, "locating", "views", run.inputs.frames)
         summary = write_localize_files(run, out)
-        for text in [*reader.problems, *remarks(run)]:
+        for text in [*reader.problems, *_remarks(run)]:
             typer.echo(f"infomap: {text}", err=True)
     typer.echo(json.dumps(summary))
 
 
-def run_with_progress(run: LocalizeRun) -> None:
-    """Run, with a bar on standard error."""
-    columns = ("locating", BarColumn(), MofNCompleteColumn(), "views", TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=run.inputs.frames)
-        run.run(lambda done, total: progress.update(task, completed=done, total=total))
-
-
-def remarks(run: LocalizeRun) -> list[str]:
+def _remarks(run: LocalizeRun) -> list[str]:
     """What the user should know beside the figures."""
     texts = [f"{n} images dropped: {why}" for why, n in run.inputs.source.dropped.items()]
     texts += [f"{n} records refused: {why}" for why, n in run.refused.items()]

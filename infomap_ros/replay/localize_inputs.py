@@ -18,6 +18,7 @@ from infomap_ros.replay.bag_contents import (
     description_in,
     frame_of,
     joint_topics_of,
+    moving_tf_topics,
     static_transforms,
     tf_topics_of,
     types_of,
@@ -127,7 +128,7 @@ def find_localize_inputs(bag: BagReader, options: LocalizeOptions) -> LocalizeIn
         robot = _find_robot(bag, types, options)
         static = static_transforms(bag, tf_topics)
         motion = RobotMotion(camera_frame, robot, static, options.poses)
-    moving = [name for name in tf_topics if not name.endswith("tf_static")]
+    moving = moving_tf_topics(tf_topics)
     topics = dict.fromkeys([*source.topics, *([odometry] if odometry else []), *moving, *joints])
     frames = bag.topics[source.image_topic].count
     return LocalizeInputs(source, camera_frame, motion, odometry, tuple(topics), frames)

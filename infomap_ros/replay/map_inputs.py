@@ -21,6 +21,7 @@ from infomap_ros.replay.bag_contents import (
     description_in,
     frame_of,
     joint_topics_of,
+    moving_tf_topics,
     static_transforms,
     tf_topics_of,
     types_of,
@@ -128,7 +129,7 @@ def find_inputs(bag: BagReader, options: MapOptions) -> MapInputs:
     pose_topic = _pose_topic(types, options)
     tf_topics = tf_topics_of(types)
     joint_topics = joint_topics_of(types, options.topics.get("joints", ""))
-    moving = [name for name in tf_topics if not name.endswith("tf_static")]
+    moving = moving_tf_topics(tf_topics)
     told = [pose_topic, *moving] if pose_topic else []
     topics = dict.fromkeys([*source.topics, *told, *joint_topics])
     return MapInputs(

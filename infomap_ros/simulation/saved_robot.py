@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.errors import SimulationError
+from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -45,13 +45,8 @@ class SavedRobot:
             "odometry": _lists(self.odometry),
             "world": self.world,
         }
-        beside = path.with_name(path.name + ".new")
         try:
-            with beside.open("w", encoding="utf-8") as file:
-                json.dump(content, file)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
+            write_json(path, content)
         except OSError as error:
             raise SimulationError(f"cannot write robot file {path}: {error.strerror}") from error
 

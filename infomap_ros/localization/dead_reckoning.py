@@ -63,6 +63,12 @@ class DeadReckoningConfig:
     def __post_init__(self) -> None:
         check_config(self)
 
+    def step_covariance(self, way: float, turned: float) -> FloatArray:
+        """What a step of odometry, [m] and [rad], adds to the pose's covariance, shape (6, 6)."""
+        position = self.position_per_metre**2 * way + self.position_per_radian**2 * turned
+        rotation = self.rotation_per_metre**2 * way + self.rotation_per_radian**2 * turned
+        return np.diag([position] * 3 + [rotation] * 3)
+
 
 class DeadReckoning:
     """Adds up what odometry and kinematics say.
@@ -130,10 +136,6 @@ class DeadReckoning:
         step = after[:3, 3] - before[:3, 3]
         way = float(np.linalg.norm(step))
         turned = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
-        config = self.config
         over = np.eye(6)
         over[:3, 3:] = -skew(step)
-        position = config.position_per_metre**2 * way + config.position_per_radian**2 * turned
-        rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
-        added = np.diag([position] * 3 + [rotation] * 3)
-        self._grown = over @ self._grown @ over.T + added
+        self._grown = over @ self._grown @ over.T + self.config.step_covariance(way, turned)

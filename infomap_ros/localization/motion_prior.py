@@ -130,14 +130,11 @@ class KinematicMotion:
         base_motion = invert_transform(before.T_odom_base) @ after.T_odom_base
         way = float(np.linalg.norm(base_motion[:3, 3]))
         turned = float(Rotation.from_matrix(base_motion[:3, :3]).magnitude())
-        config = self.config
-        position = config.position_per_metre**2 * way + config.position_per_radian**2 * turned
-        rotation = config.rotation_per_metre**2 * way + config.rotation_per_radian**2 * turned
         lever = base_motion[:3, :3] @ after.T_base_camera[:3, 3]
         over = np.eye(6)
         over[:3, 3:] = -skew(lever)
         over = np.kron(np.eye(2), before.T_base_camera[:3, :3].T) @ over
-        return np.asarray(over @ np.diag([position] * 3 + [rotation] * 3) @ over.T)
+        return np.asarray(over @ self.config.step_covariance(way, turned) @ over.T)
 
     def _kinematics_covariance(self, motion: FloatArray) -> FloatArray:
         """What the kinematics add at the two ends, in the old camera's frame, shape (6, 6)."""

@@ -73,13 +73,14 @@ def _processes(context) -> list[Node]:
     locating = _locating(given)
     left_image = "left/image_raw" if truth["rectify"] else "left/image_rect"
     image = "depth/image_rect" if given["source"] == "depth" else left_image
+    watching = 1 + ("fiducial_localization" in locating)  # nodes that listen to the images
     player_parameters = {
         "bag": bag,
         "rate": float(given["rate"]),
         "loop": truth["loop"],
         "acknowledged": truth["acknowledged"],
         # One of each node: the first start compiles, and nothing should be played before.
-        "wait_for_subscribers": [image, "camera_pose"],
+        "wait_for_subscribers": [*[image] * watching, "camera_pose"],
         "wait_for_publishers": ["camera_pose"] if locating else [],
         "left_out": ["/camera_pose"] if locating else [],
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -49,8 +50,8 @@ class BagPlayerNodeConfig:
     )
     wait_for_subscribers: tuple[str, ...] = parameter(
         (),
-        "Topics that must have a subscriber before the replay starts. Empty: until any has one, "
-        "and a second more.",
+        "Topics that must have a subscriber before the replay starts, a topic given twice two. "
+        "Empty: until any has one, and a second more.",
     )
     wait_for_publishers: tuple[str, ...] = parameter(
         (), "Topics that others must publish before the replay starts, as what they make of it."
@@ -147,11 +148,15 @@ class BagPlayerNode(MonitoredNode):
 
     def _wait_for_others(self) -> None:
         wanted = [self.resolve_topic_name(name) for name in self._config.wait_for_subscribers]
-        names = wanted or [publisher.topic_name for publisher in self._outlets.values()]
+        names = Counter(wanted or [publisher.topic_name for publisher in self._outlets.values()])
         enough = all if wanted else any
         self._wait_until(
-            lambda: enough(self.count_subscribers(name) for name in names),
-            lambda: [f"a subscriber of {n}" for n in names if not self.count_subscribers(n)],
+            lambda: enough(self.count_subscribers(name) >= names[name] for name in names),
+            lambda: [
+                f"subscribers of {name} ({self.count_subscribers(name)} of {least})"
+                for name, least in names.items()
+                if self.count_subscribers(name) < least
+            ],
         )
         results = list(self._config.wait_for_publishers)
         results += [self._config.result_topic] * self._player.config.acknowledged

@@ -50,12 +50,14 @@ class LiveRun(LiveGraph):
     ) -> None:
         super().__init__(out)
         self.map_file = (map_file or out / "map.infomap").absolute()
+        pair = [LEFT, RIGHT, "left/camera_info", "right/camera_info"]
+        listeners = 1 if localisation is None else 2  # of the images
         self._player = {
             "bag": bag.absolute(),
-            "wait_for_subscribers": [LEFT, RIGHT, "camera_pose"],
+            "wait_for_subscribers": [*pair * listeners, "camera_pose"],
             **(player or {}),
         }
-        images = reliable_inputs((LEFT, RIGHT, "left/camera_info", "right/camera_info"))
+        images = reliable_inputs(pair)
         clouds = reliable_inputs(("points2", "camera_pose", "joint_states"))
         results = reliable_inputs(("map_updates",))
         self._player |= results

@@ -112,6 +112,21 @@ def test_it_waits_for_its_subscribers(graph: Any, bag: Path) -> None:
     graph.spin_until(lambda: len(poses) == COUNT, "all poses")
 
 
+def test_a_topic_given_twice_waits_for_two_subscribers(graph: Any, bag: Path) -> None:
+    first = graph.collect(Image, "left/image_raw")
+    wanted = ["left/image_raw", "left/image_raw"]
+    player = graph.add(BagPlayerNode, bag=str(bag), rate=20.0, wait_for_subscribers=wanted)
+    began = graph.tester.get_clock().now()
+    graph.spin_until(
+        lambda: (graph.tester.get_clock().now() - began).nanoseconds > SECOND // 2, "half a second"
+    )
+    assert player.health.results() == 0
+
+    second = graph.collect(Image, "left/image_raw")
+
+    graph.spin_until(lambda: len(first) == len(second) == COUNT, "all images for both")
+
+
 def test_who_comes_late_gets_what_is_latched(graph: Any, bag: Path) -> None:
     joints = graph.collect(JointState, "joint_states")
     graph.add(BagPlayerNode, bag=str(bag), rate=20.0, wait_for_subscribers=["joint_states"])

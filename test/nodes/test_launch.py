@@ -197,16 +197,17 @@ def test_processes_get_the_environment_of_large_messages(
 
 
 @pytest.mark.parametrize(
-    ("given", "image"),
+    ("given", "images"),
     [
-        ({}, "left/image_raw"),
-        ({"rectify": "false"}, "left/image_rect"),
-        ({"source": "depth"}, "depth/image_rect"),
+        ({}, ["left/image_raw", "left/image_raw"]),
+        ({"rectify": "false"}, ["left/image_rect", "left/image_rect"]),
+        ({"source": "depth"}, ["depth/image_rect", "depth/image_rect"]),
+        ({"localisation": "odometry"}, ["left/image_raw"]),
     ],
 )
-def test_the_player_waits_for_both_nodes(
-    launch_file: ModuleType, given: dict[str, str], image: str
+def test_the_player_waits_for_all_nodes(
+    launch_file: ModuleType, given: dict[str, str], images: list[str]
 ) -> None:
     nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)
 
-    assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [image, "camera_pose"]
+    assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [*images, "camera_pose"]

@@ -28,8 +28,8 @@ from trajectory_errors import truth_at
 
 from infomap_ros.geometry import PoseRecord, invert_transform, transform_points
 from infomap_ros.localization import AppearanceConfig, RangeView, describe, find_again
-from infomap_ros.localization.appearance import corners_of
-from infomap_ros.localization.fiducial_selection import select_fiducials
+from infomap_ros.localization.fiducials.appearance import corners_of
+from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.replay.localize_inputs import LocalizeOptions
 from infomap_ros.replay.reader import BagReader
 

@@ -26,10 +26,10 @@ from ompl import util
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.collision import CollisionBody, CollisionChecker
-from infomap_ros.motion.collision_kernels import is_free
-from infomap_ros.motion.way_kernels import first_on_way
+from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.base.way_kernels import first_on_way
+from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
+from infomap_ros.motion.collision.kernels import is_free
 
 SIZE = 0.05
 FIRST = np.array((-40, -40, -10))

@@ -31,12 +31,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.terrain import Terrain
-from infomap_ros.mapping.terrain_measures import largest_steps, plane_misfits
-from infomap_ros.motion import BasePlanner, BasePlannerConfig, RobotModel, Vehicle, drive_sampling
-from infomap_ros.motion.drive_graph import HEADINGS, MOVES
-from infomap_ros.motion.drive_kernels import CLEAR, ask_cell, legs_of
-from infomap_ros.motion.drive_space import DriveSpace
+from infomap_ros.mapping.terrain.measures import largest_steps, plane_misfits
+from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.motion import BasePlanner, BasePlannerConfig, RobotModel, Vehicle
+from infomap_ros.motion.base import drive_sampling
+from infomap_ros.motion.base.drive_graph import HEADINGS, MOVES
+from infomap_ros.motion.base.drive_kernels import CLEAR, ask_cell, legs_of
+from infomap_ros.motion.base.drive_space import DriveSpace
 
 HERE = Path(__file__).resolve().parent
 ROVER = HERE.parent / "config" / "rover.urdf"

@@ -24,9 +24,9 @@ from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, StereoRig, mak
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.camera_heights import camera_heights
+from infomap_ros.motion.arm.camera_heights import camera_heights
 from infomap_ros.motion.reaching import WholeBodyReach
-from infomap_ros.motion.solid_extent import solid_extent
+from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.studies.analytic_scene import AnalyticScene
 from infomap_ros.views import (
     ExpectedInformation,

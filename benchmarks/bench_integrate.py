@@ -28,8 +28,8 @@ import room
 
 from infomap_ros.geometry import transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.blocks import block_bytes
-from infomap_ros.mapping.gaussians import gaussian_bytes
+from infomap_ros.mapping.voxels.blocks import block_bytes
+from infomap_ros.mapping.voxels.gaussians import gaussian_bytes
 
 os.environ["OMP_NUM_THREADS"] = "1"  # OctoMap traces rays on all cores otherwise
 try:

@@ -23,8 +23,8 @@ from localize_robustness import load
 from localize_sequences import ROOT
 from stereo_bag import write_stereo_bag
 
+from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.localizer import Localizer
-from infomap_ros.localization.range_view import StereoView
 
 Result = TypeVar("Result")
 WARM_UP = 5  # views before times count

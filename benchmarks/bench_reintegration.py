@@ -22,9 +22,9 @@ import numpy as np
 from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.reintegration import reintegrate
-from infomap_ros.mapping.scan_record import keep_scan
-from infomap_ros.mapping.scan_store import ScanStore, integrate_record
+from infomap_ros.mapping.correction.reintegration import reintegrate
+from infomap_ros.mapping.correction.scan_record import keep_scan
+from infomap_ros.mapping.correction.scan_store import ScanStore, integrate_record
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.range_meters import Measurement
 from infomap_ros.replay.reader import BagReader

@@ -28,7 +28,7 @@ from stereo_bag import write_stereo_bag
 from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
 
 from infomap_ros.geometry import PoseRecord
-from infomap_ros.localization.range_view import RangeView
+from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.replay.localize_inputs import LocalizeOptions, find_localize_inputs
 from infomap_ros.replay.localize_run import LocalizeRun
 from infomap_ros.replay.range_sources import measure_all

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from infomap_ros.geometry import invert_transform, make_transform
-from infomap_ros.localization.range_view import RangeView
+from infomap_ros.localization.fiducials.range_view import RangeView
 
 Motion = Callable[[RangeView, RangeView], np.ndarray | None]
 """T_after_before of two views, shape (4, 4); None where it cannot be told."""

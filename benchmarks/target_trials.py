@@ -24,11 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 from localization.model_scenes import CloudView, box, bracket, range_map, some_pose
 from localization.tag_scenes import BoardView, pose_error, seen_from, single_tag
 
-from infomap_ros.localization.model_shape import shape_from_triangles
-from infomap_ros.localization.model_target import ModelTargetConfig, ModelTargetDetector
-from infomap_ros.localization.tag_board import TagBoard
-from infomap_ros.localization.tag_detector import TagTargetConfig, TagTargetDetector
-from infomap_ros.localization.target import TargetRefusal, TargetSighting
+from infomap_ros.localization.target.model_shape import shape_from_triangles
+from infomap_ros.localization.target.model_target import ModelTargetConfig, ModelTargetDetector
+from infomap_ros.localization.target.tag_board import TagBoard
+from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
+from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 CORNER_SIGMA = 0.25  # [px] of a real sheet, added to the rendered corners
 RANGE_SIGMA = 0.003  # [1/m]

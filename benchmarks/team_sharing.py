@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from infomap_ros.mapping.octomap_file import write_bt, write_ot
+from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.replay.messages import RosbagsMessageTypes
 from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.studies.team_lag import LagMeter

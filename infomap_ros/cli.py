@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
-from infomap_ros.localization.draw_target_command import draw_target
+from infomap_ros.localization.target.draw_target_command import draw_target
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.localize_command import localize
 from infomap_ros.replay.map_inputs import MapOptions
@@ -170,7 +170,7 @@ def show(
     out: Annotated[Optional[Path], typer.Option(help="picture to write (.png)")] = None,
 ) -> None:
     """Print what a map file holds, and draw it."""
-    from infomap_ros.mapping.pictures import draw_map_views
+    from infomap_ros.mapping.files.pictures import draw_map_views
 
     voxel_map = VoxelMap.load(map_file)
     bounds, size = voxel_map.bounds(), voxel_map.config.voxel_size

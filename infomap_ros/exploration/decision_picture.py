@@ -17,7 +17,7 @@ from infomap_ros.exploration.report_page.axes import number
 from infomap_ros.exploration.report_page.scene import BASE_ACTIONS, COLOUR_MAPS, unit_of
 from infomap_ros.exploration.report_page.tables import kinds_of_rejections, words
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.pictures import map_from_above
+from infomap_ros.mapping.files.pictures import map_from_above
 
 _BASE, _CAMERA, _CHOSEN, _REJECTED = "#d55e00", "#0072b2", "#1c2127", "#5b6570"
 _ARROW = 0.3  # in which direction a view looks [m]

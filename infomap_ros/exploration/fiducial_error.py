@@ -8,8 +8,11 @@ import numpy as np
 
 from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.error_prediction import ErrorPrediction, ErrorPredictionConfig
-from infomap_ros.localization.predicted_ways import Ways
+from infomap_ros.localization.prediction.error_prediction import (
+    ErrorPrediction,
+    ErrorPredictionConfig,
+)
+from infomap_ros.localization.prediction.ways import Ways
 from infomap_ros.views.situation import Situation
 
 KnownFiducials = Callable[[], tuple[FloatArray, FloatArray]]

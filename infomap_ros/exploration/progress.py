@@ -11,7 +11,7 @@ from scipy import ndimage
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
-from infomap_ros.mapping.export import surface_sigmas
+from infomap_ros.mapping.files.export import surface_sigmas
 
 _GOES_ON = OccupancyThresholds().surface_margin + 1  # [voxels] that a surface is continued
 _WALL = 1.0  # [m] of surface in a column, at which it is a wall,

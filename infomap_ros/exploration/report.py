@@ -17,7 +17,7 @@ from infomap_ros.exploration.report_page.scene import scene_of
 from infomap_ros.exploration.report_page.surface import drawn_surface
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.pictures import MapImage, map_from_above
+from infomap_ros.mapping.files.pictures import MapImage, map_from_above
 
 Pictures = Sequence[tuple[Path, str]]
 """PNG files with their captions."""

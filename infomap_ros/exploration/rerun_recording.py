@@ -15,7 +15,7 @@ from infomap_ros.exploration.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.report_page.scene import BASE_ACTIONS
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import surface_vertices
+from infomap_ros.mapping.files.export import surface_vertices
 
 TIMELINE = "run"
 """Time since the start of the run."""

@@ -17,8 +17,8 @@ from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.camera_heights import camera_heights, random_postures
-from infomap_ros.motion.clear_start import ClearStart
+from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
+from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision

@@ -1,34 +1,34 @@
 """Where the camera is, and how well that is known."""
 
-from infomap_ros.localization.appearance import (
+from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
+from infomap_ros.localization.fiducials.appearance import (
     AppearanceConfig,
     AppearanceMatches,
     describe,
     find_again,
 )
-from infomap_ros.localization.camera_motion import (
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
+from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig, select_fiducials
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.fiducials.tracker import FiducialTracker, FiducialTrackerConfig
+from infomap_ros.localization.filter.camera_motion import (
     MotionConfig,
     MotionEstimate,
     estimate_motion,
     printed_motion,
 )
-from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
-from infomap_ros.localization.fiducial_filter import FiducialFilter
-from infomap_ros.localization.fiducial_selection import FiducialSelectionConfig, select_fiducials
-from infomap_ros.localization.fiducial_tracker import FiducialTracker, FiducialTrackerConfig
-from infomap_ros.localization.filter_config import FiducialFilterConfig
-from infomap_ros.localization.filter_records import Fiducials, FilterUpdate, KeptPoses
-from infomap_ros.localization.motion_prior import (
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.motion_prior import (
     FreeMotionConfig,
     KinematicMotion,
     MotionPrior,
     RobotPosture,
     free_motion,
 )
-from infomap_ros.localization.observations import FiducialObservations
-from infomap_ros.localization.range_view import DepthView, RangeView, StereoView
-from infomap_ros.localization.recursive_pose import RecursivePose
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.filter.recursive_pose import RecursivePose
 
 __all__ = [
     "AppearanceConfig",

@@ -22,18 +22,18 @@ from infomap_ros.geometry import (
     invert_transform,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.adaptive_noise import AdaptiveNoise
-from infomap_ros.localization.fiducial_filter import FiducialFilter
-from infomap_ros.localization.filter_records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.motion_prior import MotionPrior, free_motion
+from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.localisation import Choice, Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import MotionPrior, free_motion
-from infomap_ros.localization.observations import FiducialObservations
-from infomap_ros.localization.range_view import RangeView
 from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
-from infomap_ros.localization.target import TargetDetector
-from infomap_ros.localization.target_watch import TargetWatch, is_certain, moved
+from infomap_ros.localization.target.target import TargetDetector
+from infomap_ros.localization.target.watch import TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
 
 __all__ = ["Localisation", "Localizer"]

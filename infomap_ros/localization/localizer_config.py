@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.localization.fiducial_selection import FiducialSelectionConfig
-from infomap_ros.localization.fiducial_tracker import FiducialTrackerConfig
-from infomap_ros.localization.filter_config import FiducialFilterConfig
-from infomap_ros.localization.motion_prior import FreeMotionConfig
+from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
+from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.motion_prior import FreeMotionConfig
 
 
 @dataclass(frozen=True)

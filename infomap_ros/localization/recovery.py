@@ -7,13 +7,13 @@ from scipy.special import chdtri
 
 from infomap_ros.geometry import PinholeCamera, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.consensus import agreeing, find_pose
-from infomap_ros.localization.fiducial_filter import FiducialFilter
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.filter.consensus import agreeing, find_pose
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.sight import Measured
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.observations import FiducialObservations
-from infomap_ros.localization.range_view import RangeView
 from infomap_ros.localization.scene_fiducials import SceneFiducials, joined
-from infomap_ros.localization.sight import Measured
 
 _SIGMAS = 3.0  # of the pose, within which a fiducial is looked for
 _ANYWHERE = 0.2  # of the image's width, a search radius beyond which all of it is searched

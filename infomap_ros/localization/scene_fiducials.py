@@ -17,14 +17,14 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.fiducial_filter import FiducialFilter
-from infomap_ros.localization.fiducial_selection import select_fiducials
-from infomap_ros.localization.fiducial_tracker import FiducialTracker
-from infomap_ros.localization.filter_records import Fiducials, FilterUpdate
+from infomap_ros.localization.fiducials.observations import FiducialObservations, no_observations
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.fiducials.selection import select_fiducials
+from infomap_ros.localization.fiducials.tracker import FiducialTracker
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import MotionPrior
-from infomap_ros.localization.observations import FiducialObservations, no_observations
-from infomap_ros.localization.range_view import RangeView
 from infomap_ros.mapping import VoxelMap
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up

@@ -1,16 +1,16 @@
 """The sparse voxel map: occupancy and one Gaussian per surface voxel."""
 
-from infomap_ros.mapping.changes import VoxelChanges
 from infomap_ros.mapping.config import (
     LOG_ODDS_QUANTUM,
     NOT_OBSERVED,
     SHARED_LOG_ODDS_LIMIT,
     VoxelMapConfig,
 )
-from infomap_ros.mapping.integration import IntegrationReport
-from infomap_ros.mapping.terrain import Terrain, TerrainConfig, terrain_of
+from infomap_ros.mapping.scans.integration import IntegrationReport
+from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
 from infomap_ros.mapping.voxel_map import VoxelMap
-from infomap_ros.mapping.window import (
+from infomap_ros.mapping.voxels.changes import VoxelChanges
+from infomap_ros.mapping.voxels.window import (
     FREE,
     OCCUPIED,
     UNCERTAIN,

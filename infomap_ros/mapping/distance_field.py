@@ -28,7 +28,7 @@ from infomap_ros.mapping.field_kernels import (
     fill_clearances,
     transform,
 )
-from infomap_ros.mapping.window import (
+from infomap_ros.mapping.voxels.window import (
     OCCUPIED,
     UNCERTAIN,
     UNKNOWN,

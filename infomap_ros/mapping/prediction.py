@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
-from infomap_ros.mapping.window import UNKNOWN_QUANTA, VoxelWindow
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA, VoxelWindow
 
 _UNREACHED, _OUTSIDE = 0, 255
 

@@ -13,17 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
 from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import queries, traversal
-from infomap_ros.mapping.blocks import BLOCK_COUNT
-from infomap_ros.mapping.changes import VoxelChanges, mark_changed, take_changes
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
-from infomap_ros.mapping.integration import IntegrationReport, ScanIntegrator
-from infomap_ros.mapping.keys import BLOCK_SIDE
-from infomap_ros.mapping.map_file import read_map_file, write_map_file
-from infomap_ros.mapping.scan_input import checked_scan
-from infomap_ros.mapping.state import storage_from_state, storage_state
-from infomap_ros.mapping.storage import MapStorage
-from infomap_ros.mapping.window import VoxelWindow, window_of
+from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
+from infomap_ros.mapping.scans import traversal
+from infomap_ros.mapping.scans.integration import IntegrationReport, ScanIntegrator
+from infomap_ros.mapping.scans.scan_input import checked_scan
+from infomap_ros.mapping.voxels import queries
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, take_changes
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
+from infomap_ros.mapping.voxels.state import storage_from_state, storage_state
+from infomap_ros.mapping.voxels.storage import MapStorage
+from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
 
 
 class VoxelMap:

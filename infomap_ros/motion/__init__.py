@@ -1,20 +1,20 @@
 """Robot models, and where they and what they carry can go."""
 
-from infomap_ros.motion.base_path import BasePath, BasePlannerConfig
-from infomap_ros.motion.base_planner import BasePlanner
-from infomap_ros.motion.chain import KinematicChain
-from infomap_ros.motion.inverse_kinematics import (
+from infomap_ros.motion.arm.inverse_kinematics import (
     IkBatch,
     IkConfig,
     IkResult,
     solve_ik,
     solve_ik_batch,
 )
-from infomap_ros.motion.joint_limits import JointLimits
-from infomap_ros.motion.robot_model import RobotModel
-from infomap_ros.motion.standing_ground import with_standing_ground
-from infomap_ros.motion.vehicle import Stance, StanceBatch, Vehicle
-from infomap_ros.motion.vehicle_config import VehicleConfig
+from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.base.vehicle import Stance, StanceBatch, Vehicle
+from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.robot.chain import KinematicChain
+from infomap_ros.motion.robot.joint_limits import JointLimits
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 __all__ = [
     "BasePath",

@@ -20,15 +20,15 @@ from scipy.ndimage import distance_transform_edt
 from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.terrain import Terrain, terrain_of
-from infomap_ros.motion.arm_trail import ArmTrail
-from infomap_ros.motion.base_path import BasePath
-from infomap_ros.motion.base_planner import BasePlanner
-from infomap_ros.motion.clear_start import ClearStart
-from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
-from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
+from infomap_ros.motion.arm.arm_trail import ArmTrail
+from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
+from infomap_ros.motion.base.base_path import BasePath
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances

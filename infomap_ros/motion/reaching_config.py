@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.mapping.terrain import TerrainConfig
-from infomap_ros.motion.arm_path import ArmPathConfig
-from infomap_ros.motion.base_path import BasePlannerConfig
-from infomap_ros.motion.collision_body import CollisionConfig
-from infomap_ros.motion.trajectory import TrajectoryConfig
-from infomap_ros.motion.vehicle_config import VehicleConfig
+from infomap_ros.mapping.terrain.terrain import TerrainConfig
+from infomap_ros.motion.arm.arm_path import ArmPathConfig
+from infomap_ros.motion.arm.trajectory import TrajectoryConfig
+from infomap_ros.motion.base.base_path import BasePlannerConfig
+from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.collision.body import CollisionConfig
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.arm_trail import ArmTrail, corners_of
-from infomap_ros.motion.base_path import BasePath
-from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
+from infomap_ros.motion.arm.trajectory import time_path
+from infomap_ros.motion.base.base_path import BasePath
+from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
-from infomap_ros.motion.trajectory import time_path
 from infomap_ros.motion.whole_body import WholeBody
 
 _QUICK = ArmPathConfig(time_limit=0.1)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.base_planner import BasePlanner
-from infomap_ros.motion.collision import CollisionChecker
-from infomap_ros.motion.inverse_kinematics import IkConfig, solve_ik_batch
-from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.collision.checker import CollisionChecker
+from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.whole_body import WholeBody
 

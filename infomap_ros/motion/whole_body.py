@@ -11,13 +11,13 @@ import numpy as np
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm_postures import ArmPostures
-from infomap_ros.motion.chain import KinematicChain
-from infomap_ros.motion.collision_body import CollisionBody
-from infomap_ros.motion.driving_posture import driving_posture
+from infomap_ros.motion.arm.arm_postures import ArmPostures
+from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.base.vehicle import Vehicle
+from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.motion.robot_model import RobotModel
-from infomap_ros.motion.vehicle import Vehicle
+from infomap_ros.motion.robot.chain import KinematicChain
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 _ROUNDING = 2  # decimals of the positions of joints that are not the arm's
 _SPARE = 0.1  # [m]; beyond the farthest sampled point of the body

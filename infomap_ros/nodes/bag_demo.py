@@ -21,8 +21,8 @@ from infomap_ros.errors import BagError, InfomapError, ProcessError
 from infomap_ros.exploration.report import write_map_report
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import surface_vertices, write_ply
-from infomap_ros.mapping.pictures import draw_map_views
+from infomap_ros.mapping.files.export import surface_vertices, write_ply
+from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.nodes.live_run import LEFT, LiveRun
 from infomap_ros.nodes.pictures import LivePictures
 from infomap_ros.nodes.pose_comparison import PoseComparison

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry import PinholeCamera, PlacedSolid
-from infomap_ros.localization.filter_records import Fiducials, KeptPoses
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
+from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import KinematicMotion, RobotPosture
-from infomap_ros.localization.range_view import RangeView
-from infomap_ros.localization.target import TargetDetector
+from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.nodes.saved_localisation import SavedLocalisation
 from infomap_ros.replay.localize_run import looking_along_x
 

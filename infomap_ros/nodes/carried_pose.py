@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import JointStateRecord, OdometryRecord, PoseRecord
-from infomap_ros.localization.motion_prior import KinematicMotion, MotionPrior
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.robot_motion import RobotMotion
 

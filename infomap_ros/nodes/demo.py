@@ -23,8 +23,8 @@ from infomap_ros.errors import InfomapError, ProcessError
 from infomap_ros.exploration.report import write_report
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import write_ply
-from infomap_ros.mapping.pictures import draw_map_views
+from infomap_ros.mapping.files.export import write_ply
+from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.nodes.live_exploration import LiveExploration
 from infomap_ros.nodes.pose_comparison import PoseComparison
 from infomap_ros.nodes.run import interrupt

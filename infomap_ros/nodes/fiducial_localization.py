@@ -24,10 +24,10 @@ from rclpy.clock import Clock, ClockType
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import KinematicMotion
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
-from infomap_ros.localization.target_config import TargetConfig, make_detector
+from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.camera_follower import CameraFollower, CameraFollowerConfig
 from infomap_ros.nodes.image_inputs import ImageInputs

@@ -7,9 +7,9 @@ import time
 import numpy as np
 
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
-from infomap_ros.localization.filter_records import KeptPoses
+from infomap_ros.localization.filter.motion_prior import RobotPosture
+from infomap_ros.localization.filter.records import KeptPoses
 from infomap_ros.localization.localizer import Localisation
-from infomap_ros.localization.motion_prior import RobotPosture
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.camera_follower import CameraFollower
 from infomap_ros.nodes.localization_config import FiducialLocalizationConfig

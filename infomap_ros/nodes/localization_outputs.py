@@ -11,7 +11,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.geometry import PoseRecord, TransformRecord
-from infomap_ros.localization.filter_records import Fiducials, KeptPoses
+from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes, message_class

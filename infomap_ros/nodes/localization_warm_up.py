@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from infomap_ros.geometry import PinholeCamera, StereoRig
+from infomap_ros.localization.fiducials.range_view import DepthView, StereoView
 from infomap_ros.localization.localizer import Localizer
-from infomap_ros.localization.range_view import DepthView, StereoView
 from infomap_ros.stereo import DepthCameraSensor, StereoConfig, StereoRangeSensor
 
 _CAMERA = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)

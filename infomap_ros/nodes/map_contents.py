@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import VoxelChanges, VoxelMap
-from infomap_ros.mapping.export import surface_vertices
+from infomap_ros.mapping.files.export import surface_vertices
 from infomap_ros.team import NOT_OBSERVED
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")

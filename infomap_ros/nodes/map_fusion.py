@@ -27,10 +27,10 @@ from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.mapping import VoxelMapConfig
-from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.mapping.projection import ProjectionConfig
-from infomap_ros.mapping.reintegration import ReintegrationConfig
-from infomap_ros.mapping.scan_store import ScanStoreConfig
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
+from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
+from infomap_ros.mapping.files.projection import ProjectionConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_corrections import MapCorrections
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig

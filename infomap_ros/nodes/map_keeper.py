@@ -12,10 +12,10 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.mapping.correctable_map import CorrectableMap
-from infomap_ros.mapping.reintegration import ReintegrationConfig
-from infomap_ros.mapping.scan_store import ScanStoreConfig
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
+from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_outputs import MapOutputs
 from infomap_ros.nodes.map_warm_up import warm_up

@@ -10,7 +10,7 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.mapping.correctable_map import CorrectableMap
-from infomap_ros.mapping.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_body import without_body

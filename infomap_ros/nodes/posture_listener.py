@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import OdometryRecord, PlacedSolid
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
-from infomap_ros.localization.motion_prior import RobotPosture
+from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode

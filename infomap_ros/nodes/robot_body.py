@@ -12,9 +12,9 @@ from std_msgs.msg import String
 from infomap_ros.geometry import PlacedSolid, PointCloudRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
-from infomap_ros.mapping.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.clock_jumps import JumpingBuffer

@@ -19,7 +19,7 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.carried_pose import CarriedPose

@@ -1,7 +1,7 @@
 """What a localisation knows, in a file: the map's frame outlives the process.
 
-The file has the layout of a map file (`infomap_ros.mapping.map_file`): checked, and replaced at
-once or not at all.
+The file has the layout of a map file (`infomap_ros.mapping.files.map_file`): checked, and replaced
+at once or not at all.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InfomapError, MapFileError
+from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.localization.localizer import Localizer
-from infomap_ros.localization.motion_prior import RobotPosture
-from infomap_ros.mapping.map_file import read_map_file, write_map_file
+from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
 
 _KIND = "localisation"
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.target_config import TargetConfig
+from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.parameters import parameter_values
 from infomap_ros.simulation.self_localisation import SelfLocalisationConfig
 

@@ -18,7 +18,7 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelChanges, VoxelMap
-from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import without_evidence

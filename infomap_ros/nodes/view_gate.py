@@ -9,7 +9,7 @@ import numpy as np
 
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
-from infomap_ros.localization.motion_prior import RobotPosture
+from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.image_inputs import CLOCK_JUMP, Images, Infos
 from infomap_ros.nodes.posture_listener import PostureListener

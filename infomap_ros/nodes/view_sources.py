@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.nodes.range_sources import check_frame
 from infomap_ros.replay.view_meters import DepthViewMeter, FramedView, StereoViewMeter
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig

@@ -9,11 +9,11 @@ from infomap_ros.errors import BagError
 from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
-from infomap_ros.localization.target_config import TargetConfig
+from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.bag_contents import (
     description_in,
     frame_of,

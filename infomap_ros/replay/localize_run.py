@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import BagError, InfomapError
 from infomap_ros.geometry import PlacedSolid, PoseRecord, WaitingQueue, make_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.localizer import Localisation, Localizer
-from infomap_ros.localization.motion_prior import KinematicMotion, MotionPrior, RobotPosture
-from infomap_ros.localization.target_config import make_detector
+from infomap_ros.localization.target.config import make_detector
 from infomap_ros.replay.background import in_background
 from infomap_ros.replay.localize_inputs import (
     LocalizeInputs,

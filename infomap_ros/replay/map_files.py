@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from infomap_ros.mapping.export import write_ply
-from infomap_ros.mapping.pictures import draw_map_views
+from infomap_ros.mapping.files.export import write_ply
+from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.pictures import draw_depth, draw_sigma
 

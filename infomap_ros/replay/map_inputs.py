@@ -11,12 +11,12 @@ from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import parameter, parameters_of
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
-from infomap_ros.localization.target_config import TargetConfig
+from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.mapping import VoxelMapConfig
-from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.bag_contents import (
     description_in,
     frame_of,

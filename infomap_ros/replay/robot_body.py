@@ -10,9 +10,9 @@ import numpy as np
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import JointStateRecord, Record, TextRecord
 from infomap_ros.geometry.joint_buffer import JointBuffer
-from infomap_ros.mapping.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.range_meters import Measurement
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.filter_records import KeptPoses
+from infomap_ros.localization.filter.records import KeptPoses
 
 
 @dataclass(frozen=True, eq=False)

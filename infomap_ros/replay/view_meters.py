@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import CameraCalibration, ImageRecord, StereoRig
-from infomap_ros.localization.range_view import DepthView, RangeView, StereoView
-from infomap_ros.localization.sparse_stereo import SparseStereoConfig
+from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.replay.pixels import intensity_pixels
 from infomap_ros.replay.range_meters import DepthMeter, Measurement, PairPreparation
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig

@@ -26,9 +26,9 @@ from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.error_prediction import ErrorPredictionConfig
+from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.export import write_ply
+from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.builder import World

@@ -14,10 +14,10 @@ from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.body import BodyFilterConfig, body_mask
-from infomap_ros.mapping.correctable_map import CorrectableMap
-from infomap_ros.mapping.reintegration import ReintegrationConfig
-from infomap_ros.mapping.scan_store import ScanStoreConfig
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
+from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.simulation.pose_source import MeasuredPoses, PosedScan, PoseSource

@@ -9,9 +9,9 @@ import numpy as np
 
 from infomap_ros.geometry import StereoRig, skew
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.motion_prior import MotionPrior
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.stereo import RangeCloud, StereoConfig, StereoRangeSensor, StereoRectifier
 

@@ -12,14 +12,14 @@ from infomap_ros.geometry import StereoRig, invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.fiducials.range_view import StereoView
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import KinematicMotion, MotionPrior, RobotPosture
-from infomap_ros.localization.range_view import StereoView
-from infomap_ros.localization.tag_detector import TagTargetConfig
-from infomap_ros.localization.target_config import TargetConfig, make_detector
+from infomap_ros.localization.target.config import TargetConfig, make_detector
+from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.pose_source import CameraPose, PosedScan
 from infomap_ros.simulation.simulator import Simulator

@@ -12,7 +12,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.mimicry import Follower, read_followers
+from infomap_ros.motion.robot.mimicry import Follower, read_followers
 from infomap_ros.simulation.arm_motion import ArmMotion
 from infomap_ros.simulation.base_motion import BaseMotion
 from infomap_ros.simulation.builder import World

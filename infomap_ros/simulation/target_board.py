@@ -1,6 +1,6 @@
 """The board of tags near the start of every world: what robots take for the origin of their map.
 
-The front of the board shows the very image that `infomap_ros.localization.tag_drawing` prints.
+The front of the board shows the image that `infomap_ros.localization.target.tag_drawing` prints.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.tag_drawing import draw_board
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_drawing import draw_board
 from infomap_ros.simulation.builder import SceneBuilder
 from infomap_ros.simulation.placing import Places, upright
 from infomap_ros.simulation.textures import Image

@@ -11,8 +11,8 @@ import numpy as np
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.link_pairs import movable_pairs
-from infomap_ros.motion.link_tree import LinkTree
+from infomap_ros.motion.collision.link_pairs import movable_pairs
+from infomap_ros.motion.robot.link_tree import LinkTree
 from infomap_ros.simulation.rendering import COLLISION_GROUP
 from infomap_ros.simulation.robot import load_robot
 from infomap_ros.simulation.robot_setup import RobotSetupConfig

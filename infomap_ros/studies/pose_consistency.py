@@ -19,12 +19,7 @@ from scipy import special
 from infomap_ros.geometry import perturb_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization import (
-    FiducialFilter,
-    FiducialObservations,
-    FilterUpdate,
-    free_motion,
-)
+from infomap_ros.localization import FiducialFilter, FiducialObservations, FilterUpdate, free_motion
 from infomap_ros.studies.fiducial_room import CAMERA, Room, circle, odometry, pose_error
 
 CONFIDENCE = 0.95

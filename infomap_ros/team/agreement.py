@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.mapping.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 from infomap_ros.team.contribution import Contribution
 
 FREE_QUANTA, OCCUPIED_QUANTA = -12, 4  # p < 0.05 and p > 0.73

@@ -13,16 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.mapping.blocks import BLOCK_COUNT, BlockArrays, block_bytes, empty_blocks, grown
-from infomap_ros.mapping.blocks import with_room as with_block_room
-from infomap_ros.mapping.gaussians import (
+from infomap_ros.mapping.voxels.blocks import (
+    BLOCK_COUNT,
+    BlockArrays,
+    block_bytes,
+    empty_blocks,
+    grown,
+)
+from infomap_ros.mapping.voxels.blocks import with_room as with_block_room
+from infomap_ros.mapping.voxels.gaussians import (
     GaussianArrays,
     empty_gaussians,
     with_gaussian_room,
     with_table_room,
 )
-from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS
-from infomap_ros.mapping.voxel_states import count_block_changes
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS
+from infomap_ros.mapping.voxels.voxel_states import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
 from infomap_ros.team.gaussian_code import code_tables
 from infomap_ros.team.update import MapUpdate

@@ -7,11 +7,18 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.block_kernels import find_block, find_or_add_block
-from infomap_ros.mapping.blocks import BLOCK_COUNT
 from infomap_ros.mapping.config import NOT_OBSERVED
-from infomap_ros.mapping.gaussians import find_row, gaussian_row
-from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack, unpack
+from infomap_ros.mapping.voxels.block_kernels import find_block, find_or_add_block
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.gaussians import find_row, gaussian_row
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
+    BLOCK_SIDE,
+    BLOCK_VOXELS,
+    local_index,
+    pack,
+    unpack,
+)
 from infomap_ros.team.gaussian_code import information_of_code
 from infomap_ros.team.versions import is_newer
 

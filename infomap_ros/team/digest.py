@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.mapping.keys import BLOCK_BITS, COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, COORDINATE_LIMIT
 from infomap_ros.team.facts import dtype_with_facts, facts_of, whole_number, without_facts
 from infomap_ros.team.update import MAX_ROBOT, MAX_SERIAL, MAX_SESSION, MAX_VERSION
 

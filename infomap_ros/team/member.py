@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
 from infomap_ros.team.agreement import Agreement, compare
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig

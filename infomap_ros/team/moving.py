@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.geometry import check_transform, invert_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
-from infomap_ros.mapping.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
 
 
 def moved_map(voxel_map: VoxelMap, T_new_old: ArrayLike) -> VoxelMap:

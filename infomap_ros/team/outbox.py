@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
-from infomap_ros.mapping.changes import changed_blocks, take_changes
-from infomap_ros.mapping.keys import BLOCK_BITS
+from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.replica import MapReplica

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
-from infomap_ros.mapping.block_kernels import find_block
-from infomap_ros.mapping.keys import BLOCK_BITS, local_index, pack
-from infomap_ros.mapping.voxel_states import VoxelStates, put_states
+from infomap_ros.mapping.voxels.block_kernels import find_block
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack
+from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
 from infomap_ros.team.gaussian_code import information_of_codes
 from infomap_ros.team.update import MapUpdate
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.storage import growth_bytes
-from infomap_ros.mapping.voxel_states import (
+from infomap_ros.mapping.voxels.storage import growth_bytes
+from infomap_ros.mapping.voxels.voxel_states import (
     VoxelStates,
     count_block_changes,
     put_states,

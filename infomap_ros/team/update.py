@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelChanges
-from infomap_ros.mapping.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 from infomap_ros.team.gaussian_code import decode_gaussians, encode_gaussians
 
 MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.mapping.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 from infomap_ros.team.facts import (
     dtype_with_facts,
     facts_of,

@@ -10,9 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
-from infomap_ros.mapping.block_kernels import clipped, find_block, quanta_at
-from infomap_ros.mapping.gaussians import find_row
-from infomap_ros.mapping.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
+from infomap_ros.mapping.voxels.gaussians import find_row
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.gaussian_code import code_tables
 

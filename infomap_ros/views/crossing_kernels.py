@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.scan import axis_start
+from infomap_ros.mapping.scans.scan import axis_start
 from infomap_ros.views.field import code_at
 from infomap_ros.views.ray_kernels import turned
 

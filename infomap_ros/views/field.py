@@ -21,10 +21,10 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.block_kernels import find_block
-from infomap_ros.mapping.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
-from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
-from infomap_ros.mapping.workers import Workers
+from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.block_kernels import find_block
+from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
 from infomap_ros.views.codes import EMPTY, SOLID, UNCERTAIN, UNKNOWN, CodeBook
 
 _TABLE_QUANTA = 64

@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray, check_transform
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 
 @dataclass(frozen=True)

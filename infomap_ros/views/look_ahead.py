@@ -9,7 +9,7 @@ import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.traversal import unpack_all
+from infomap_ros.mapping.scans.traversal import unpack_all
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
 from infomap_ros.views.strategy import Scores

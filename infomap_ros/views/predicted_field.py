@@ -10,9 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
-from infomap_ros.mapping.keys import BLOCK_SIDE, BLOCK_VOXELS, local_index
 from infomap_ros.mapping.prediction import PredictionConfig, predict_unknown
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, local_index
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views.codes import UNKNOWN, CodeBook
 from infomap_ros.views.field import VisibleField
 

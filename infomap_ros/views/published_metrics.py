@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_cdt
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OCCUPIED, VoxelMap
-from infomap_ros.mapping.keys import BLOCK_SIDE
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
 from infomap_ros.views import crossing_kernels as sums_of
 from infomap_ros.views.field import VisibleField, workers_of
 from infomap_ros.views.observation_value import entropy_of

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE
 from infomap_ros.views.codes import EMPTY, UNKNOWN
 
 _FRACTION = 32

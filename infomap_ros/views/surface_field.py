@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import surface_sigmas
-from infomap_ros.mapping.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index
+from infomap_ros.mapping.files.export import surface_sigmas
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index
 from infomap_ros.views.codes import SOLID, UNCERTAIN, CodeBook
 from infomap_ros.views.field import VisibleField
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, LOG_ODDS_QUANTUM
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views.localisation_error import (
     LocalisationError,
     OdometryDrift,

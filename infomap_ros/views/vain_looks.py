@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.keys import COORDINATE_LIMIT
-from infomap_ros.mapping.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
 _BITS, _MASK = 21, (1 << 21) - 1
 _CERTAINLY_FREE = -60  # [quanta]

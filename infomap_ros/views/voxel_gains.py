@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.keys import BLOCK_SIDE, pack, table_slot
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, pack, table_slot
 from infomap_ros.views.codes import EMPTY
 from infomap_ros.views.field import VisibleField, code_at
 from infomap_ros.views.gains import field_around, gain_table

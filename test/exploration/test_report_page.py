@@ -29,7 +29,7 @@ from infomap_ros.exploration.report_page.charts import Curve, line_chart
 from infomap_ros.exploration.report_page.scene import pack
 from infomap_ros.exploration.report_page.surface import LOG_ODDS_RANGE, SIGMA_RANGE, drawn_surface
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.export import surface_sigmas
+from infomap_ros.mapping.files.export import surface_sigmas
 
 from .made_up_run import entries, made_up_map, write_log
 

@@ -13,7 +13,12 @@ from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxel_states import VoxelStates, information_of, put_states, unknown_states
+from infomap_ros.mapping.voxels.voxel_states import (
+    VoxelStates,
+    information_of,
+    put_states,
+    unknown_states,
+)
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult

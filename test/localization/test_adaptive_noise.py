@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.localization import FiducialFilter, MotionPrior
-from infomap_ros.localization.adaptive_noise import AdaptiveNoise
+from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
 
 from .fiducial_scene import CAMERA, PIXEL_SIGMA, RHO_SIGMA, observe, wall
 

@@ -18,8 +18,11 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.transforms import perturb_transform
 from infomap_ros.localization.dead_reckoning import DeadReckoning
-from infomap_ros.localization.error_prediction import ErrorPrediction, ErrorPredictionConfig
-from infomap_ros.localization.predicted_ways import Ways
+from infomap_ros.localization.prediction.error_prediction import (
+    ErrorPrediction,
+    ErrorPredictionConfig,
+)
+from infomap_ros.localization.prediction.ways import Ways
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)

@@ -6,14 +6,14 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.localization import FiducialSelectionConfig, StereoView, select_fiducials
-from infomap_ros.localization.fiducial_evaluation import (
+from infomap_ros.localization.fiducials.evaluation import (
     certainty,
     depth_contrast,
     range_certainty,
     spread_penalty,
     visual_contrast,
 )
-from infomap_ros.localization.fiducial_selection import corner_candidates
+from infomap_ros.localization.fiducials.selection import corner_candidates
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from test.localization.textured_plane import SENSOR, TexturedPlane, camera_at
 

@@ -12,7 +12,11 @@ from infomap_ros.localization import (
     StereoView,
     select_fiducials,
 )
-from infomap_ros.localization.patch_alignment import MARGIN, align_templates, cut_templates
+from infomap_ros.localization.fiducials.patch_alignment import (
+    MARGIN,
+    align_templates,
+    cut_templates,
+)
 from test.localization.textured_plane import SENSOR, TexturedPlane, camera_at
 
 START = camera_at([0.0, 0.0, 0.0])

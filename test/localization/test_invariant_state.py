@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform, perturb_transform
-from infomap_ros.localization.invariant_state import InvariantState
-from infomap_ros.localization.pose_errors import invariant_difference, moved_pose
+from infomap_ros.localization.filter.invariant_state import InvariantState
+from infomap_ros.localization.filter.pose_errors import invariant_difference, moved_pose
 from test.localization.fiducial_scene import wall
 
 

@@ -8,10 +8,10 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PlacedSolid, invert_transform, make_transform
 from infomap_ros.geometry.transforms import perturb_transform
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.motion_prior import MotionPrior
-from infomap_ros.localization.target import TargetRefusal, TargetSighting
+from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 from .fiducial_scene import pose_error, squared_distance
 from .room_views import CAMERA, STEP, dark, looking, view

@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import make_transform, perturb_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.model_check import check_pose, flat_share, visible_points
-from infomap_ros.localization.model_fit import ModelFitter
-from infomap_ros.localization.model_scene import ModelScene
-from infomap_ros.localization.model_search import register
-from infomap_ros.localization.model_shape import ModelShape, load_model, shape_from_triangles
-from infomap_ros.localization.model_target import ModelTargetConfig, ModelTargetDetector
-from infomap_ros.localization.point_pairs import build_table, vote
-from infomap_ros.localization.target import TargetRefusal, TargetSighting
-from infomap_ros.localization.target_config import TargetConfig, make_detector
+from infomap_ros.localization.target.config import TargetConfig, make_detector
+from infomap_ros.localization.target.model_check import check_pose, flat_share, visible_points
+from infomap_ros.localization.target.model_fit import ModelFitter
+from infomap_ros.localization.target.model_scene import ModelScene
+from infomap_ros.localization.target.model_search import register
+from infomap_ros.localization.target.model_shape import ModelShape, load_model, shape_from_triangles
+from infomap_ros.localization.target.model_target import ModelTargetConfig, ModelTargetDetector
+from infomap_ros.localization.target.point_pairs import build_table, vote
+from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 from .model_scenes import CloudView, box, bracket, on_triangles, range_map, some_pose
 from .tag_scenes import pose_error

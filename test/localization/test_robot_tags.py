@@ -8,16 +8,16 @@ import pytest
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.map_alignment import (
+from infomap_ros.localization.target.map_alignment import (
     Alignment,
     align_by_sighting,
     align_by_target,
     fuse_alignments,
     squared_distance,
 )
-from infomap_ros.localization.robot_tags import RobotTagFinder, RobotTags, tag_pose
-from infomap_ros.localization.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.tag_detector import TagTargetConfig
+from infomap_ros.localization.target.robot_tags import RobotTagFinder, RobotTags, tag_pose
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_detector import TagTargetConfig
 
 from .tag_scenes import BoardView, pose_error, seen_from
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.localization.lie import exponential, left_jacobian, logarithm
-from infomap_ros.localization.sight import Measured, Sight, correct, innovations_from
+from infomap_ros.localization.filter.lie import exponential, left_jacobian, logarithm
+from infomap_ros.localization.filter.sight import Measured, Sight, correct, innovations_from
 from test.localization.fiducial_scene import CAMERA, observe, wall
 
 

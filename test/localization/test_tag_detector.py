@@ -13,12 +13,12 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.tag_corners import refine_corners
-from infomap_ros.localization.tag_detection import TagDetectionConfig, TagFinder, Tags
-from infomap_ros.localization.tag_detector import TagTargetConfig, TagTargetDetector
-from infomap_ros.localization.tag_pose import pixel_jacobian
-from infomap_ros.localization.target import TargetRefusal, TargetSighting
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_corners import refine_corners
+from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
+from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
+from infomap_ros.localization.target.tag_pose import pixel_jacobian
+from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 from infomap_ros.stereo import RangeCloud
 
 from .tag_scenes import CAMERA, BoardView, draw_view, pose_error, seen_from, single_tag

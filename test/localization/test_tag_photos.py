@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.tag_board import TagBoardConfig
-from infomap_ros.localization.tag_detection import TagDetectionConfig, TagFinder
-from infomap_ros.localization.tag_detector import TagTargetConfig, TagTargetDetector
-from infomap_ros.localization.target import TargetRefusal, TargetSighting
+from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder
+from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
+from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 from infomap_ros.stereo import RangeCloud
 
 from .tag_scenes import pose_error

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target_search import TargetSearch, TargetSearchConfig
+from infomap_ros.localization.target.search import TargetSearch, TargetSearchConfig
 
 CAMERA = PinholeCamera(640, 480, 400.0, 400.0, 319.5, 239.5)
 AHEAD = make_transform(

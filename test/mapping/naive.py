@@ -119,7 +119,7 @@ def seen_through(
     size: float,
     max_range: float,
 ) -> Verdict:
-    """Free voxels of an organised scan, by the rule of `infomap_ros.mapping.free_space`."""
+    """Free voxels of an organised scan, by the rule of `infomap_ros.mapping.scans.free_space`."""
     levels = [neighbourhoods(level) for level in pyramid(depths)]
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
     T_camera_map = invert_transform(T_map_camera)

@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from infomap_ros.mapping.block_kernels import (
+from infomap_ros.mapping.config import SHARED_LOG_ODDS_LIMIT
+from infomap_ros.mapping.scans.update import free_voxels
+from infomap_ros.mapping.voxels.block_kernels import (
     add_quanta,
     add_quanta_to_all,
     find_block,
@@ -21,7 +23,7 @@ from infomap_ros.mapping.block_kernels import (
     make_room,
     quanta_at,
 )
-from infomap_ros.mapping.blocks import (
+from infomap_ros.mapping.voxels.blocks import (
     BLOCK_COUNT,
     NARROW,
     UNIFORM,
@@ -31,9 +33,7 @@ from infomap_ros.mapping.blocks import (
     empty_blocks,
     with_room,
 )
-from infomap_ros.mapping.config import SHARED_LOG_ODDS_LIMIT
-from infomap_ros.mapping.keys import BLOCK_VOXELS, COORDINATE_LIMIT, pack, unpack
-from infomap_ros.mapping.update import free_voxels
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, COORDINATE_LIMIT, pack, unpack
 
 KEYS = [pack(0, 0, 0), pack(-1, 5, 2), pack(1000, -7, 3)]
 COORDINATES = np.array([unpack(key) for key in KEYS], np.int32)

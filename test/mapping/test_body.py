@@ -17,7 +17,7 @@ from infomap_ros.geometry import (
     points_inside,
     transform_points,
 )
-from infomap_ros.mapping.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 
 
 def make_solid(name: str, rng: np.random.Generator) -> PlacedSolid:

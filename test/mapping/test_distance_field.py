@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PlacedSolid, Sphere, make_transform
 from infomap_ros.mapping.distance_field import distance_field, field_of_blocked
-from infomap_ros.mapping.window import UNKNOWN_QUANTA, OccupancyThresholds, VoxelWindow
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA, OccupancyThresholds, VoxelWindow
 
 SIZE = 0.1
 STRICT = OccupancyThresholds(surface_margin=0)

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.export import height_colors, surface_sigmas, write_ply
-from infomap_ros.mapping.projection import ProjectionConfig, project_map
-from infomap_ros.mapping.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.files.export import height_colors, surface_sigmas, write_ply
+from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
 
 @pytest.fixture(scope="module")

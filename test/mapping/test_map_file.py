@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.mapping.map_file import read_map_file, write_map_file
+from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = {"voxel_size": 0.05, "threads": 2, "exact": True, "name": "café", "box": (1.0, 2.0)}
@@ -191,7 +191,7 @@ def test_saving_through_a_link_replaces_what_it_names(saved, tmp_path):
 KILLED = """
 import os, signal, sys
 import numpy as np
-from infomap_ros.mapping import map_file
+from infomap_ros.mapping.files import map_file
 
 def die(*_):
     os.kill(os.getpid(), signal.SIGKILL)

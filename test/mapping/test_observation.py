@@ -10,7 +10,7 @@ import pytest
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.gaussians import empty_gaussians, with_gaussian_room
+from infomap_ros.mapping.voxels.gaussians import empty_gaussians, with_gaussian_room
 from infomap_ros.stereo import StereoConfig
 
 from .naive import merged, point_covariance

@@ -11,7 +11,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError, MapFileError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.octomap_file import read_bt, write_bt, write_ot
+from infomap_ros.mapping.files.octomap_file import read_bt, write_bt, write_ot
 
 SIZE = 0.1
 

@@ -9,7 +9,7 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.pictures import (
+from infomap_ros.mapping.files.pictures import (
     _below_ceiling,
     _open_side,
     _raster,

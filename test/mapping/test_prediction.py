@@ -12,7 +12,7 @@ from scipy.special import expit
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelWindow
 from infomap_ros.mapping.prediction import PredictionConfig, predict_unknown
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 EXACT = PredictionConfig(distance=250, tolerance=1e-7, iterations=5000)
 

@@ -13,14 +13,14 @@ import pytest
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, perturb_transform
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.reintegration import (
+from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
     ReintegrationConfig,
     corrections,
     moved_scans,
     reintegrate,
 )
-from infomap_ros.mapping.scan_store import ScanStore, ScanStoreConfig, integrate_record
+from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig, integrate_record
 from infomap_ros.team import NOT_OBSERVED as NOT_OBSERVED_ON_THE_WIRE
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 from test.mapping.scenes import Scene, look_at, random_scene

@@ -8,10 +8,10 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.keys import pack
-from infomap_ros.mapping.scan_record import keep_scan
-from infomap_ros.mapping.scan_store import ScanStore, ScanStoreConfig
-from infomap_ros.mapping.view_volume import mark_blocks, view_volume
+from infomap_ros.mapping.correction.scan_record import keep_scan
+from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
+from infomap_ros.mapping.scans.view_volume import mark_blocks, view_volume
+from infomap_ros.mapping.voxels.keys import pack
 from infomap_ros.stereo import DepthCameraConfig, DepthCameraSensor
 from test.mapping.scenes import look_at, random_scene
 from test.mapping.voxels import voxels_of

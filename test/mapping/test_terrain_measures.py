@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.mapping.terrain_cubes import OPEN, SOLID, drop_specks
-from infomap_ros.mapping.terrain_measures import fill_holes, largest_steps, plane_misfits
+from infomap_ros.mapping.terrain.cubes import OPEN, SOLID, drop_specks
+from infomap_ros.mapping.terrain.measures import fill_holes, largest_steps, plane_misfits
 
 
 def grid_with_holes(rng: np.random.Generator) -> np.ndarray:

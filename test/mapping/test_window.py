@@ -17,7 +17,7 @@ from infomap_ros.mapping import (
     VoxelMap,
     VoxelMapConfig,
 )
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 
 @pytest.fixture(scope="module")

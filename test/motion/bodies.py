@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 
 def rover() -> RobotModel:

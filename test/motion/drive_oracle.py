@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from infomap_ros.mapping.terrain import Terrain
+from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion import Vehicle
 
 STEPS = [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.mapping.terrain import Terrain
-from infomap_ros.mapping.terrain_measures import largest_steps, plane_misfits
+from infomap_ros.mapping.terrain.measures import largest_steps, plane_misfits
+from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
 
 ROVER = Path(__file__).resolve().parents[2] / "config" / "rover.urdf"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.motion.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.collision import CollisionBody, CollisionChecker
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 
 from .bodies import rover

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.motion.arm_postures import ArmPostures
-from infomap_ros.motion.collision import CollisionBody, CollisionChecker
-from infomap_ros.motion.driving_posture import driving_posture
+from infomap_ros.motion.arm.arm_postures import ArmPostures
+from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
 
 from .bodies import rover
 from .scenes import field_where

@@ -10,8 +10,8 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
-from infomap_ros.motion.drive_arcs import arc_points
-from infomap_ros.motion.stance import STANDS
+from infomap_ros.motion.base.drive_arcs import arc_points
+from infomap_ros.motion.base.stance import STANDS
 
 from .drive_oracle import DriveOracle
 from .grounds import CELL, ground, plane, rover

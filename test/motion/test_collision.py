@@ -14,9 +14,9 @@ from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
-from infomap_ros.motion.collision import CollisionBody, CollisionChecker, CollisionConfig
-from infomap_ros.motion.collision_kernels import is_free
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker, CollisionConfig
+from infomap_ros.motion.collision.kernels import is_free
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 from .bodies import CoalBody, distance, rover
 

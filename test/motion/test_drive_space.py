@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.motion.drive_space import standing_on
+from infomap_ros.motion.base.drive_space import standing_on
 
 
 def tilted(x: float, y: float, yaw: float, height: float, pitch: float) -> np.ndarray:

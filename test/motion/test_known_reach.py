@@ -11,9 +11,9 @@ import pytest
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.collision_body import CollisionConfig
+from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.collision.body import CollisionConfig
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
-from infomap_ros.motion.vehicle_config import VehicleConfig
 
 from .known_robots import TELESCOPE, TIAGO_ARM, stretch, tiago
 from .scenes import map_where

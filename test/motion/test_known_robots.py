@@ -11,8 +11,8 @@ import pytest
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import Box, Cylinder, Sphere, points_inside
 from infomap_ros.motion import RobotModel, solve_ik_batch
-from infomap_ros.motion.description_config import DescriptionConfig
-from infomap_ros.motion.urdf import read_urdf
+from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.robot.urdf import read_urdf
 
 from .arms import random_positions
 from .known_robots import KNOWN_ROBOTS, TELESCOPE, TIAGO_ARM, installed, stretch, tiago

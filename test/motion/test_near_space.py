@@ -7,9 +7,9 @@ import pytest
 
 from infomap_ros.geometry import Cylinder, PlacedSolid, make_transform
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.motion.arm_path import plan_arm_path
-from infomap_ros.motion.collision import CollisionBody
-from infomap_ros.motion.near_space import NearSpace
+from infomap_ros.motion.arm.arm_path import plan_arm_path
+from infomap_ros.motion.collision.checker import CollisionBody
+from infomap_ros.motion.collision.near_space import NearSpace
 
 from .bodies import rover
 from .scenes import map_where

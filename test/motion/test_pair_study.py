@@ -12,10 +12,10 @@ import pytest
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping.distance_field import field_of_blocked
-from infomap_ros.motion.arm_path import plan_arm_path
-from infomap_ros.motion.collision import CollisionBody, CollisionChecker, CollisionConfig
-from infomap_ros.motion.collision_kernels import is_free
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.arm.arm_path import plan_arm_path
+from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker, CollisionConfig
+from infomap_ros.motion.collision.kernels import is_free
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 from .known_robots import TELESCOPE, TIAGO_ARM, panda, stretch, tiago, ur5
 

@@ -7,9 +7,9 @@ import pytest
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import make_transform
-from infomap_ros.motion.clear_start import ClearStart
+from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult
 
 from .bodies import rover

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, Sphere, make_transform
-from infomap_ros.motion.robot_model import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
 from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
-from infomap_ros.motion.easy_ground import easy_cells
-from infomap_ros.motion.quick_stance import ground_of, is_good
-from infomap_ros.motion.stance import STANDS, tip_margin
-from infomap_ros.motion.vehicle import terrain_arrays
+from infomap_ros.motion.base.easy_ground import easy_cells
+from infomap_ros.motion.base.quick_stance import ground_of, is_good
+from infomap_ros.motion.base.stance import STANDS, tip_margin
+from infomap_ros.motion.base.vehicle import terrain_arrays
 
 from .grounds import FOLDED, ground, plane, rough, rover, rover_model
 from .known_robots import KNOWN_ROBOTS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.motion.base_planner import BasePlanner
-from infomap_ros.motion.vehicle import Vehicle
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.vehicle import Vehicle
 
 from .grounds import FOLDED, ground, rover_model
 

@@ -22,8 +22,8 @@ MAP_FUSION = """
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.body import BodyFilterConfig
-from infomap_ros.mapping.projection import ProjectionConfig, project_map
+from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.map_warm_up import warm_up
 from infomap_ros.nodes.message_types import RclpyMessageTypes

@@ -21,7 +21,7 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion.description_config import DescriptionConfig
+from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.reader import BagReader

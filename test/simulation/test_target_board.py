@@ -8,7 +8,7 @@ import pytest
 
 from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.localization.tag_board import TagBoard
+from infomap_ros.localization.target.tag_board import TagBoard
 from infomap_ros.simulation.robot import read_description
 from infomap_ros.simulation.scenes import make_world
 from infomap_ros.simulation.simulator import Simulator

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelChanges, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.queries import voxel_of
+from infomap_ros.mapping.voxels.queries import voxel_of
 from infomap_ros.team import (
     NOT_OBSERVED,
     MapReplica,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import InformationConfig, expected_information
 from infomap_ros.views.observation_value import expected_reduction
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import METRICS, InformationConfig, expected_information
 from infomap_ros.views.printed_metrics import stretched
 from infomap_ros.views.published_metrics import near_share

@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 from infomap_ros.views import (
     ExpectedInformation,
     InformationConfig,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.mapping.keys import pack
+from infomap_ros.mapping.voxels.keys import pack
 from infomap_ros.views.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Rating, RatingConfig, Ratings

@@ -8,7 +8,7 @@ import pytest
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.keys import pack
+from infomap_ros.mapping.voxels.keys import pack
 from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
 
 SIZE = 0.05

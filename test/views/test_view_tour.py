@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from infomap_ros.mapping.keys import pack
+from infomap_ros.mapping.voxels.keys import pack
 from infomap_ros.views import tour_kernels
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Rating, RatingConfig

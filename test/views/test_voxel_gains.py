@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.keys import unpack
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.keys import unpack
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import InformationConfig, VoxelGains, expected_information, view_gains
 
 from . import naive

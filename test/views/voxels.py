@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.block_kernels import rehash
-from infomap_ros.mapping.blocks import BLOCK_COUNT, NARROW, NARROW_COUNT, with_room
-from infomap_ros.mapping.keys import pack
-from infomap_ros.mapping.window import UNKNOWN_QUANTA
+from infomap_ros.mapping.voxels.block_kernels import rehash
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, NARROW, NARROW_COUNT, with_room
+from infomap_ros.mapping.voxels.keys import pack
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 SIDE = 8
 

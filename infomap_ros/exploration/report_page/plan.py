@@ -14,7 +14,7 @@ from infomap_ros.exploration.recorded_run import RecordedRun, Step
 from infomap_ros.exploration.report_page.axes import number, round_ticks
 from infomap_ros.exploration.report_page.scene import BASE_ACTIONS
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.pictures import MapImage
+from infomap_ros.mapping.files.pictures import MapImage
 
 _SIZE = 820.0  # of the longer side of the drawing [px]
 _LEFT, _RIGHT, _TOP, _BOTTOM = 54.0, 12.0, 12.0, 44.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.pictures import LEAST_EVIDENCE
+from infomap_ros.mapping.files.pictures import LEAST_EVIDENCE
 
 LARGEST_SURFACE = 250_000
 """More voxels than this are merged to larger ones: a browser has to draw them smoothly."""

@@ -12,7 +12,7 @@ from scipy import ndimage
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
 BoolArray = NDArray[np.bool_]
 

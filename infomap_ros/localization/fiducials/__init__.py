@@ -1,0 +1,1 @@
+"""How fiducials of the scene are seen: chosen, ranged, followed, and found again."""

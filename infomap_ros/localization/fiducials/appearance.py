@@ -1,0 +1,189 @@
+"""Finding fiducials again by what they look like.
+
+For coming back to a known place, after large steps, and after being lost. Every fiducial is
+described by the gradients of its surroundings at several scales; corners of the new image are
+described at one, and the best scale tells how much nearer or farther the camera is now.
+docs/localization.md compares this with OpenCV's detectors and descriptors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.gradient_histograms import LENGTH, gradient_histograms
+from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
+
+SCALES = (0.5, 0.71, 1.0, 1.41, 2.0)
+"""How many times larger a fiducial may look in a later view, as descriptors compare it."""
+
+# Corners this near to the best match show the same thing and do not rival it [px].
+_SAME_PLACE = 2.0
+
+
+@dataclass(frozen=True)
+class AppearanceConfig:
+    """How fiducials are described and compared.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    spacing: float = parameter(
+        2.0,
+        "Distance of the gradients of a descriptor, which has 16 x 16 of them.",
+        unit="px",
+        low=0.5,
+        high=10.0,
+    )
+    corners: int = parameter(800, "Most corners of an image that are compared.", low=10, high=10000)
+    corner_distance: float = parameter(
+        4.0, "Least distance of two corners.", unit="px", low=1.0, high=50.0
+    )
+    corner_quality: float = parameter(
+        0.003, "Least response of a corner, as a share of the strongest.", low=1e-6, high=1.0
+    )
+    max_ratio: float = parameter(
+        0.85,
+        "The best match must be nearer than this share of the second best's distance (Lowe 2004, "
+        "DOI 10.1023/B:VISI.0000029664.99615.94).",
+        low=0.1,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class AppearanceMatches(NamedTuple):
+    """Fiducials that were found again.
+
+    Attributes:
+        indices: rows of the descriptors that were searched for, each once, shape (M,).
+        pixels: where they were found, within a pixel or two, shape (M, 2) [px].
+        ratios: distance of the match over that of the second best, shape (M,); small is sure.
+        scales: how many times larger they look now, one of `SCALES`, shape (M,).
+    """
+
+    indices: NDArray[np.int64]
+    pixels: FloatArray
+    ratios: FloatArray
+    scales: FloatArray
+
+
+def describe(
+    image: NDArray[np.uint8], pixels: ArrayLike, config: AppearanceConfig | None = None
+) -> NDArray[np.uint8]:
+    """Describe the surroundings of pixels at all `SCALES`.
+
+    Args:
+        image: grey, shape (H, W).
+        pixels: shape (N, 2) [px].
+        config: defaults where None.
+
+    Returns:
+        Descriptors, shape (N, 640), uint8; all zero, so that they match nothing, where there is
+        no gradient.
+    """
+    config = config or AppearanceConfig()
+    spacings = tuple(config.spacing / scale for scale in SCALES)
+    return gradient_histograms(image, check_pixels(pixels), spacings).reshape(-1, descriptor_size())
+
+
+def descriptor_size() -> int:
+    """Length D of a descriptor."""
+    return len(SCALES) * LENGTH
+
+
+def find_again(
+    view: RangeView,
+    descriptors: NDArray[np.uint8],
+    predicted: ArrayLike | None = None,
+    radius: float | None = None,
+    config: AppearanceConfig | None = None,
+) -> AppearanceMatches:
+    """Look for described fiducials in a view.
+
+    Args:
+        view: where to look.
+        descriptors: made by `describe` with the same configuration, shape (N, D).
+        predicted: where they are expected, shape (N, 2) [px]; NaN = unknown, not looked for.
+        radius: a fiducial is looked for this far from where it is expected [px].
+        config: defaults where None.
+
+    Raises:
+        InvalidInputError: shapes do not fit, or a prediction comes without a radius.
+    """
+    config = config or AppearanceConfig()
+    if descriptors.ndim != 2 or descriptors.shape[1] != descriptor_size():
+        raise InvalidInputError("descriptors", f"shape {descriptors.shape}, expected (N, D)")
+    if (predicted is None) != (radius is None):
+        raise InvalidInputError("radius", "and predicted must come together")
+    corners = corners_of(view.image, config)
+    if len(corners) < 2 or len(descriptors) == 0:
+        nothing = np.zeros(0)
+        return AppearanceMatches(np.zeros(0, np.int64), np.zeros((0, 2)), nothing, nothing)
+    described = gradient_histograms(view.image, corners, (config.spacing,))[:, 0]
+    distances, scales = _distances(descriptors, described)
+    if predicted is not None and radius is not None:
+        places = check_pixels(predicted, "predicted")
+        if len(places) != len(descriptors):
+            raise InvalidInputError("predicted", f"{len(places)}, expected {len(descriptors)}")
+        apart = np.linalg.norm(places[:, None] - corners[None], axis=2)
+        distances[~(apart <= radius)] = np.inf
+    rows, columns, ratios = _mutual_matches(distances, corners, config.max_ratio)
+    return AppearanceMatches(rows, corners[columns], ratios, scales[rows, columns])
+
+
+def corners_of(image: NDArray[np.uint8], config: AppearanceConfig) -> FloatArray:
+    """Corners of an image (J. Shi and C. Tomasi 1994), strongest first, shape (K, 2) [px]."""
+    found = cv2.goodFeaturesToTrack(
+        image, config.corners, config.corner_quality, config.corner_distance
+    )
+    return np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
+
+
+def _distances(
+    fiducials: NDArray[np.uint8], corners: NDArray[np.uint8]
+) -> tuple[FloatArray, FloatArray]:
+    """Distances at the best scale, infinite for empty descriptors, and that scale; (N, K) each."""
+    second = corners.astype(np.float32)
+    best = np.full((len(fiducials), len(corners)), np.inf)
+    scales = np.ones_like(best)
+    for scale, first in zip(SCALES, np.split(fiducials, len(SCALES), axis=1), strict=True):
+        first = first.astype(np.float32)
+        squares = np.square(first).sum(axis=1)[:, None] + np.square(second).sum(axis=1)
+        squared = np.maximum(squares - 2.0 * (first @ second.T), 0.0)
+        squared[~first.any(axis=1)] = np.inf
+        nearer = squared < best
+        best[nearer], scales[nearer] = squared[nearer], scale
+    best[:, ~second.any(axis=1)] = np.inf
+    return np.sqrt(best), scales
+
+
+def _mutual_matches(
+    distances: FloatArray, corners: FloatArray, max_ratio: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Pairs that are each other's best, by a margin over the second best corner elsewhere.
+
+    Returns:
+        Rows, columns and ratios of the pairs, shape (M,) each.
+    """
+    rows = np.arange(len(distances))
+    best = distances.argmin(axis=1)
+    nearest = distances[rows, best]
+    elsewhere = np.linalg.norm(corners[best][:, None] - corners[None], axis=2) > _SAME_PLACE
+    second = np.where(elsewhere, distances, np.inf).min(axis=1)
+    with np.errstate(invalid="ignore"):
+        ratios = np.where(np.isfinite(second), nearest / second, max_ratio)
+    good = np.isfinite(nearest) & (ratios <= max_ratio)
+    good &= distances.argmin(axis=0)[best] == rows
+    chosen = np.flatnonzero(good)
+    return chosen, best[chosen], ratios[chosen]

@@ -1,0 +1,129 @@
+"""Fiducials that are out of sight, and how they are found again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.appearance import AppearanceMatches, find_again
+from infomap_ros.localization.fiducials.patch_alignment import Alignment, align_templates
+from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
+from infomap_ros.localization.fiducials.tracker_config import FiducialTrackerConfig
+from infomap_ros.localization.fiducials.tracks import Tracks
+
+# Descriptors find a corner near the fiducial, not the fiducial itself [px].
+_DESCRIPTOR_SEARCH = 3
+# Largest difference between the scale that descriptors and ranges tell, as a logarithm.
+_SCALE_TOLERANCE = 0.5
+# A template is not compared at a scale further off than this.
+_LARGEST_SCALE = 3.0
+
+
+class DormantFiducials:
+    """Keeps fiducials that are not followed.
+
+    Attributes:
+        config: of the tracker.
+        tracks: the fiducials.
+    """
+
+    def __init__(self, config: FiducialTrackerConfig, nothing: Tracks) -> None:
+        """Begin with `nothing`, tracks of no fiducials."""
+        self.config = config
+        self.tracks = nothing
+
+    def add(self, tracks: Tracks) -> None:
+        """Keep fiducials; older ones of the same names are forgotten."""
+        self.forget(tracks.ids)
+        self.tracks = self.tracks.joined(tracks)
+
+    def forget(self, ids: NDArray[np.int64]) -> None:
+        """Drop fiducials, shape (N,)."""
+        self.tracks = self.tracks.select(~np.isin(self.tracks.ids, ids))
+
+    def find_anywhere(self, view: RangeView) -> tuple[Tracks, FloatArray]:
+        """Look for all of them in the whole image.
+
+        Returns:
+            The tracks of those found, as of this view, and the sigmas that image noise leaves,
+            shape (M,) [px].
+        """
+        rows = np.arange(len(self.tracks))
+        found = find_again(view, self.tracks.descriptors, config=self.config.appearance)
+        return self._verified(view, rows, found)
+
+    def find_near(
+        self, view: RangeView, predicted: Mapping[int, ArrayLike], radius: float
+    ) -> tuple[Tracks, FloatArray]:
+        """Look for some of them where they are expected; see `find_anywhere`.
+
+        Args:
+            view: where to look.
+            predicted: (u, v) by id [px].
+            radius: how far from there they may be [px].
+        """
+        rows = np.flatnonzero(np.isin(self.tracks.ids, list(predicted)))
+        expected = [np.asarray(predicted[name]) for name in self.tracks.ids[rows].tolist()]
+        places = check_pixels(np.array(expected), "predicted")
+        finite = np.isfinite(places).all(axis=1)
+        rows, places = rows[finite], places[finite]
+        if radius <= self.config.direct_radius:
+            return self._aligned(view, rows, places, int(np.ceil(radius)))
+        descriptors = self.tracks.descriptors[rows]
+        found = find_again(view, descriptors, places, radius, self.config.appearance)
+        return self._verified(view, rows, found)
+
+    def _verified(
+        self, view: RangeView, rows: NDArray[np.int64], found: AppearanceMatches
+    ) -> tuple[Tracks, FloatArray]:
+        """Align what descriptors have found, if it is as much nearer or farther as it looks."""
+        rows = rows[found.indices]
+        scale = self._scale(view, rows, found.pixels)
+        fits = ~(np.abs(np.log(scale / found.scales)) > _SCALE_TOLERANCE)
+        return self._aligned(view, rows[fits], found.pixels[fits], _DESCRIPTOR_SEARCH)
+
+    def _scale(self, view: RangeView, rows: NDArray[np.int64], places: FloatArray) -> FloatArray:
+        """How much nearer the camera is now by the ranges, shape (M,); NaN without a range."""
+        inverse = view.inverse_depths(places)[0]
+        near = np.where(inverse > 0.0, inverse, np.nan)
+        return np.asarray(near / self.tracks.inverse_depths[rows])
+
+    def _aligned(
+        self, view: RangeView, rows: NDArray[np.int64], places: FloatArray, reach: int
+    ) -> tuple[Tracks, FloatArray]:
+        """Align with the templates, scaled by how much nearer or farther the camera is now."""
+        tracks = self.tracks.select(rows)
+        scale = self._scale(view, rows, places)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scale = np.clip(scale, 1.0 / _LARGEST_SCALE, _LARGEST_SCALE)
+        search = np.full(len(rows), reach)
+        warps = scale[:, None, None] * np.eye(2)
+        aligned = align_templates(view.image, tracks.templates, places, warps, search)
+        found = believed(aligned, places, search, self.config)
+        tracks.pixels[:], tracks.warps[:] = aligned.pixels, aligned.warps
+        tracks.flowed[:], tracks.followed[:], tracks.missed[:] = aligned.pixels, True, 0
+        return tracks.select(found), aligned.sigmas[found]
+
+
+def believed(
+    aligned: Alignment,
+    places: FloatArray,
+    search: NDArray[np.int64],
+    config: FiducialTrackerConfig,
+) -> NDArray[np.bool_]:
+    """Which alignments are believed, shape (N,).
+
+    Args:
+        aligned: N alignments.
+        places: where they were expected, shape (N, 2) [px].
+        search: whole pixels that were searched about them, shape (N,).
+        config: limits.
+    """
+    allowed = config.max_shift + np.sqrt(2.0) * search
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(aligned.pixels - places, axis=1) <= allowed
+        sharp = config.sigma_factor * aligned.sigmas <= config.max_sigma
+    return np.asarray(near & sharp & (aligned.correlations >= config.min_correlation))

@@ -1,0 +1,255 @@
+"""Chooses scene fiducials: the best pixels by eqs. (19)-(20) of Sujan and Dubowsky (2005)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import check_transform, transform_points
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.evaluation import (
+    certainty,
+    depth_contrast,
+    range_certainty,
+    spread_penalty,
+    visual_contrast,
+)
+from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
+from infomap_ros.mapping import VoxelMap
+
+# Of the mean gradient product, where OpenCV has the sum over 49 pixels of Sobel gradients (8 times
+# the derivative), divided by 4 * 7 * 255.
+_GREY_LEVELS = np.float32((4.0 * 7.0 * 255.0 / 8.0) ** 2 / 49.0)
+
+
+@dataclass(frozen=True)
+class FiducialSelectionConfig:
+    """What makes a good fiducial.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    certainty_weight: float = parameter(1.0, "Weight of f(P), eq. (19).", low=0.0, high=100.0)
+    contrast_weight: float = parameter(1.0, "Weight of g(C), eqs. (19)-(20).", low=0.0, high=100.0)
+    depth_weight: float = parameter(
+        0.2,
+        "Weight of h(H), eq. (19). Small, because windows on depth edges show two surfaces.",
+        low=0.0,
+        high=100.0,
+    )
+    spread_weight: float = parameter(
+        2.0, "Weight of the penalty for being near another fiducial.", low=0.0, high=100.0
+    )
+    spread_distance: float = parameter(
+        40.0, "Scale of that penalty.", unit="px", low=1.0, high=1000.0
+    )
+    least_distance: float = parameter(
+        12.0, "Fiducials are never nearer to each other.", unit="px", low=1.0, high=1000.0
+    )
+    border: int = parameter(
+        16, "Nothing is chosen this near to the image's border.", unit="px", low=0, high=500
+    )
+    candidates: int = parameter(250, "Most corners that are evaluated.", low=10, high=5000)
+    min_corner: float = parameter(
+        4.0,
+        "Least corner strength: square root of the smaller eigenvalue of the mean gradient "
+        "product in a 7 x 7 window (Shi and Tomasi 1994).",
+        unit="grey levels/px",
+        low=0.0,
+        high=100.0,
+    )
+    largest_window: int = parameter(
+        31, "Largest window of the visual contrast, odd.", unit="px", low=5, high=101
+    )
+    depth_windows: tuple[int, ...] = parameter(
+        (9, 13, 17), "Windows of the depth contrast, odd, growing.", unit="px", low=5, high=101
+    )
+    largest_radius: int = parameter(
+        3, "Shells of voxels that the certainty looks at.", low=1, high=10
+    )
+    half_certainty: float = parameter(
+        0.05,
+        "Without a map: relative sigma of the range at which the certainty is one half.",
+        low=0.001,
+        high=1.0,
+    )
+    needs_range: bool = parameter(True, "Only what has a range is chosen.")
+    dense_range: bool = parameter(
+        False,
+        "Have the dense cloud worked out for the depth contrast where it is not at hand; "
+        "otherwise that term is left out.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.largest_window % 2 == 0:
+            raise ConfigError("largest_window", self.largest_window, "an odd number")
+
+
+class FiducialScores(NamedTuple):
+    """Terms of eq. (19) for candidates, each in [0, 1), shape (N,).
+
+    Attributes:
+        certainty: of the range in the map.
+        contrast: visual.
+        depth: contrast of depth; zero where there is no dense cloud.
+    """
+
+    certainty: FloatArray
+    contrast: FloatArray
+    depth: FloatArray
+
+    def total(self, config: FiducialSelectionConfig) -> FloatArray:
+        """Weighted sum, eq. (19)."""
+        return np.asarray(
+            config.certainty_weight * self.certainty
+            + config.contrast_weight * self.contrast
+            + config.depth_weight * self.depth
+        )
+
+
+def select_fiducials(
+    view: RangeView,
+    taken: ArrayLike,
+    count: int,
+    voxel_map: VoxelMap | None = None,
+    T_map_camera: ArrayLike | None = None,
+    config: FiducialSelectionConfig | None = None,
+) -> FloatArray:
+    """Choose new fiducials.
+
+    Args:
+        view: what is seen.
+        taken: pixels of the fiducials that are there already, shape (K, 2) [px].
+        count: most that are chosen.
+        voxel_map: for the certainty; without it that of the range itself counts.
+        T_map_camera: pose of the camera in the map, shape (4, 4); needed with a map.
+        config: defaults where None.
+
+    Returns:
+        Pixels, best first, shape (M, 2) [px] with M <= count.
+
+    Raises:
+        InvalidInputError: a map comes without a pose, or shapes do not fit.
+    """
+    config = config or FiducialSelectionConfig()
+    if (voxel_map is None) != (T_map_camera is None):
+        raise InvalidInputError("T_map_camera", "and voxel_map must come together")
+    others = check_pixels(taken, "taken")
+    pixels = corner_candidates(view.image, others, config)
+    if count <= 0 or len(pixels) == 0:
+        return np.zeros((0, 2))
+    inverse, sigmas = view.inverse_depths(pixels)
+    if config.needs_range:
+        measured = inverse > 0.0
+        pixels, inverse, sigmas = pixels[measured], inverse[measured], sigmas[measured]
+    if voxel_map is None or T_map_camera is None:
+        sure = range_certainty(inverse, sigmas, config.half_certainty)
+    else:
+        pose = check_transform(T_map_camera, "T_map_camera")
+        points = transform_points(pose, _points(view, pixels, inverse))
+        sure = certainty(voxel_map, points, config.largest_radius)
+    scores = evaluate(view, pixels, sure, config)
+    return pixels[_spread_out(pixels, scores.total(config), others, count, config)]
+
+
+def evaluate(
+    view: RangeView, pixels: FloatArray, sure: FloatArray, config: FiducialSelectionConfig
+) -> FiducialScores:
+    """Terms of eq. (19) for pixels.
+
+    The contrasts are divided by themselves plus their median, so that the weights compare terms of
+    one size whatever the scene.
+
+    Args:
+        view: what is seen.
+        pixels: shape (N, 2) [px].
+        sure: certainties, shape (N,), in [0, 1].
+        config: windows.
+    """
+    contrast = visual_contrast(view.image, pixels, config.largest_window)
+    depth = np.zeros(len(pixels))
+    if config.depth_weight > 0.0 and (view.has_cloud or config.dense_range):
+        cloud = view.cloud()
+        sigmas = np.sqrt(cloud.covariance_triangles[..., 5])
+        depth = depth_contrast(cloud.range_image, sigmas, pixels, config.depth_windows)
+    return FiducialScores(sure, _saturated(contrast), _saturated(depth))
+
+
+def corner_candidates(
+    image: NDArray[np.uint8], taken: FloatArray, config: FiducialSelectionConfig
+) -> FloatArray:
+    """Corners that can be tracked in both directions, away from what is taken.
+
+    The strongest ones of every part of the image, so that a part with weak texture is not left
+    empty because another has strong texture.
+
+    Returns:
+        Pixels, shape (N, 2) [px].
+    """
+    height, width = image.shape
+    response = cv2.cornerMinEigenVal(image, 7) * _GREY_LEVELS
+    peaks = response >= cv2.dilate(response, np.ones((5, 5), np.uint8))
+    free = np.zeros(image.shape, np.uint8)
+    free[config.border : height - config.border, config.border : width - config.border] = 1
+    for u, v in np.rint(taken).astype(int).tolist():
+        cv2.circle(free, (u, v), int(config.least_distance), 0, -1)
+    peaks &= (response >= config.min_corner**2) & (free > 0)
+    rows, columns = np.nonzero(peaks)
+    strength = response[rows, columns]
+    cell = max(16, round(np.sqrt(height * width / config.candidates) * 3.0))
+    cells = (rows // cell) * (width // cell + 1) + columns // cell
+    chosen = _best_of_each(cells, strength, config.candidates)
+    return np.column_stack([columns[chosen], rows[chosen]]).astype(np.float64)
+
+
+def _best_of_each(
+    cells: NDArray[np.int64], strength: NDArray[np.float32], count: int
+) -> NDArray[np.int64]:
+    """Rows by rank within their cell, then by strength; at most `count`."""
+    order = np.lexsort((-strength, cells))
+    ordered = cells[order]
+    first = np.searchsorted(ordered, ordered)
+    rank = np.arange(len(order)) - first
+    return order[np.lexsort((-strength[order], rank))][:count]
+
+
+def _points(view: RangeView, pixels: FloatArray, inverse: FloatArray) -> FloatArray:
+    camera = view.camera
+    depth = 1.0 / np.where(inverse > 0.0, inverse, np.nan)
+    across = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    return np.column_stack([across * depth[:, None], depth])
+
+
+def _saturated(values: FloatArray) -> FloatArray:
+    """Values over themselves plus the median of the positive ones, in [0, 1)."""
+    positive = values[values > 0.0]
+    return values / (values + np.median(positive)) if len(positive) else values
+
+
+def _spread_out(
+    pixels: FloatArray,
+    scores: FloatArray,
+    taken: FloatArray,
+    count: int,
+    config: FiducialSelectionConfig,
+) -> NDArray[np.int64]:
+    """Best first, each choice lowering the value of what is near it."""
+    penalty = spread_penalty(pixels, taken, config.spread_distance)
+    usable = np.isfinite(scores)
+    chosen: list[int] = []
+    while len(chosen) < count and usable.any():
+        values = np.where(usable, scores - config.spread_weight * penalty, -np.inf)
+        best = int(values.argmax())
+        chosen.append(best)
+        near = pixels[best : best + 1]
+        penalty = np.maximum(penalty, spread_penalty(pixels, near, config.spread_distance))
+        usable &= np.square(pixels - near).sum(axis=1) >= config.least_distance**2
+    return np.array(chosen, dtype=np.int64)

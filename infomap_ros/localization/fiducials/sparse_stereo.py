@@ -1,0 +1,277 @@
+"""Disparities of a few pixels of a rectified pair, without matching the whole image.
+
+Each pixel is searched for along its row by zero-mean normalised cross-correlation, found again from
+the right image (left-right check), and refined to a fraction of a pixel: Gauss-Newton on the
+photometric error of the window over the disparity and its slope across the window (Lucas and
+Kanade 1981; a slanted surface has another disparity at each pixel of the window), with the mean and
+the contrast of both windows made equal, because the two cameras may be exposed differently.
+
+With R the rms photometric difference that the match leaves and g the rms gradient along the row,
+image noise displaces a match by R / g over the square root of the number of independent samples.
+What real images add (lenses, calibration, reflections, shape within the window) is correlated
+across the window, so that far fewer samples than pixels are independent:
+
+    sigma_d^2 = sigma_floor^2 + (sigma_residual R / g)^2
+
+Both numbers are calibrated on pairs with true disparity (docs/localization.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.patch_kernels import sample_patch
+
+_ITERATIONS = 8
+_CONVERGED = 0.01  # [px]
+# Standard deviation of the disparity slope of a surface, as prior knowledge.
+_SLOPE_SIGMA = 0.3
+# Variance of the photometric noise that the prior is weighed against [grey levels^2].
+_PHOTOMETRIC_VARIANCE = 9.0
+# The best match must lead by this much correlation, however good it is.
+_LEAST_LEAD = 0.02
+# Quantisation of 8-bit images [grey levels^2], [(grey levels/px)^2].
+_RESIDUAL_NOISE, _GRADIENT_NOISE = 0.1, 0.1
+# Matches this near to the best one do not rival it [px].
+_SAME_PEAK = 2
+
+
+@dataclass(frozen=True)
+class SparseStereoConfig:
+    """How single pixels are matched.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    window: int = parameter(11, "Side of the matching window, odd.", unit="px", low=5, high=31)
+    min_correlation: float = parameter(
+        0.7, "A match must have at least this normalised cross-correlation.", low=0.0, high=1.0
+    )
+    max_rivalry: float = parameter(
+        0.8,
+        "The best match must lack at most this share of the correlation that the second best "
+        "lacks; 1 accepts any.",
+        low=0.0,
+        high=1.0,
+    )
+    left_right_tolerance: int = parameter(
+        1, "Largest difference of the match found from the right image.", unit="px", low=0, high=8
+    )
+    sigma_floor: float = parameter(
+        0.08,
+        "Disparity sigma of a perfect match: what calibration, lenses and surfaces add.",
+        unit="px",
+        low=0.001,
+        high=10.0,
+    )
+    sigma_residual: float = parameter(
+        0.2,
+        "Disparity sigma as a share of the photometric residual over the gradient.",
+        low=0.01,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.window % 2 == 0:
+            raise ConfigError("window", self.window, "an odd number")
+
+
+def match_pixels(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    pixels: FloatArray,
+    search: tuple[int, int],
+    config: SparseStereoConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """Measure the disparity of single pixels.
+
+    Args:
+        left: rectified image, shape (H, W).
+        right: rectified image, shape (H, W).
+        pixels: (u, v) in the left image, anywhere between pixel centres, shape (N, 2) [px].
+        search: smallest and largest disparity that may occur [px].
+        config: of the matching and its noise.
+
+    Returns:
+        Disparities and their standard deviations, shape (N,) each [px]; NaN where there is no
+        match that can be trusted.
+    """
+    quality = np.full((len(pixels), 3), np.nan)
+    limits = (config.min_correlation, config.max_rivalry, float(config.left_right_tolerance))
+    places = np.ascontiguousarray(pixels, dtype=np.float64)
+    _match_all(left, right, places, search, config.window // 2, limits, quality)
+    disparity, residual, gradient = quality.T
+    residual = residual + _RESIDUAL_NOISE
+    # Noise in both images adds an eighth of its variance to the mean squared gradient.
+    slope = np.maximum(gradient - residual / 8.0, gradient / 4.0) + _GRADIENT_NOISE
+    matching = config.sigma_residual**2 * residual / slope
+    return disparity.copy(), np.sqrt(config.sigma_floor**2 + matching)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _match_all(left, right, pixels, search, reach, limits, quality):  # type: ignore[no-untyped-def]
+    lowest, highest = search
+    height, width = left.shape
+    scores = np.empty(highest - lowest + 1, np.float32)
+    least, rivalry, tolerance = limits
+    for n in range(len(pixels)):
+        u, v = pixels[n]
+        if not (reach + 1 <= u < width - reach - 2 and reach + 1 <= v < height - reach - 2):
+            continue
+        column, row = int(np.rint(u)), int(np.rint(v))
+        correlate(left, right, column, row, lowest, -1, reach, scores)
+        best = _best_match(scores, least, rivalry)
+        if best < 0:
+            continue
+        correlate(right, left, column - (lowest + best), row, lowest, 1, reach, scores)
+        if abs(np.argmax(scores) - best) <= tolerance:
+            _refine(left, right, u, v, float(lowest + best), reach, least, quality[n])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def correlate(image, other, column, row, lowest, sign, reach, scores):  # type: ignore[no-untyped-def]
+    """Zero-mean normalised cross-correlation along a row, for every shift.
+
+    ``scores[k]`` compares the window of `image` about (column, row) with that of `other` about
+    (column + sign * (lowest + k), row); -1 where that window is not wholly inside.
+    """
+    size = 2 * reach + 1
+    count = np.float32(size * size)
+    window = np.empty((size, size), np.float32)
+    for j in range(size):
+        for i in range(size):
+            window[j, i] = image[row - reach + j, column - reach + i]
+    window -= np.float32(window.mean())
+    energy = np.float32((window * window).sum())
+    for k in range(len(scores)):
+        first = column + sign * (lowest + k) - reach
+        scores[k] = -1.0
+        if first < 0 or first + size > other.shape[1]:
+            continue
+        total, square, cross = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for j in range(size):
+            line = other[row - reach + j]
+            for i in range(size):
+                value = np.float32(line[first + i])
+                total += value
+                square += value * value
+                cross += value * window[j, i]
+        spread = square - total * total / count
+        scores[k] = cross / np.sqrt(max(spread * energy, np.float32(1.0)))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _best_match(scores, least, rivalry):  # type: ignore[no-untyped-def]
+    """Index of the best score; -1 where it is too low, at an end, or has a rival."""
+    best = int(np.argmax(scores))
+    if scores[best] < least or best in (0, len(scores) - 1):
+        return -1
+    second = np.float32(-1.0)
+    for k in range(len(scores)):
+        if abs(k - best) > _SAME_PEAK and scores[k] > second:
+            second = scores[k]
+    lead = scores[best] - second
+    return best if lead >= max((1.0 - rivalry) * (1.0 - second), _LEAST_LEAD) else -1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _refine(left, right, u, v, start, reach, least, quality):  # type: ignore[no-untyped-def]
+    """Sub-pixel disparity by Gauss-Newton; writes disparity, residual, squared gradient."""
+    size = 2 * reach + 1
+    template, warped = np.empty((size, size)), np.empty((size, size))
+    slope = np.empty((size, size))
+    sample_patch(left, u, v, 1.0, 0.0, 0.0, 1.0, template)
+    template -= template.mean()
+    energy = (template * template).sum()
+    p = np.array([start, 0.0, 0.0])
+    step = np.zeros(3)
+    for _ in range(_ITERATIONS):
+        if not sample_patch(right, u - p[0], v, 1.0 - p[1], -p[2], 0.0, 1.0, warped):
+            return
+        gain = _equalise(warped, energy)
+        _row_slopes(warped, slope)
+        _normal_step(template, warped, slope, gain, p, step)
+        p += step
+        if abs(step[0]) < _CONVERGED:
+            break
+    if abs(p[0] - start) > 1.0 or abs(step[0]) >= 0.1:
+        return
+    if not sample_patch(right, u - p[0], v, 1.0 - p[1], -p[2], 0.0, 1.0, warped):
+        return
+    _equalise(warped, energy)
+    residual = ((template - warped) ** 2).mean()
+    if (template * warped).mean() * size * size < least * energy:
+        return
+    quality[0], quality[1], quality[2] = p[0], residual, _mean_gradient(template)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _equalise(warped, energy):  # type: ignore[no-untyped-def]
+    """Give a window zero mean and the wanted energy, in place; returns the factor."""
+    warped -= warped.mean()
+    gain = np.sqrt(energy / max((warped * warped).sum(), 1.0))
+    warped *= gain
+    return gain
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _row_slopes(patch, slope):  # type: ignore[no-untyped-def]
+    """Derivative along rows: central differences, one-sided at the ends."""
+    size = patch.shape[1]
+    for j in range(patch.shape[0]):
+        slope[j, 0] = patch[j, 1] - patch[j, 0]
+        slope[j, size - 1] = patch[j, size - 1] - patch[j, size - 2]
+        for i in range(1, size - 1):
+            slope[j, i] = 0.5 * (patch[j, i + 1] - patch[j, i - 1])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _normal_step(template, warped, slope, gain, p, step):  # type: ignore[no-untyped-def]
+    """One step over (d, dd/du, dd/dv); a prior keeps the slopes small."""
+    size = template.shape[0]
+    reach = size // 2
+    normal, right_side = np.zeros((3, 3)), np.zeros(3)
+    mean = slope.mean()
+    for j in range(size):
+        for i in range(size):
+            g = -(slope[j, i] - mean)
+            e = template[j, i] - warped[j, i]
+            x, y = float(i - reach), float(j - reach)
+            normal[0, 0] += g * g
+            normal[0, 1] += g * g * x
+            normal[0, 2] += g * g * y
+            normal[1, 1] += g * g * x * x
+            normal[1, 2] += g * g * x * y
+            normal[2, 2] += g * g * y * y
+            right_side[0] += g * e
+            right_side[1] += g * e * x
+            right_side[2] += g * e * y
+    prior = _PHOTOMETRIC_VARIANCE / _SLOPE_SIGMA**2
+    for k in range(3):
+        normal[k, k] += 1e-6 if k == 0 else prior
+        for m in range(k):
+            normal[k, m] = normal[m, k]
+        if k > 0:
+            right_side[k] -= prior * p[k]
+    step[:] = np.linalg.solve(normal, right_side)
+    step[0] = min(max(step[0], -0.5), 0.5)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _mean_gradient(template):  # type: ignore[no-untyped-def]
+    """Mean squared derivative along rows."""
+    size = template.shape[0]
+    total = 0.0
+    for j in range(size):
+        for i in range(1, size - 1):
+            total += (0.5 * (template[j, i + 1] - template[j, i - 1])) ** 2
+    return total / (size * (size - 2))

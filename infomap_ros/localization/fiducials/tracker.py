@@ -1,0 +1,294 @@
+"""Follows fiducials from view to view.
+
+Fig. 9 of Sujan and Dubowsky (2005), "track fiducials": pyramidal optical flow with a
+forward-backward check leads to the neighbourhood, the alignment with a template to the pixel. The
+template stays that of the view in which the fiducial was chosen, so that the pixel does not creep.
+Only when the camera has come so near or gone so far that the template has to be stretched a lot is
+it renewed, from a view in which it is well seen, and what that adds to the pixel's variance is
+kept. A fiducial that no longer looks like its template is not seen. After a step that the flow
+cannot follow, fiducials are found again by their descriptors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.appearance import describe, descriptor_size, find_again
+from infomap_ros.localization.fiducials.dormant import DormantFiducials, believed
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.fiducials.optical_flow import OpticalFlow
+from infomap_ros.localization.fiducials.patch_alignment import (
+    MARGIN,
+    Alignment,
+    align_templates,
+    cut_templates,
+)
+from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
+from infomap_ros.localization.fiducials.tracker_config import FiducialTrackerConfig
+from infomap_ros.localization.fiducials.tracks import Tracks, new_tracks, tracks_from_arrays
+
+__all__ = ["FiducialTracker", "FiducialTrackerConfig"]
+
+# Whole pixels that are searched where flow or a descriptor leads, not the last sight [px].
+_FLOW_SEARCH = 2
+
+# How much an image may be blurred against the templates (sigma) [px].
+_BLURS = (0.0, 1.2, 2.0, 3.0)
+
+
+class FiducialTracker:
+    """Follows fiducials from view to view; see the module's head.
+
+    Attributes:
+        config: parameters.
+    """
+
+    def __init__(self, config: FiducialTrackerConfig | None = None) -> None:
+        self.config = config or FiducialTrackerConfig()
+        self._flow = OpticalFlow(self.config.flow)
+        self._tracks = _no_tracks(self.config)
+        self._dormant = DormantFiducials(self.config, self._tracks)
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """Fiducials that are followed, those missed in the last views included, shape (N,)."""
+        return self._tracks.ids.copy()
+
+    @property
+    def pixels(self) -> FloatArray:
+        """Where they were last seen, in the order of `ids`, shape (N, 2) [px]."""
+        return self._tracks.pixels.copy()
+
+    def add(self, view: RangeView, ids: ArrayLike, pixels: ArrayLike) -> FiducialObservations:
+        """Follow new fiducials from now on.
+
+        Args:
+            view: the last one that was tracked, or the first.
+            ids: shape (N,), not followed yet; a dormant one of that name is forgotten.
+            pixels: where they are in `view`, shape (N, 2) [px].
+
+        Returns:
+            Their observations in `view`; those too near to the border are left out and not
+            followed.
+
+        Raises:
+            InvalidInputError: shapes do not fit, or an id is followed already.
+        """
+        names = float_array(ids, "ids", np.int64).ravel()
+        places = check_pixels(pixels)
+        if len(names) != len(places):
+            raise InvalidInputError("ids", f"{len(names)} for {len(places)} pixels")
+        twice = np.intersect1d(names, self._tracks.ids)
+        if len(twice) or len(np.unique(names)) < len(names):
+            raise InvalidInputError("ids", f"{twice.tolist()} are followed already or given twice")
+        added = self._chosen(view, names, places)
+        self._dormant.forget(names)
+        self._flow.remember(view.image)
+        self._tracks = self._tracks.joined(added)
+        return self._observe(view, added, np.zeros(len(added)))
+
+    def track(
+        self, view: RangeView, predicted: Mapping[int, ArrayLike] | None = None
+    ) -> FiducialObservations:
+        """Find the fiducials in the next view.
+
+        Args:
+            view: the next one.
+            predicted: where fiducials are expected, (u, v) by id [px], as far as that is known;
+                others are expected where they were.
+
+        Returns:
+            Those that are seen, with range where there is one.
+        """
+        tracks = self._tracks
+        start, known = self._start(predicted)
+        places, found = self._flow.follow(view.image, tracks.flowed, start)
+        found &= tracks.followed
+        places = np.where(found[:, None], places, start)
+        search = np.where(found | ~known, 0, self.config.search_radius)
+        search[found & (tracks.missed > 0)] = min(_FLOW_SEARCH, self.config.search_radius)
+        self._recover(view, places, search, found)
+        aligned, seen = self._align(view.image, places, search, found)
+        tracks.flowed[:] = np.where(seen[:, None], aligned.pixels, places)
+        tracks.followed[:] = seen | found
+        self._note(view.image, aligned, seen)
+        observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
+        _note_ranges(tracks, seen, observations.inverse_depths)
+        self._rest(tracks.missed > self.config.patience)
+        return observations
+
+    def recall(
+        self,
+        view: RangeView,
+        predicted: Mapping[int, ArrayLike] | None = None,
+        radius: float | None = None,
+    ) -> FiducialObservations:
+        """Find dormant fiducials again, and follow them from now on.
+
+        They are found by descriptor (within a few pixels of their expected place by template) and
+        aligned with their own template, so that the pixel is that of the point first chosen.
+
+        Args:
+            view: the last one that was tracked.
+            predicted: where they are expected, (u, v) by id [px]; only those named are looked for.
+                None: all, anywhere in the image.
+            radius: how far from there they may be [px]; goes with `predicted`.
+
+        Returns:
+            Those that were found.
+
+        Raises:
+            InvalidInputError: a prediction comes without a radius or the other way round.
+        """
+        if (predicted is None) != (radius is None):
+            raise InvalidInputError("radius", "and predicted must come together")
+        if predicted is None or radius is None:
+            found, sigmas = self._dormant.find_anywhere(view)
+        else:
+            found, sigmas = self._dormant.find_near(view, predicted, radius)
+        self._dormant.forget(found.ids)
+        self._flow.remember(view.image)
+        self._tracks = self._tracks.joined(found)
+        return self._observe(view, found, sigmas)
+
+    def set_aside(self, ids: ArrayLike) -> None:
+        """Stop following fiducials, shape (N,), but keep them for `recall`."""
+        self._rest(np.isin(self._tracks.ids, float_array(ids, "ids", np.int64)))
+
+    def remove(self, ids: ArrayLike) -> None:
+        """Forget fiducials, shape (N,), followed or dormant; those not known are ignored."""
+        names = float_array(ids, "ids", np.int64)
+        self._tracks = self._tracks.select(~np.isin(self._tracks.ids, names))
+        self._dormant.forget(names)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All fiducials as named arrays, for a file; see `from_state`."""
+        return self._tracks.joined(self._dormant.tracks).arrays()
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, NDArray[Any]], config: FiducialTrackerConfig | None = None
+    ) -> FiducialTracker:
+        """A tracker that knows the fiducials of another; all are dormant.
+
+        Args:
+            state: made by `state`.
+            config: as the other's; templates and descriptors must have the same size.
+
+        Raises:
+            InvalidInputError: an array is missing or does not fit the configuration.
+        """
+        tracker = cls(config)
+        tracker._dormant.add(tracks_from_arrays(state, like=tracker._tracks))
+        return tracker
+
+    def _rest(self, which: NDArray[np.bool_]) -> None:
+        """Make fiducials dormant, shape (N,)."""
+        self._dormant.add(self._tracks.select(which))
+        self._tracks = self._tracks.select(~which)
+
+    def _chosen(self, view: RangeView, ids: NDArray[np.int64], pixels: FloatArray) -> Tracks:
+        """Tracks of the new fiducials whose template lies inside the image."""
+        warps = np.tile(np.eye(2), (len(ids), 1, 1))
+        templates, inside = cut_templates(view.image, pixels, warps, self.config.template)
+        descriptors = describe(view.image, pixels, self.config.appearance)
+        inverse = view.inverse_depths(pixels)[0]
+        return new_tracks(ids, pixels, templates, inverse, descriptors).select(inside)
+
+    def _start(
+        self, predicted: Mapping[int, ArrayLike] | None
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Where fiducials are expected, shape (N, 2), and whether that was said, shape (N,)."""
+        start = self._tracks.flowed.copy()
+        known = np.zeros(len(start), np.bool_)
+        for row, name in enumerate(self._tracks.ids):
+            place = None if predicted is None else predicted.get(int(name))
+            if place is not None and np.isfinite(place).all():
+                start[row], known[row] = place, True
+        return start, known
+
+    def _recover(
+        self,
+        view: RangeView,
+        places: FloatArray,
+        search: NDArray[np.int64],
+        found: NDArray[np.bool_],
+    ) -> None:
+        """After a large step, look for what flow has lost by descriptors; in place."""
+        lost = np.flatnonzero(~found)
+        if len(lost) <= self.config.large_step * len(found):
+            return
+        again = find_again(view, self._tracks.descriptors[lost], config=self.config.appearance)
+        rows = lost[again.indices]
+        places[rows] = again.pixels
+        search[rows] = min(_FLOW_SEARCH, self.config.search_radius)
+
+    def _align(
+        self,
+        image: NDArray[np.uint8],
+        places: FloatArray,
+        search: NDArray[np.int64],
+        found: NDArray[np.bool_],
+    ) -> tuple[Alignment, NDArray[np.bool_]]:
+        """Align with the templates; where few fit well, blurred ones may fit a blurred image.
+
+        Returns:
+            The alignment of all, and which of them are believed, shape (N,).
+        """
+        tracks, config = self._tracks, self.config
+        best, most = None, -1
+        for blur in _BLURS:
+            aligned = align_templates(image, tracks.templates, places, tracks.warps, search, blur)
+            fitting = int(np.count_nonzero(aligned.correlations >= config.good_correlation))
+            if best is None or fitting > most:
+                best, most = aligned, fitting
+            if most > config.sharp_share * np.count_nonzero(found):
+                break
+        assert best is not None
+        return best, believed(best, places, search, config)
+
+    def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
+        """Keep where fiducials are; renew templates that are stretched a lot but well seen."""
+        tracks, config = self._tracks, self.config
+        tracks.missed[:] = np.where(seen, 0, tracks.missed + 1)
+        tracks.pixels[seen] = aligned.pixels[seen]
+        tracks.warps[seen] = aligned.warps[seen]
+        stretch = np.abs(np.log(np.linalg.svd(tracks.warps, compute_uv=False))).max(axis=1)
+        well = seen & (stretch > np.log(config.max_warp))
+        well[seen] &= aligned.correlations[seen] >= config.good_correlation
+        upright = np.tile(np.eye(2), (int(well.sum()), 1, 1))
+        patches, inside = cut_templates(image, tracks.pixels[well], upright, config.template)
+        rows = np.flatnonzero(well)[inside]
+        tracks.templates[rows], tracks.warps[rows] = patches[inside], np.eye(2)
+        tracks.inverse_depths[rows] = np.nan
+        tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
+
+    def _observe(self, view: RangeView, tracks: Tracks, noise: FloatArray) -> FiducialObservations:
+        config = self.config
+        sigmas = np.sqrt(np.square(config.sigma_factor * noise) + tracks.creep)
+        inverse, spread = view.inverse_depths(tracks.pixels)
+        return FiducialObservations(
+            tracks.ids, tracks.pixels, np.maximum(sigmas, config.sigma_floor), inverse, spread
+        )
+
+
+def _note_ranges(tracks: Tracks, seen: NDArray[np.bool_], inverse_depths: FloatArray) -> None:
+    """Where the range of a template is not known, it follows from one now and the warp since."""
+    scale = np.sqrt(np.abs(np.linalg.det(tracks.warps[seen])))
+    known = tracks.inverse_depths[seen]
+    tracks.inverse_depths[seen] = np.where(np.isnan(known), inverse_depths / scale, known)
+
+
+def _no_tracks(config: FiducialTrackerConfig) -> Tracks:
+    nothing = np.zeros((0, 2))
+    side = config.template + 2 * MARGIN
+    templates = np.zeros((0, side, side), np.float32)
+    descriptors = np.zeros((0, descriptor_size()), np.uint8)
+    return new_tracks(np.zeros(0, np.int64), nothing, templates, np.zeros(0), descriptors)

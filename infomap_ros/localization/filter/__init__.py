@@ -1,0 +1,1 @@
+"""How the camera's pose is estimated from fiducials and motion."""

@@ -1,0 +1,242 @@
+"""Motion of a camera from points that it has measured before and after.
+
+`printed_motion` is eq. (14) of doi:10.1177/0278364905051774, corrected where it does not hold as
+printed. `estimate_motion` weights by the covariances of both ends, leaves out what does not fit,
+and gives a covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array, make_transform, perturb_transform
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.filter.lie import nearest_rotation, skews
+from infomap_ros.localization.filter.triples import pose_of_triple, random_triples
+
+BoolArray = NDArray[np.bool_]
+
+_NECESSARY = 4  # points that determine the 12 unknowns of eq. (14)
+_FLAT = 1e-9  # relative size of the smallest eigenvalue below which points lie in one plane
+_ITERATIONS = 30
+_CONVERGED = 1e-9
+_SINGULAR = 1e14  # condition number from which on points count as collinear
+
+
+def printed_motion(before: ArrayLike, after: ArrayLike) -> FloatArray:
+    """Least squares for the motion by eq. (14).
+
+    The printed ``u (r^T r)^-1 r^T`` inverts a singular matrix; the least-squares solution is
+    ``u r^T (r r^T)^-1``. It is affine: its linear part is projected onto the rotations, and the
+    translation is the one that fits best with the rotation. All points weigh the same.
+
+    Args:
+        before: points r in the camera frame before the motion, shape (N, 3) [m], N >= 4, not in
+            one plane.
+        after: the same points in the camera frame after the motion, shape (N, 3) [m].
+
+    Returns:
+        ``T_after_before``, shape (4, 4).
+
+    Raises:
+        InvalidInputError: shapes differ, too few points, not finite, or points in one plane.
+    """
+    r, u = _check_pairs(before, after, _NECESSARY)
+    homogeneous = np.column_stack([r, np.ones(len(r))])
+    normal = homogeneous.T @ homogeneous
+    spread = np.linalg.eigvalsh(np.cov(r.T))
+    if spread[0] <= _FLAT * spread[2]:
+        raise InvalidInputError("before", "points lie in one plane: eq. (14) has no solution")
+    g = np.linalg.solve(normal, homogeneous.T @ u).T
+    rotation = nearest_rotation(g[:, :3])
+    return make_transform(rotation, u.mean(axis=0) - rotation @ r.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How robustly a motion is estimated.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    gate: float = parameter(
+        0.999,
+        "Probability within which a pair of points must agree with the motion.",
+        low=0.5,
+        high=0.999999,
+    )
+    certain: float = parameter(
+        0.95,
+        "Probability within which a pair has its full weight; beyond, it falls with the distance.",
+        low=0.3,
+        high=0.999999,
+    )
+    trials: int = parameter(200, "Triples of pairs tried for a first motion.", low=10, high=100000)
+    least_pairs: int = parameter(4, "Pairs that must agree.", low=3, high=1000)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionEstimate:
+    """An estimated motion.
+
+    Attributes:
+        T_after_before: the camera frame before, in the one after, shape (4, 4); None where there
+            is none.
+        covariance: of it, in the frame after, shape (6, 6); None likewise.
+        inliers: pairs that agree with it, shape (N,).
+        converged: whether it can be used.
+        reason: why not; empty if it can.
+    """
+
+    T_after_before: FloatArray | None
+    covariance: FloatArray | None
+    inliers: BoolArray
+    converged: bool
+    reason: str
+
+
+def estimate_motion(
+    before: ArrayLike,
+    covariances_before: ArrayLike,
+    after: ArrayLike,
+    covariances_after: ArrayLike,
+    config: MotionConfig | None = None,
+) -> MotionEstimate:
+    """Robust weighted motion on SE(3) from points measured at both ends.
+
+    The first motion is the best of many triples (RANSAC); then the squares of the distances,
+    weighted by the covariances of both ends, are minimised by Gauss-Newton with Huber's weights
+    (P. J. Huber, Ann. Math. Statist. 35(1), 1964, doi:10.1214/aoms/1177703732).
+
+    Args:
+        before: points in the camera frame before the motion, shape (N, 3) [m].
+        covariances_before: of them, shape (N, 3, 3) [m^2].
+        after: the same points in the camera frame after the motion, shape (N, 3) [m].
+        covariances_after: of them, shape (N, 3, 3) [m^2].
+        config: gates.
+
+    Raises:
+        InvalidInputError: shapes differ or a value is not finite.
+    """
+    config = config or MotionConfig()
+    r, u = _check_pairs(before, after, 0)
+    noise_r = _check_covariances(covariances_before, len(r), "covariances_before")
+    noise_u = _check_covariances(covariances_after, len(r), "covariances_after")
+    nothing = np.zeros(len(r), bool)
+    if len(r) < config.least_pairs:
+        reason = f"{len(r)} pairs of points, {config.least_pairs} needed"
+        return MotionEstimate(None, None, nothing, False, reason)
+    first = _first_motion(r, noise_r, u, noise_u, config)
+    if first is None:
+        return MotionEstimate(None, None, nothing, False, "the points lie on one line")
+    return _refine(*first, (r, noise_r, u, noise_u), config)
+
+
+def _refine(
+    motion: FloatArray,
+    inliers: BoolArray,
+    pairs: tuple[FloatArray, ...],
+    config: MotionConfig,
+) -> MotionEstimate:
+    """Gauss-Newton from a first motion and the pairs that gave it.
+
+    A pair is an inlier where it agrees within its own noise and that of the motion so far, as the
+    first motion is a poor one.
+    """
+    r, noise_r, u, noise_u = pairs
+    gate = chdtri(3, 1.0 - config.gate)
+    full = np.sqrt(chdtri(3, 1.0 - config.certain))
+    for iteration in range(_ITERATIONS):
+        turned = r @ motion[:3, :3].T
+        off = u - turned - motion[:3, 3]
+        noise = noise_u + motion[:3, :3] @ noise_r @ motion[:3, :3].T
+        weight = np.linalg.inv(noise)
+        distances = np.sqrt(np.maximum(_squares(off, weight), 1e-12))
+        weight *= np.minimum(1.0, full / distances)[:, None, None]
+        jacobian = np.concatenate([np.tile(np.eye(3), (len(r), 1, 1)), -skews(turned)], axis=2)
+        weighted = (jacobian.transpose(0, 2, 1) @ weight)[inliers]
+        information = (weighted @ jacobian[inliers]).sum(axis=0)
+        if np.linalg.cond(information) > _SINGULAR:
+            return MotionEstimate(None, None, inliers, False, "the points lie on one line")
+        covariance = np.linalg.inv(information)
+        step = covariance @ (weighted @ off[inliers][:, :, None]).sum(axis=0)[:, 0]
+        motion = perturb_transform(motion, step)
+        if iteration > 0 and np.abs(step).max() < _CONVERGED:
+            break
+        off = u - r @ motion[:3, :3].T - motion[:3, 3]
+        unsure = noise + jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+        inliers = _squares(off, np.linalg.inv(unsure)) <= gate
+        if np.count_nonzero(inliers) < config.least_pairs:
+            return MotionEstimate(None, None, inliers, False, "the points do not move as one body")
+    return MotionEstimate(motion, covariance, inliers, True, "")
+
+
+def _squares(off: FloatArray, weight: NDArray[np.floating]) -> FloatArray:
+    """Squared distances, shape (N,)."""
+    return np.asarray(np.einsum("ni,nij,nj->n", off, weight, off))
+
+
+def _first_motion(
+    r: FloatArray, noise_r: FloatArray, u: FloatArray, noise_u: FloatArray, config: MotionConfig
+) -> tuple[FloatArray, BoolArray] | None:
+    """The best motion of many triples and the mask of its triple, shape (N,)."""
+    # Orientation is not known yet: of the covariance before, the largest variance counts.
+    largest = np.linalg.eigvalsh(noise_r)[:, -1]
+    information = np.linalg.inv(noise_u + largest[:, None, None] * np.eye(3))
+    triples = random_triples(len(r), config.trials, 0)
+    gate = float(chdtri(3, 1.0 - config.gate))
+    best = _best_triple(r, u, information, triples, gate)
+    if best < 0:
+        return None
+    _, rotation, translation = pose_of_triple(r, u, triples[best])
+    members = np.zeros(len(r), bool)
+    members[triples[best]] = True
+    return make_transform(rotation, translation), members
+
+
+@njit(cache=True, nogil=True)
+def _best_triple(r, u, information, triples, gate):  # type: ignore[no-untyped-def]
+    """Index of the triple on whose motion most pairs agree; -1 where no triple has an area."""
+    best, best_score = -1, -1.0
+    for trial in range(len(triples)):
+        valid, rotation, translation = pose_of_triple(r, u, triples[trial])
+        if not valid:
+            continue
+        score = 0.0
+        for i in range(len(r)):
+            off = u[i] - rotation @ r[i] - translation
+            score += max(0.0, gate - off @ information[i] @ off)
+        if score > best_score:
+            best, best_score = trial, score
+    return best
+
+
+def _check_pairs(before: ArrayLike, after: ArrayLike, least: int) -> tuple[FloatArray, FloatArray]:
+    r, u = float_array(before, "before"), float_array(after, "after")
+    if r.ndim != 2 or r.shape[1] != 3 or r.shape != u.shape:
+        raise InvalidInputError("before, after", f"shapes {r.shape}, {u.shape}, expected (N, 3)")
+    if len(r) < least:
+        raise InvalidInputError("before", f"{len(r)} points, at least {least} needed")
+    if not (np.isfinite(r).all() and np.isfinite(u).all()):
+        raise InvalidInputError("before, after", "hold NaN or infinity")
+    return r, u
+
+
+def _check_covariances(covariances: ArrayLike, count: int, name: str) -> FloatArray:
+    matrices = float_array(covariances, name)
+    if matrices.shape != (count, 3, 3):
+        raise InvalidInputError(name, f"shape {matrices.shape}, expected ({count}, 3, 3)")
+    if not np.isfinite(matrices).all():
+        raise InvalidInputError(name, "hold NaN or infinity")
+    return matrices

@@ -1,0 +1,292 @@
+"""Camera pose, fiducials and kept poses, estimated together from images and motion.
+
+The extended Kalman filter of eq. (16)-(18) of doi:10.1177/0278364905051774 over everything that
+the camera has seen: fiducials stay, so that coming back to a known place takes out the drift, and
+an absolute pose corrects the poses that were kept. Errors are right-invariant
+(`infomap_ros.localization.filter.invariant_state`), so that the covariance can be trusted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+from scipy.special import chdtri
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.history import FiducialHistory
+from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
+from infomap_ros.localization.filter.invariant_state import InvariantState
+from infomap_ros.localization.filter.lie import skews
+from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.pose_errors import (
+    invariant_difference,
+    invariant_from_pose,
+    most_redundant,
+    pose_covariances,
+    square_root,
+)
+from infomap_ros.localization.filter.pose_hypothesis import Hypothesis
+from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.filter.sight import Measured
+
+_REST = MotionPrior(np.eye(4), np.zeros((6, 6)))
+
+
+class FiducialFilter:
+    """Estimates the camera's pose together with what it is known by.
+
+    The order of use for each image is `predict`, `update`, and where new fiducials are wanted
+    `add`.
+
+    Args:
+        camera: that measures the fiducials.
+        config: gates and sizes.
+    """
+
+    def __init__(self, camera: PinholeCamera, config: FiducialFilterConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or FiducialFilterConfig()
+        self._pose_limit = float(chdtri(6, 1.0 - self.config.joint_gate))
+        self.start(np.eye(4), np.zeros((6, 6)))
+
+    def start(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> None:
+        """Begin anew, with no fiducials and no kept poses.
+
+        Args:
+            T_map_camera: pose, shape (4, 4).
+            covariance: in the map frame, shape (6, 6); zero where the pose defines the map.
+
+        Raises:
+            InvalidInputError: not a rigid transform, or not a covariance.
+        """
+        pose = check_transform(T_map_camera, "T_map_camera")
+        over = invariant_from_pose(pose[None])[0]
+        errors = over @ check_covariance(covariance, 6) @ over.T
+        self._state = InvariantState(pose, errors, self._capacity)
+        self._motion = _REST
+        self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
+
+    @property
+    def _capacity(self) -> int:
+        return 2 + self.config.max_fiducials + 2 * (self.config.max_kept_poses + 1)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything that it knows, as arrays that can be written to a file."""
+        motion = {
+            "motion": self._motion.T_before_after,
+            "motion_covariance": self._motion.covariance,
+        }
+        return self._state.arrays() | self._history.state() | motion
+
+    def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on where another filter of the same sizes stood.
+
+        Args:
+            state: of that filter's `state`.
+
+        Raises:
+            InvalidInputError: it holds more than this filter can.
+        """
+        self._state = InvariantState.resume(state, self._capacity)
+        self._motion = MotionPrior(state["motion"], state["motion_covariance"])
+        self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
+        self._history.resume(state)
+
+    @property
+    def pose(self) -> tuple[FloatArray, FloatArray]:
+        """``T_map_camera``, shape (4, 4), and its covariance in the map frame, shape (6, 6)."""
+        state = self._state
+        pose = state.T_map_camera @ self._motion.T_before_after
+        noise = state.motion_noise(pose, state.T_map_camera[:3, :3])[:6]
+        P = state.P[:6, :6] + noise @ self._motion.covariance @ noise.T
+        return pose, pose_covariances(pose[None], P[None])[0]
+
+    def predict(self, prior: MotionPrior) -> None:
+        """Take that the camera has moved; several motions add up."""
+        self._motion = self._motion.then(prior)
+
+    def update(self, observations: FiducialObservations) -> FilterUpdate:
+        """Correct everything by the known fiducials of an image.
+
+        Where it is not consistent nothing changes: the pose stays the predicted one.
+        """
+        indices, is_known = self._look_up(observations.ids)
+        known, unknown = observations.select(is_known), observations.ids[~is_known]
+        measured = Measured.of(self.camera, known)
+        image = Image(known.ids, indices, measured)
+        chosen, reason, overruled = explain(
+            self._state, self._motion, image, self._history, self.config
+        )
+        if chosen is None:
+            if reason in CONTESTED:
+                self._history.contradicted(known.ids)
+            nothing = np.zeros(0, np.int64)
+            return FilterUpdate(False, reason, nothing, nothing, unknown, np.nan, 0, np.nan)
+        self._history.agreed(known.ids, chosen.members, chosen.innovations)
+        self._apply(chosen, indices)
+        used, rejected = known.ids[chosen.members], known.ids[~chosen.members]
+        return FilterUpdate(
+            True, "", used, rejected, unknown, chosen.correction.nis,
+            chosen.degrees_of_freedom, chosen.motion_nis, overruled,
+        )  # fmt: skip
+
+    def add(self, observations: FiducialObservations) -> NDArray[np.int64]:
+        """Add new fiducials, as seen from the present pose.
+
+        Where there are too many, those that were seen least often, and of these the longest ago,
+        make room.
+
+        Args:
+            observations: those without a certain range, and those that are known, are left out.
+
+        Returns:
+            Ids of those that were added, shape (A,).
+        """
+        _, is_known = self._look_up(observations.ids)
+        with np.errstate(invalid="ignore"):
+            certainty = observations.inverse_depths / observations.inverse_depth_sigmas
+            certain = certainty >= self.config.range_certainty
+        new = observations.select(np.flatnonzero(~is_known & certain)[: self.config.max_fiducials])
+        self._take_motion()
+        self._make_room(len(new))
+        points, covariances = new.points(self.camera), new.covariances(self.camera)
+        self._state.add_fiducials(new.ids, points, covariances)
+        self._history.begin(new.ids)
+        return new.ids
+
+    def observe_pose(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> bool:
+        """Correct everything by an absolute pose, as of the target.
+
+        Args:
+            T_map_camera: pose, shape (4, 4).
+            covariance: in the map frame, shape (6, 6).
+
+        Returns:
+            Whether it agreed with what was known; if not, nothing is changed.
+
+        Raises:
+            InvalidInputError: not a rigid transform, or not a covariance.
+        """
+        measured = check_transform(T_map_camera, "T_map_camera")
+        noise = check_covariance(covariance, 6)
+        self._take_motion()
+        state = self._state
+        P, over = state.P, invariant_from_pose(measured[None])[0]
+        S = P[:6, :6] + over @ noise @ over.T
+        innovation = invariant_difference(measured, state.T_map_camera)
+        if float(innovation @ np.linalg.solve(S, innovation)) > self._pose_limit:
+            return False
+        factor = np.linalg.cholesky(S)
+        white = solve_triangular(factor, P[:6], lower=True)
+        pull = solve_triangular(factor, innovation, lower=True)
+        state.add_to_covariance(-white.T, white)
+        state.correct(white.T @ pull)
+        return True
+
+    def keep_pose(self, stamp: int) -> NDArray[np.int64]:
+        """Keep the present pose, so that later images correct it too.
+
+        Where there are too many, the one that is nearest to its neighbours in time is forgotten,
+        never the first or the new one.
+
+        Args:
+            stamp: [ns], later than those kept.
+
+        Returns:
+            Stamps of poses that were forgotten, shape (F,).
+
+        Raises:
+            InvalidInputError: the stamp is not later than those kept.
+        """
+        state = self._state
+        if len(state.stamps) and stamp <= state.stamps[-1]:
+            raise InvalidInputError("stamp", f"{stamp} is not later than {state.stamps[-1]}")
+        self._take_motion()
+        state.keep_pose(stamp)
+        forgotten = np.zeros(0, np.int64)
+        if len(state.stamps) > self.config.max_kept_poses:
+            forgotten = state.stamps[[most_redundant(state.stamps, state.kept)]]
+            self.forget_poses(forgotten)
+        return forgotten
+
+    def kept_poses(self) -> KeptPoses:
+        """The kept poses as they are known now."""
+        state = self._state
+        rows = state.kept_rows()
+        errors = state.P[rows[:, :, None], rows[:, None, :]]
+        covariances = pose_covariances(state.kept, errors)
+        return KeptPoses(state.stamps.copy(), state.kept.copy(), covariances)
+
+    def forget_poses(self, stamps: ArrayLike) -> None:
+        """Keep the poses of these stamps no longer; others are ignored."""
+        self._state.remove_kept(np.isin(self._state.stamps, np.asarray(stamps, np.int64)))
+
+    def fiducials(self) -> Fiducials:
+        """The fiducials as they are known now."""
+        state = self._state
+        rows = state.fiducial_rows(slice(None))
+        over = np.zeros((len(rows), 3, 6))
+        over[:, :, :3] = np.eye(3)
+        over[:, :, 3:] = -skews(state.positions)
+        rows = np.hstack([rows, np.broadcast_to(np.arange(3, 6), rows.shape)])
+        errors = state.P[rows[:, :, None], rows[:, None, :]]
+        covariances = over @ errors @ over.transpose(0, 2, 1)
+        return Fiducials(state.ids.copy(), state.positions.copy(), covariances)
+
+    def remove(self, ids: ArrayLike) -> None:
+        """Forget fiducials; ids that are not held are ignored."""
+        gone = np.isin(self._state.ids, np.asarray(ids, np.int64))
+        self._history.forget(self._state.ids[gone])
+        self._state.remove_fiducials(gone)
+
+    def _look_up(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Indices in the state of those ids that are known, and which are."""
+        order = np.argsort(self._state.ids)
+        found = np.searchsorted(self._state.ids, ids, sorter=order)
+        found = order[np.minimum(found, len(order) - 1)] if len(order) else found
+        known = np.isin(ids, self._state.ids)
+        return found[known], known
+
+    def _make_room(self, count: int) -> None:
+        """Forget so many fiducials that new ones find room."""
+        surplus = len(self._state.ids) + count - self.config.max_fiducials
+        if surplus > 0:
+            self.remove(self._history.least_useful(self._state.ids, surplus))
+
+    def _take_motion(self) -> None:
+        """Make the predicted motion part of the state."""
+        if self._motion is _REST:
+            return
+        state = self._state
+        pose = state.T_map_camera @ self._motion.T_before_after
+        noise = state.motion_noise(pose, state.T_map_camera[:3, :3])
+        root = noise @ square_root(self._motion.covariance)
+        state.add_to_covariance(root, root.T)
+        state.T_map_camera = pose
+        self._motion = _REST
+
+    def _apply(self, chosen: Hypothesis, indices: NDArray[np.int64]) -> None:
+        """Correct the state by the members of a hypothesis, eq. (18)."""
+        state, expectation = self._state, chosen.expectation
+        rows = state.fiducial_rows(indices[chosen.members]).ravel()
+        camera = np.tile(np.arange(3), len(rows) // 3)
+        noise = expectation.noise[rows] - expectation.noise[camera]
+        seen = state.P[rows] - state.P[camera]
+        seen += noise @ expectation.motion_covariance @ expectation.noise.T
+        white = chosen.correction.whitened(seen)
+        pull = solve_triangular(
+            chosen.correction.factor, chosen.correction.innovation, lower=True, check_finite=False
+        )
+        root = expectation.noise @ square_root(expectation.motion_covariance)
+        state.add_to_covariance(np.hstack([root, -white.T]), np.vstack([root.T, white]))
+        state.T_map_camera = expectation.T_map_camera
+        state.correct(expectation.noise @ expectation.shift + white.T @ pull)
+        self._motion = _REST

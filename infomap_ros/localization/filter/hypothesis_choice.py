@@ -1,0 +1,239 @@
+"""Which explanation of an image is right, if any can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from infomap_ros.geometry import invert_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.consensus import agreeing, find_pose
+from infomap_ros.localization.filter.history import FiducialHistory
+from infomap_ros.localization.filter.invariant_state import InvariantState
+from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.pose_hypothesis import (
+    Expectation,
+    Group,
+    Hypothesis,
+    examine,
+    examine_with_or_without_prior,
+)
+from infomap_ros.localization.filter.sight import BoolArray, Measured
+
+CONTRADICTION = "the motion that the fiducials show contradicts the expected one"
+DISAGREEMENT = "the fiducials do not agree on one pose"
+AMBIGUITY = "two groups of fiducials show different motions"
+MINORITY = "too few of the fiducials agree on one pose"
+CONTESTED = (DISAGREEMENT, AMBIGUITY, MINORITY)
+_MOST = 3
+_SUSPICIOUS = 0.01  # probability of a motion so far from its prior
+_LEAST = 3  # fiducials that agree on some motion by chance
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """The known fiducials of an image.
+
+    Attributes:
+        ids: shape (M,).
+        indices: of them in the state, shape (M,).
+        measured: their measurements.
+    """
+
+    ids: NDArray[np.int64]
+    indices: NDArray[np.int64]
+    measured: Measured
+
+
+def explain(
+    state: InvariantState,
+    prior: MotionPrior,
+    image: Image,
+    history: FiducialHistory,
+    config: FiducialFilterConfig,
+) -> tuple[Hypothesis | None, str, bool]:
+    """The explanation of an image, why there is none, and whether it overrules the prior.
+
+    Args:
+        state: before the motion.
+        prior: of the motion.
+        image: known fiducials.
+        history: of the fiducials.
+        config: gates.
+    """
+    admitted = history.is_trusted(image.ids)
+    established = admitted & history.is_established(image.ids)
+    # Those that are new may have been added on a body that moves: they do not decide.
+    enough = np.count_nonzero(established) >= 2 * config.least_fiducials
+    voters = established if enough else admitted
+    contested = history.is_contested(image.ids)
+    found = hypotheses(state, prior, image, voters, config)
+    chosen, reason = choose(found, contested, int(voters.sum()), config)
+    overruled = False
+    if reason == CONTRADICTION:
+        wider = overruled_prior(prior, found, voters, established, config)
+        if wider is None:
+            return None, reason, False
+        overruled = True
+        found = hypotheses(state, wider, image, voters, config)
+        chosen, reason = choose(found, contested, int(voters.sum()), config)
+    if chosen is not None:
+        chosen = _joined(state, chosen, image, admitted, config)
+    return chosen, reason, overruled
+
+
+def _joined(
+    state: InvariantState,
+    chosen: Hypothesis,
+    image: Image,
+    admitted: BoolArray,
+    config: FiducialFilterConfig,
+) -> Hypothesis:
+    """The chosen hypothesis, joined by those that did not vote and agree with it."""
+    group = Group(image.indices, image.measured, chosen.members, admitted)
+    joined = examine(state, chosen.expectation, group, config)
+    if joined is None or not (
+        joined.has_plausible_residuals(config) and joined.has_plausible_motion(config)
+    ):
+        return chosen
+    return joined if joined.count >= chosen.count else chosen
+
+
+def hypotheses(
+    state: InvariantState,
+    prior: MotionPrior,
+    image: Image,
+    admitted: BoolArray,
+    config: FiducialFilterConfig,
+) -> list[Hypothesis]:
+    """Explanations of an image, each by other fiducials: largest group first, as RANSAC finds them.
+
+    Args:
+        state: before the motion.
+        prior: of the motion.
+        image: known fiducials.
+        admitted: those that may serve, shape (M,).
+        config: gates.
+    """
+    indices, measured = image.indices, image.measured
+    turn = state.T_map_camera[:3, :3] @ prior.T_before_after[:3, :3]
+    covariances = turn.T @ _relative_covariances(state, indices) @ turn
+    positions = state.positions[indices]
+    gate = float(chdtri(3, 1.0 - config.fiducial_gate))
+    remaining = admitted.copy()
+    found: list[Hypothesis] = []
+    for _ in range(_MOST):
+        if np.count_nonzero(remaining) <= _LEAST:
+            break
+        some = np.flatnonzero(remaining)
+        part = (positions[some], covariances[some], measured.select(some), gate)
+        first = find_pose(*part, config.trials)
+        if first is None:
+            break
+        pose, sample = first
+        members = np.zeros(len(indices), bool)
+        members[some] = agreeing(pose, *part)
+        members[some[sample]] = True
+        expectation = Expectation.at(state, prior, invert_transform(pose))
+        group = Group(indices, measured, members, admitted)
+        hypothesis = examine_with_or_without_prior(state, expectation, group, config)
+        remaining &= ~members
+        if hypothesis is not None:
+            found.append(hypothesis)
+            remaining &= ~hypothesis.members
+    return found
+
+
+def choose(
+    found: Sequence[Hypothesis], contested: BoolArray, known: int, config: FiducialFilterConfig
+) -> tuple[Hypothesis | None, str]:
+    """The hypothesis to believe, or None and the reason.
+
+    Args:
+        found: the hypotheses.
+        contested: fiducials of the image that last contradicted each other, shape (M,).
+        known: number of known fiducials in the image.
+        config: gates.
+    """
+    if known < config.least_fiducials:
+        return None, f"{known} known fiducials in view, {config.least_fiducials} needed"
+    sound = [one for one in found if one.has_plausible_residuals(config)]
+    if not sound:
+        return None, DISAGREEMENT
+    plausible = sorted(
+        (one for one in sound if one.has_plausible_motion(config)), key=lambda one: -one.count
+    )
+    if not plausible:
+        return None, CONTRADICTION
+    best = plausible[0]
+    if best.count < config.least_fiducials:
+        return None, DISAGREEMENT
+    others = [one for one in found if one is not best and one.has_plausible_motion(config)]
+    if any(_is_rival(one, best, config) for one in others):
+        return None, AMBIGUITY
+    # Who wins must not hang on what happens to be in view.
+    was_contested = 2 * np.count_nonzero(best.members & contested) > best.count
+    needed = config.majority * known
+    if was_contested:
+        needed = config.overruling_share * len(contested)
+    least = max(config.least_fiducials, config.ambiguity * best.count)
+    excluded = sum(
+        one.count for one in sound if one.count >= least and not one.has_plausible_motion(config)
+    )
+    if best.count + excluded < needed:
+        return None, MINORITY
+    return best, ""
+
+
+def _is_rival(one: Hypothesis, best: Hypothesis, config: FiducialFilterConfig) -> bool:
+    """Whether another group is large enough to be right, or agrees better with the prior."""
+    fits_better = (
+        one.count >= config.least_fiducials
+        and best.motion_nis > chdtri(6, _SUSPICIOUS)
+        and one.motion_nis < 0.5 * best.motion_nis
+    )
+    return one.count >= config.ambiguity * best.count or fits_better
+
+
+def overruled_prior(
+    prior: MotionPrior,
+    found: Sequence[Hypothesis],
+    voters: BoolArray,
+    established: BoolArray,
+    config: FiducialFilterConfig,
+) -> MotionPrior | None:
+    """The motion prior with as much uncertainty as the images show that it has.
+
+    Wheels slip and arms are pushed: where nearly all fiducials, and enough that are known for
+    long, agree with each other but not with the prior, it is the prior that is wrong.
+
+    Args:
+        prior: of the motion.
+        found: hypotheses that contradict it.
+        voters: fiducials of the image that decide, shape (M,).
+        established: those that were seen before they were last, shape (M,).
+        config: shares.
+
+    Returns:
+        The prior that fits; None where the images do not suffice to overrule it.
+    """
+    for one in found:
+        enough = one.count >= config.overruling_share * np.count_nonzero(voters)
+        known_long = np.count_nonzero(one.members & established) >= config.overruling_count
+        if enough and known_long and one.has_plausible_residuals(config):
+            return MotionPrior(prior.T_before_after, one.motion_nis * prior.covariance)
+    return None
+
+
+def _relative_covariances(state: InvariantState, indices: NDArray[np.int64]) -> FloatArray:
+    """Of fiducials relative to the camera before the motion, in the map's axes, (M, 3, 3)."""
+    rows = state.fiducial_rows(indices)
+    P = state.P
+    own = P[rows[:, :, None], rows[:, None, :]]
+    cross = P[rows[:, :, None], np.arange(3)[None, None, :]]
+    return np.asarray(own + P[:3, :3] - cross - cross.transpose(0, 2, 1))

@@ -1,0 +1,282 @@
+"""How well the camera's pose will be known at the end of ways not yet gone: LE of eq. (11).
+
+Along a way the pose errors grow as odometry drifts, and fiducials that are in sight hold them:
+those whose place is known tie the pose to the map, others tie the poses of the way to each other
+(visual odometry). Sujan and Dubowsky 2005, eq. (11) and sec. 2.5, doi:10.1177/0278364905051774.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform, float_array
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.prediction import kernels
+from infomap_ros.localization.prediction.ways import (
+    FLOOR,
+    Ways,
+    checked_points,
+    own_informations,
+    shared_variance,
+)
+from infomap_ros.mapping import VoxelMap
+
+_FLOOR = FLOOR * np.eye(6)
+
+
+@dataclass(frozen=True)
+class ErrorPredictionConfig:
+    """How ways and sightings are modelled.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    waypoints: int = parameter(
+        5, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
+    )
+    pixel_sigma: float = parameter(
+        0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
+    )
+    nearest: float = parameter(
+        0.3, "Smallest depth at which a fiducial is measured.", unit="m", low=0.0, high=100.0
+    )
+    farthest: float = parameter(
+        6.0, "Largest depth at which a fiducial is tracked.", unit="m", low=0.1, high=1000.0
+    )
+    border: float = parameter(
+        10.0, "So near to the edge of the image nothing is tracked.", unit="px", low=0.0, high=500.0
+    )
+    tolerance: float = parameter(
+        6.0,
+        "A ray may end so far before a fiducial: along flat lines of sight it meets the voxels of "
+        "the fiducial's own surface early.",
+        unit="voxels",
+        low=0.0,
+        high=100.0,
+    )
+    fiducials: int = parameter(
+        60,
+        "Of the known fiducials, so many are looked at; where there are more, each stands for "
+        "several.",
+        low=1,
+        high=10_000,
+    )
+    cell: float = parameter(
+        0.5,
+        "What hides a fiducial from a place hides it from all places in a cube of this size.",
+        unit="m",
+        low=0.001,
+        high=10.0,
+    )
+    surface_points: int = parameter(
+        40,
+        "So many points of the mapped surface stand for fiducials that will be found on the way.",
+        low=0,
+        high=10_000,
+    )
+    motion: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class ErrorPrediction:
+    """Predicts pose covariances at the ends of ways, for many ways at once.
+
+    Args:
+        camera: the rectified left camera.
+        inverse_depth_sigma: standard deviation of a measured 1/z [1/m]: of stereo, that of the
+            disparity divided by focal length and baseline.
+        config: of ways and sightings.
+
+    Raises:
+        InvalidInputError: the sigma is not positive.
+    """
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        inverse_depth_sigma: float,
+        config: ErrorPredictionConfig | None = None,
+    ) -> None:
+        if not (np.isfinite(inverse_depth_sigma) and inverse_depth_sigma > 0.0):
+            raise InvalidInputError("inverse_depth_sigma", f"is {inverse_depth_sigma}")
+        self.config = config or ErrorPredictionConfig()
+        border = self.config.border
+        size = (float(camera.width), float(camera.height))
+        self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *size, border])
+        pixel = self.config.pixel_sigma**-2
+        self._precisions = np.array([pixel, pixel, inverse_depth_sigma**-2])
+
+    def surface_points(self, voxel_map: VoxelMap) -> FloatArray:
+        """Points of the mapped surface that stand for fiducials still to be found, (S, 3) [m]."""
+        _, means, _ = voxel_map.gaussians()
+        rng = np.random.default_rng(0)  # any points will do; the same map gives the same ones
+        count = min(self.config.surface_points, len(means))
+        return np.asarray(means[rng.choice(len(means), count, replace=False)])
+
+    def predict(
+        self,
+        T_map_camera: ArrayLike,
+        covariance: ArrayLike,
+        ways: Ways,
+        fiducials: tuple[ArrayLike, ArrayLike],
+        new_points: ArrayLike = (),
+        voxel_map: VoxelMap | None = None,
+    ) -> FloatArray:
+        """Covariances of the camera's pose at the ends of ways.
+
+        Args:
+            T_map_camera: where the ways begin, shape (4, 4).
+            covariance: of that pose, shape (6, 6), convention of `geometry.transforms`.
+            ways: where they end.
+            fiducials: positions of the known ones, shape (N, 3) [m, map], and their covariances,
+                shape (N, 3, 3) [m^2].
+            new_points: places of fiducials of which nothing is known yet, shape (S, 3) [m, map];
+                see `surface_points`.
+            voxel_map: hides what is behind a surface.
+
+        Returns:
+            Shape (M, 6, 6).
+
+        Raises:
+            InvalidInputError: shapes do not fit, or a transform or covariance is impossible.
+        """
+        start, before = check_transform(T_map_camera), check_covariance(covariance, 6)
+        known, spreads, share = _thinned(*checked_points(*fiducials), self.config.fiducials)
+        new = float_array(new_points, "new_points").reshape(-1, 3)
+        points = np.concatenate([known, new])
+        shared = shared_variance(before, spreads)
+        informations = np.zeros((len(points), 3, 3))
+        informations[: len(known)] = own_informations(spreads, shared) / share
+        before[:3, :3] -= shared * np.eye(3)
+        centres, rotations, turns = self._waypoints(start, ways.ends)
+        chain = self._chain(before, centres, ways.lengths, turns)
+        sight = self._sight(centres, rotations, points, voxel_map)
+        sight[:, 0, : len(known)] = False  # what the start tells of them is in the covariances
+        weights = np.ones(len(points))
+        weights[: len(known)] = 1.0 / share
+        landmarks = points, informations, weights, sight
+        after = self._at_the_ends(chain, centres, rotations, landmarks)
+        after[:, :3, :3] += shared * np.eye(3)
+        return after
+
+    def _waypoints(
+        self, start: FloatArray, ends: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Places on straight ways, the start first: centres, rotations; and whole turns (M,).
+
+        Shapes (M, K, 3), (M, K, 3, 3), (M,), K one more than the waypoints.
+        """
+        shares = np.arange(self.config.waypoints + 1) / self.config.waypoints
+        offsets = ends[:, :3, 3] - start[:3, 3]
+        centres = start[:3, 3] + shares[:, None] * offsets[:, None]
+        turns = Rotation.from_matrix(ends[:, :3, :3] @ start[:3, :3].T).as_rotvec().reshape(-1, 3)
+        partial = Rotation.from_rotvec((shares[:, None] * turns[:, None]).reshape(-1, 3))
+        rotations = partial.as_matrix() @ start[:3, :3]
+        shape = (len(ends), len(shares), 3, 3)
+        return centres, rotations.reshape(shape), np.linalg.norm(turns, axis=1)
+
+    def _chain(
+        self, before: FloatArray, centres: FloatArray, lengths: FloatArray, turns: FloatArray
+    ) -> FloatArray:
+        """Information of the poses of the way from the start and odometry, (M, 6 K, 6 K)."""
+        ways, places, _ = centres.shape
+        motion, steps = self.config.motion, places - 1
+        position = motion.position_per_metre**2 * lengths / steps
+        turning = motion.rotation_per_metre**2 * lengths + motion.rotation_per_radian**2 * turns
+        noise = np.repeat(np.stack([position, turning / steps], axis=1), 3, axis=1)
+        precision = np.linalg.inv(noise[:, :, None] * np.eye(6) + _FLOOR)
+        over = np.tile(np.eye(6), (ways, 1, 1))
+        over[:, :3, 3:] = -_skews(centres[:, 1] - centres[:, 0])  # all steps of a way are alike
+        back = precision @ over
+        chain = np.zeros((ways, places, 6, places, 6))
+        chain[:, 0, :, 0] = np.linalg.inv(before + _FLOOR)
+        for k in range(1, places):
+            chain[:, k, :, k] += precision
+            chain[:, k - 1, :, k - 1] += over.transpose(0, 2, 1) @ back
+            chain[:, k, :, k - 1] -= back
+            chain[:, k - 1, :, k] -= back.transpose(0, 2, 1)
+        return chain.reshape(ways, 6 * places, 6 * places)
+
+    def _sight(
+        self,
+        centres: FloatArray,
+        rotations: FloatArray,
+        points: FloatArray,
+        voxel_map: VoxelMap | None,
+    ) -> NDArray[np.bool_]:
+        """Which points are seen from which waypoints, shape (M, K, N)."""
+        sight = np.empty((*centres.shape[:2], len(points)), np.bool_)
+        limits = np.array([self.config.nearest, self.config.farthest])
+        kernels.in_view(centres, rotations, points, self._camera, limits, sight)
+        if voxel_map is None or not sight.any():
+            return sight
+        cells, index = np.unique(
+            np.floor(centres.reshape(-1, 3) / self.config.cell).astype(np.int64),
+            axis=0,
+            return_inverse=True,
+        )
+        of_cell = np.zeros((len(cells), len(points)), np.bool_)
+        np.logical_or.at(of_cell, np.ravel(index), sight.reshape(-1, len(points)))
+        origins = np.empty((len(cells), 3))
+        origins[np.ravel(index)] = centres.reshape(-1, 3)  # any place in the cell
+        _hide(of_cell, origins, points, voxel_map, self.config.tolerance)
+        sight &= of_cell[np.ravel(index)].reshape(sight.shape)
+        return sight
+
+    def _at_the_ends(
+        self,
+        chain: FloatArray,
+        centres: FloatArray,
+        rotations: FloatArray,
+        landmarks: tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]],
+    ) -> FloatArray:
+        """What is left of the poses when all but the last are eliminated, shape (M, 6, 6)."""
+        information = np.empty((len(chain), 6, 6))
+        kernels.end_information(
+            chain, centres, rotations, *landmarks, self._camera, self._precisions, information
+        )
+        return np.asarray(np.linalg.inv(0.5 * (information + information.transpose(0, 2, 1))))
+
+
+def _hide(
+    sight: NDArray[np.bool_],
+    origins: FloatArray,
+    points: FloatArray,
+    voxel_map: VoxelMap,
+    tolerance: float,
+) -> None:
+    """Clear what the map hides: of points (N, 3) from origins (C, 3), in `sight` (C, N)."""
+    place, point = np.nonzero(sight)
+    rays = points[point] - origins[place]
+    distances = np.linalg.norm(rays, axis=1)
+    reached, _ = voxel_map.cast_rays(origins[place], rays, float(distances.max()))
+    sight[place, point] = reached >= distances - tolerance * voxel_map.config.voxel_size
+
+
+def _thinned(
+    positions: FloatArray, covariances: FloatArray, most: int
+) -> tuple[FloatArray, FloatArray, float]:
+    """At most so many of the fiducials, and which share of all they are."""
+    count = len(positions)
+    if count <= most:
+        return positions, covariances, 1.0
+    chosen = np.random.default_rng(0).choice(count, most, replace=False)  # any will do
+    return positions[chosen], covariances[chosen], most / count
+
+
+def _skews(vectors: FloatArray) -> FloatArray:
+    """Cross-product matrices, (M, 3) -> (M, 3, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)

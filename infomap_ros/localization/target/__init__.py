@@ -1,0 +1,1 @@
+"""The target whose frame is the map: boards of tags, CAD models, tags on robots."""

@@ -1,0 +1,186 @@
+"""The target as a CAD model, found in a range map without a first guess.
+
+Steps: votes of point pairs; registration of the best; the check that refuses what the camera looks
+through or what is part of something larger; the other poses that fit as well, as those of a
+symmetric model do; refinement with the covariances of the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry import transform_points
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.model_fit import ModelFitter
+from infomap_ros.localization.target.model_scene import ModelScene
+from infomap_ros.localization.target.model_search import Hypothesis, ModelSearch
+from infomap_ros.localization.target.model_shape import ModelShape, load_model
+from infomap_ros.localization.target.target import RefusalReason, TargetRefusal, TargetSighting
+
+if TYPE_CHECKING:
+    from infomap_ros.localization.fiducials.range_view import RangeView
+
+_NAME = "model"
+_FINE = 0.02  # spacing of the scene's points, as a share of the diameter
+_DENSE = 0.008  # of the model's points for the refinement
+_SAME_PLACE = 0.05  # poses nearer than this share of the diameter and
+_SAME_OBJECT = 0.5  # as is the object of poses nearer than this
+_SAME_TURN = 0.2  # [rad] are the same
+
+
+@dataclass(frozen=True)
+class ModelTargetConfig:
+    """A CAD model as target, and when a sighting of it is believed.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    file: str = parameter("", "Mesh of the target: .obj, .stl, .ply, .dae and others.")
+    scale: float = parameter(1.0, "Metres per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
+    tolerance: float = parameter(
+        0.015,
+        "Difference of depth that agrees, beside 3 sigma, as a share of the model's diameter.",
+        low=0.001,
+        high=0.1,
+    )
+    min_score: float = parameter(
+        0.82,
+        "Smallest share of the visible surface that must agree, less what is seen through.",
+        low=0.1,
+        high=1.0,
+    )
+    max_seen_through: float = parameter(
+        0.1, "Largest share of the visible surface with range behind it.", low=0.0, high=1.0
+    )
+    distinction: float = parameter(
+        0.05,
+        "By how much less any other pose must score; less is ambiguous, as for a symmetric model.",
+        low=0.0,
+        high=1.0,
+    )
+    max_flat: float = parameter(
+        0.6,
+        "Largest share of the visible surface that may lie on one plane, which could be anything.",
+        low=0.1,
+        high=1.0,
+    )
+    surface_sigma: float = parameter(
+        0.001, "How far the real surface is from the mesh.", unit="m", low=0.0, high=0.1
+    )
+    max_position_sigma: float = parameter(
+        0.05, "A less certain position is refused.", unit="m", low=0.0001, high=10.0
+    )
+    max_rotation_sigma: float = parameter(
+        0.1, "A less certain rotation is refused.", unit="rad", low=0.001, high=3.0
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class ModelTargetDetector:
+    """Finds a CAD model; see `target.TargetDetector`.
+
+    Args:
+        config: the model, and when a sighting of it is believed.
+        shape: the model's surface, where it does not come from ``config.file``.
+
+    Raises:
+        ConfigError: neither a file nor a shape is given.
+        InvalidInputError: the file cannot be read.
+    """
+
+    def __init__(self, config: ModelTargetConfig, shape: ModelShape | None = None) -> None:
+        if shape is None and not config.file:
+            raise ConfigError("file", config.file, "the path of a mesh")
+        self.config = config
+        self.shape = shape or load_model(config.file, config.scale)
+        diameter = self.shape.diameter
+        self._search = ModelSearch(self.shape, config.tolerance * diameter)
+        self._fitter = ModelFitter(self.shape.thinned(_DENSE * diameter), config.surface_sigma)
+
+    def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
+        """Find the model in the view's dense range map, or say why not."""
+        scene = ModelScene.of_cloud(view.cloud(), _FINE * self.shape.diameter)
+        if len(scene.points) < 100:
+            return _refuse("not in view", f"{len(scene.points)} points with a usable range")
+        found = self._search.find(scene)
+        believed = [one for one in found if self._believed(one)]
+        if not believed:
+            text = found[0].agreement.text() if found else "no votes"
+            return _refuse("not in view", f"best pose: {text}")
+        shaped = [one for one in believed if self._is_shaped(one)]
+        if not shaped:
+            return _refuse("ambiguous", "most of what is seen is one plane")
+        others = self._search.others(scene, shaped[0].transform)
+        shaped += [one for one in others if self._believed(one) and self._is_shaped(one)]
+        best = max(shaped, key=lambda one: one.agreement.score)
+        rival = self._rival(best, [*found, *others])
+        if rival is not None:
+            apart, turn = self._search.difference(best.transform, rival.transform)
+            text = f"a pose {apart:.2f} m and {np.degrees(turn):.0f} deg away fits as well"
+            return _refuse("ambiguous", text)
+        return self._sighting(scene, best)
+
+    def _believed(self, one: Hypothesis) -> bool:
+        agreement = one.agreement
+        enough = agreement.score >= self.config.min_score
+        return enough and agreement.seen_through <= self.config.max_seen_through
+
+    def _is_shaped(self, one: Hypothesis) -> bool:
+        return self._search.flat_share(one.transform) <= self.config.max_flat
+
+    def _rival(self, best: Hypothesis, others: list[Hypothesis]) -> Hypothesis | None:
+        """Another pose that fits about as well, or one of a single plane that fits better."""
+        limit = best.agreement.score - self.config.distinction
+        for other in others:
+            apart, turn = self._search.difference(best.transform, other.transform)
+            elsewhere = apart > _SAME_PLACE * self.shape.diameter or turn > _SAME_TURN
+            if not elsewhere or other.agreement.score <= limit:
+                continue
+            same_object = apart < _SAME_OBJECT * self.shape.diameter
+            better = other.agreement.score > best.agreement.score
+            if same_object or better or self._is_shaped(other):
+                return other
+        return None
+
+    def _sighting(self, scene: ModelScene, best: Hypothesis) -> TargetSighting | TargetRefusal:
+        config, reach = self.config, self.config.tolerance * self.shape.diameter
+        depth = transform_points(best.transform, self.shape.centre)[2]
+        near = np.abs(scene.cloud.points[:, 2] - depth) < 0.5 * self.shape.diameter
+        sigma = float(np.sqrt(np.median(scene.cloud.covariances[near, 2, 2])))
+        fit = self._fitter.fit(scene.cloud, best.transform, max(reach, 3.0 * sigma))
+        if fit is None:
+            return _refuse("too uncertain", "the visible surface leaves a direction open")
+        moved, turned = self._search.difference(best.transform, fit.transform)
+        if moved > _SAME_PLACE * self.shape.diameter or turned > _SAME_TURN:
+            return _refuse("too uncertain", f"the refinement went {moved:.3f} m astray")
+        position, rotation = _largest_sigmas(fit.covariance, fit.transform, self.shape.centre)
+        if position > config.max_position_sigma or rotation > config.max_rotation_sigma:
+            return _refuse("too uncertain", f"sigma {position:.3f} m and {rotation:.3f} rad")
+        refined = Hypothesis(fit.transform, self._search.check(fit.transform, scene))
+        if not self._believed(refined):
+            return _refuse("inconsistent", f"after refinement: {refined.agreement.text()}")
+        return TargetSighting(fit.transform, fit.covariance, refined.agreement.score, _NAME)
+
+
+def _largest_sigmas(
+    covariance: FloatArray, pose: FloatArray, centre: FloatArray
+) -> tuple[float, float]:
+    """Largest sigma of the position of the model's middle [m] and of the rotation [rad]."""
+    sighting = TargetSighting(pose, covariance, 0.0, _NAME)
+    shift = np.eye(4)
+    shift[:3, 3] = centre
+    moved = sighting.of_frame(shift).covariance
+    position = float(np.sqrt(np.linalg.eigvalsh(moved[:3, :3])[-1]))
+    return position, float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
+
+
+def _refuse(reason: RefusalReason, detail: str) -> TargetRefusal:
+    return TargetRefusal(reason, detail, _NAME)

@@ -1,0 +1,254 @@
+"""The target as a board of tags: found in the image, its pose refined with the measured range.
+
+Steps: tags in the image; the poses that they allow; the tags that agree with each; refinement with
+corners and inverse depths; the decision between the two poses of a plane; checks that refuse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import PinholeCamera, transform_points
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
+from infomap_ros.localization.target.tag_pose import (
+    KnownPoints,
+    KnownRanges,
+    PoseFit,
+    fit_pose,
+    initial_poses,
+    no_ranges,
+    pixel_residuals,
+    whitening_of,
+)
+from infomap_ros.localization.target.target import RefusalReason, TargetRefusal, TargetSighting
+
+if TYPE_CHECKING:
+    from infomap_ros.localization.fiducials.range_view import RangeView
+
+_NAME = "tags"
+_SAMPLES = (np.arange(5) + 0.5) / 5.0 - 0.5  # where on a tag range is asked for, in sides
+
+
+@dataclass(frozen=True)
+class TagTargetConfig:
+    """A board of tags as target, and when a sighting of it is believed.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    board: TagBoardConfig = field(default_factory=TagBoardConfig)
+    detection: TagDetectionConfig = field(default_factory=TagDetectionConfig)
+    min_tags: int = parameter(1, "Fewer tags of the board are not believed.", low=1, high=900)
+    use_range: bool = parameter(
+        True, "Whether the measured range takes part: it tells the two poses of a plane apart."
+    )
+    range_scale_sigma: float = parameter(
+        0.02,
+        "Standard deviation of the ratio between measured range and the range that the tags' size "
+        "tells: errors of baseline and print.",
+        low=0.0001,
+        high=0.5,
+    )
+    ambiguity_cost: float = parameter(
+        14.0,
+        "How much worse, in squared sigmas, the other pose of a plane must fit to be ruled out.",
+        low=0.0,
+        high=1000.0,
+    )
+    agreement: float = parameter(
+        5.0,
+        "A tag with a corner farther from the board's pose, in sigmas, is left out.",
+        low=1.0,
+        high=100.0,
+    )
+    agreement_pixels: float = parameter(
+        0.5, "Nor is a tag left out for less than this.", unit="px", low=0.0, high=10.0
+    )
+    max_rotation_sigma: float = parameter(
+        0.1,
+        "A pose that is less certain about any axis is refused.",
+        unit="rad",
+        low=0.001,
+        high=3.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class TagTargetDetector:
+    """Finds a board of tags; see `target.TargetDetector`.
+
+    Args:
+        config: the board, and when a sighting of it is believed.
+
+    Attributes:
+        board: where its tags are.
+    """
+
+    def __init__(self, config: TagTargetConfig | None = None) -> None:
+        self.config = config or TagTargetConfig()
+        self.board = TagBoard(self.config.board)
+        self._finder = TagFinder(self.config.board.family, self.config.detection)
+
+    def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
+        """Find the board, or say why not."""
+        return self.locate(self.find(view.image), view)
+
+    def find(self, image: NDArray[np.uint8]) -> Tags:
+        """The board's tags in a grey image, shape (H, W)."""
+        return own_tags(self._finder.find(image), self.board)
+
+    def locate(self, tags: Tags, view: RangeView) -> TargetSighting | TargetRefusal:
+        """Work out the board's pose from tags that were found before.
+
+        Args:
+            tags: those of this board only.
+            view: the view in which they were found.
+        """
+        config, camera = self.config, view.camera
+        if len(tags.ids) < config.min_tags:
+            return _refuse("not in view", f"{len(tags.ids)} of {len(self.board.ids)} tags found")
+        known = self._known(tags)
+        starts = self._consensus(known, camera)
+        agreeing = max((mask for _, mask in starts), key=np.sum, default=np.zeros(0, bool))
+        if 2 * agreeing.sum() < len(tags.ids) or agreeing.sum() < config.min_tags:
+            return _refuse("inconsistent", f"{agreeing.sum()} of {len(tags.ids)} tags agree")
+        known = _select(known, agreeing)
+        ranges = self._ranges(tags.ids[agreeing], tags.corners[agreeing], view)
+        fits = [fit_pose(camera, known, ranges, start) for start, _ in starts]
+        found = [fit for fit in fits if fit is not None]
+        if not found:
+            return _refuse("inconsistent", "no pose fits")
+        share = float(agreeing.sum()) / len(tags.ids)
+        return self._decide(sorted(found, key=lambda fit: fit.cost), len(known.points), share)
+
+    def _known(self, tags: Tags) -> KnownPoints:
+        places = [self.board.ids.index(int(one)) for one in tags.ids]
+        return KnownPoints(
+            self.board.corners[places].reshape(-1, 3),
+            tags.corners.reshape(-1, 2),
+            whitening_of(tags.covariances.reshape(-1, 2, 2)),
+        )
+
+    def _consensus(
+        self, known: KnownPoints, camera: PinholeCamera
+    ) -> list[tuple[FloatArray, NDArray[np.bool_]]]:
+        """Poses, and the tags that agree with each, from all corners and from each tag alone."""
+        count = len(known.points) // 4
+        groups = [np.ones(count, bool), *(np.eye(count, dtype=bool) if count > 1 else [])]
+        found = []
+        for group in groups:
+            part = _select(known, group)
+            for start in initial_poses(part.points, part.pixels, camera):
+                fit = fit_pose(camera, part, no_ranges(), start)
+                if fit is not None:
+                    mask = self._agreeing(known, camera, fit.T_camera_target)
+                    found.append((fit.T_camera_target, mask))
+            if found and found[0][1].all():
+                break  # all agree with the pose from all
+        best = max((mask.sum() for _, mask in found), default=0)
+        first = next((mask for _, mask in found if mask.sum() == best), None)
+        return self._both_poses(known, camera, first) if first is not None and best else []
+
+    def _both_poses(
+        self, known: KnownPoints, camera: PinholeCamera, mask: NDArray[np.bool_]
+    ) -> list[tuple[FloatArray, NDArray[np.bool_]]]:
+        """Every pose that the agreeing tags allow together."""
+        part = _select(known, mask)
+        return [(pose, mask) for pose in initial_poses(part.points, part.pixels, camera)]
+
+    def _agreeing(
+        self, known: KnownPoints, camera: PinholeCamera, pose: FloatArray
+    ) -> NDArray[np.bool_]:
+        whitened = np.linalg.norm(pixel_residuals(camera, known, pose), axis=1)
+        predicted = camera.project(transform_points(pose, known.points))
+        distance = np.linalg.norm(predicted - known.pixels, axis=1)
+        near = (whitened < self.config.agreement) | (distance < self.config.agreement_pixels)
+        return np.asarray(near.reshape(-1, 4).all(axis=1))
+
+    def _ranges(self, ids: NDArray[np.int64], corners: FloatArray, view: RangeView) -> KnownRanges:
+        """Inverse depths measured on the agreeing tags, between their corners."""
+        if not self.config.use_range:
+            return no_ranges()
+        side = self.config.board.side
+        x, y = (axis.ravel() * side for axis in np.meshgrid(_SAMPLES, -_SAMPLES))
+        on_tag = np.column_stack([x, y, np.zeros(len(x))])
+        half = 0.5 * side
+        square = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
+        points, pixels = [], []
+        for one, quad in zip(ids, corners, strict=True):
+            pose = self.board.tag_poses[self.board.ids.index(int(one))]
+            points.append(transform_points(pose, on_tag))
+            pixels.append(_through_homography(square, quad, on_tag[:, :2]))
+        places = np.concatenate(pixels)
+        rho, sigma = view.inverse_depths(places)
+        good = np.isfinite(rho) & np.isfinite(sigma) & (rho > 0.0) & (sigma > 0.0)
+        scale_sigma = self.config.range_scale_sigma
+        return KnownRanges(np.concatenate(points)[good], rho[good], sigma[good], scale_sigma)
+
+    def _decide(
+        self, fits: list[PoseFit], corners: int, share: float
+    ) -> TargetSighting | TargetRefusal:
+        config, best = self.config, fits[0]
+        freedom = max(2 * corners - 6, 1)
+        inflation = max(1.0, best.pixel_cost / freedom)
+        covariance = best.covariance * inflation
+        if abs(best.scale) > 4.0 * config.range_scale_sigma:
+            text = f"by {100.0 * best.scale:.1f} %: is the tag's side right?"
+            return _refuse("range contradicts size", text)
+        for other in fits[1:]:
+            apart = _difference(best.T_camera_target, other.T_camera_target)
+            worse = (other.cost - best.cost) / inflation
+            if worse < config.ambiguity_cost:
+                if np.linalg.norm(apart[3:]) > 2.0 * config.max_rotation_sigma:
+                    angle = np.degrees(np.linalg.norm(apart[3:]))
+                    text = f"a pose turned by {angle:.0f} deg fits {worse:.1f} sigma^2 worse"
+                    return _refuse("ambiguous", text)
+                weight = 1.0 / (1.0 + np.exp(0.5 * worse))
+                covariance = covariance + weight * np.outer(apart, apart)
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
+        if sigma > config.max_rotation_sigma:
+            return _refuse("too uncertain", f"rotation sigma {sigma:.3f} rad")
+        return TargetSighting(best.T_camera_target, covariance, share, _NAME)
+
+
+def own_tags(tags: Tags, board: TagBoard) -> Tags:
+    """Those of the tags that are on a board."""
+    mask = np.isin(tags.ids, board.ids)
+    return Tags(tags.ids[mask], tags.corners[mask], tags.covariances[mask])
+
+
+def _select(known: KnownPoints, tags: NDArray[np.bool_]) -> KnownPoints:
+    rows = np.repeat(tags, 4)
+    return KnownPoints(known.points[rows], known.pixels[rows], known.whitening[rows])
+
+
+def _difference(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Pose error, shape (6,), that takes the first pose to the second."""
+    turn = Rotation.from_matrix(second[:3, :3] @ first[:3, :3].T).as_rotvec()
+    return np.concatenate([second[:3, 3] - first[:3, 3], turn])
+
+
+def _through_homography(square: FloatArray, quad: FloatArray, points: FloatArray) -> FloatArray:
+    """Pixels of points in a tag's plane, by its four corners, shape (N, 2)."""
+    rows = []
+    for (x, y), (u, v) in zip(square, quad, strict=True):
+        rows.append([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y])
+        rows.append([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y])
+    matrix = np.append(np.linalg.solve(np.array(rows), quad.ravel()), 1.0).reshape(3, 3)
+    mapped = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def _refuse(reason: RefusalReason, detail: str) -> TargetRefusal:
+    return TargetRefusal(reason, detail, _NAME)

@@ -1,0 +1,1 @@
+"""Scans that are kept, and put where they belong when their poses are corrected."""

@@ -1,0 +1,228 @@
+"""The scans that a map was made of, with the poses from which they were taken.
+
+Where a pose turns out to have been wrong, its scan can be put where it belongs
+(`infomap_ros.mapping.correction.reintegration`). Memory is bounded: scans that no longer fit are
+frozen. A frozen scan stays in the map where it is and its record is given up; those are frozen
+first whose poses are known best, because they will be corrected least, and of equally good ones
+the oldest.
+What cannot be corrected is a map of its own, the base: the frozen scans, and the content of a map
+file, which has no scans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.config import VoxelMapConfig
+from infomap_ros.mapping.correction.scan_record import ScanRecord, keep_scan
+from infomap_ros.mapping.scans.integration import IntegrationReport
+from infomap_ros.mapping.scans.view_volume import ViewVolume, view_volume
+from infomap_ros.mapping.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True)
+class ScanStoreConfig:
+    """How many scans are kept.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    memory: float = parameter(
+        1.0,
+        "Memory for scans that can be moved when poses are corrected; those beyond it stay where "
+        "they are. 0 keeps none.",
+        unit="GB",
+        low=0.0,
+        high=1024.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class KeptScan:
+    """A scan with the pose by which it is in the map.
+
+    Attributes:
+        number: of the scan in its store, ascending.
+        stamp: [ns].
+        record: the scan.
+        transform: T_map_sensor, shape (4, 4).
+        covariance: of the pose, shape (6, 6), or None where unknown.
+    """
+
+    number: int
+    stamp: int
+    record: ScanRecord
+    transform: FloatArray
+    covariance: FloatArray | None
+
+    def view(self, config: VoxelMapConfig) -> ViewVolume:
+        """Where the scan may have informed a map."""
+        return view_volume(self.transform, self.record.camera, self.record.farthest, config)
+
+    def expected_correction(self, reach: float) -> float:
+        """How far a point at distance `reach` [m] may move by the pose's covariance [m]."""
+        if self.covariance is None:
+            return 0.0
+        sigmas = np.sqrt(np.diag(self.covariance))
+        distance = min(self.record.farthest, reach)
+        return float(np.linalg.norm(sigmas[:3]) + distance * np.linalg.norm(sigmas[3:]))
+
+
+class ScanStore:
+    """Scans in the order in which they came.
+
+    Args:
+        map_config: of the map that the scans are integrated into.
+        config: how many are kept.
+        base: a map whose content is kept as it is, for example a loaded one; copied.
+    """
+
+    def __init__(
+        self,
+        map_config: VoxelMapConfig,
+        config: ScanStoreConfig | None = None,
+        base: VoxelMap | None = None,
+    ) -> None:
+        self.config = config or ScanStoreConfig()
+        self._map_config = map_config
+        state = base.state() if base else None
+        self._base = VoxelMap.from_state(map_config, state) if state else VoxelMap(map_config)
+        self._scans: dict[int, KeptScan] = {}
+        self._bytes = 0
+        self._number = 0
+        self._frozen = 0
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __iter__(self) -> Iterator[KeptScan]:
+        return iter(tuple(self._scans.values()))
+
+    @property
+    def base(self) -> VoxelMap:
+        """What is in the map for good. It is the store's own: read it only."""
+        return self._base
+
+    @property
+    def frozen(self) -> int:
+        """Number of scans that were given up so far."""
+        return self._frozen
+
+    def memory_bytes(self) -> int:
+        """Memory in use by scans and base [bytes]."""
+        return self._bytes + self._base.memory_bytes()
+
+    def integrate(
+        self,
+        voxel_map: VoxelMap,
+        stamp: int,
+        points: ArrayLike,
+        T_map_sensor: ArrayLike,
+        covariances: ArrayLike | None = None,
+        pose_covariance: ArrayLike | None = None,
+        camera: PinholeCamera | None = None,
+        error_correlation: float | None = None,
+    ) -> IntegrationReport:
+        """Add a scan to a map as `VoxelMap.integrate` does, and keep it.
+
+        The map gets what is kept, so that it can be made again to the bit.
+
+        Raises:
+            InvalidInputError: as there. Nothing is kept.
+            CapacityError: as there. Nothing is kept.
+        """
+        if self.config.memory == 0.0:
+            return voxel_map.integrate(
+                points, T_map_sensor, covariances, pose_covariance, camera, error_correlation
+            )
+        record = keep_scan(points, covariances, camera, error_correlation)
+        report = integrate_record(voxel_map, record, T_map_sensor, pose_covariance)
+        self.add(stamp, record, T_map_sensor, pose_covariance)
+        return report
+
+    def add(
+        self,
+        stamp: int,
+        record: ScanRecord,
+        T_map_sensor: ArrayLike,
+        pose_covariance: ArrayLike | None = None,
+    ) -> None:
+        """Keep a scan that was integrated from `record`.
+
+        Raises:
+            InvalidInputError: the pose or its covariance is none.
+        """
+        transform = check_transform(T_map_sensor, "T_map_sensor")
+        covariance = None
+        if pose_covariance is not None:
+            covariance = check_covariance(pose_covariance, 6, "pose_covariance")
+        scan = KeptScan(self._number, stamp, record, transform, covariance)
+        self._scans[self._number] = scan
+        self._number += 1
+        self._bytes += record.memory_bytes()
+
+    def freeze_excess(self) -> int:
+        """Give up the scans that do not fit into the memory; returns how many."""
+        before = self._frozen
+        while self._bytes > self.config.memory * 1e9:
+            number = min(self._scans, key=self._usefulness)
+            scan = self._scans.pop(number)
+            self._bytes -= scan.record.memory_bytes()
+            integrate_record(self._base, scan.record, scan.transform, scan.covariance)
+            self._frozen += 1
+        return self._frozen - before
+
+    def first_from(self, number: int) -> KeptScan | None:
+        """The first scan with this number or a larger one, None where there is none."""
+        return next((scan for key, scan in self._scans.items() if key >= number), None)
+
+    def move(self, poses: Mapping[int, tuple[FloatArray, FloatArray | None]]) -> None:
+        """Note that scans are in the map by other poses now.
+
+        Args:
+            poses: (T_map_sensor, covariance or None for the one it had) by number of the scan.
+        """
+        for number, (transform, covariance) in poses.items():
+            old = self._scans[number]
+            kept = old.covariance if covariance is None else covariance
+            self._scans[number] = replace(old, transform=transform, covariance=kept)
+
+    def _usefulness(self, number: int) -> tuple[int, int]:
+        """Rank of a scan: expected correction in half voxels, then how new it is."""
+        reach = self._map_config.max_range
+        correction = self._scans[number].expected_correction(reach)
+        return int(min(correction / (0.5 * self._map_config.voxel_size), 1e9)), number
+
+
+def integrate_record(
+    voxel_map: VoxelMap,
+    record: ScanRecord,
+    T_map_sensor: ArrayLike,
+    pose_covariance: ArrayLike | None,
+) -> IntegrationReport:
+    """Add a kept scan to a map.
+
+    Raises:
+        InvalidInputError: as `VoxelMap.integrate`.
+        CapacityError: likewise.
+    """
+    scan = record.restore()
+    return voxel_map.integrate(
+        scan.points,
+        T_map_sensor,
+        scan.covariances,
+        pose_covariance,
+        scan.camera,
+        scan.error_correlation,
+    )

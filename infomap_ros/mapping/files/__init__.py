@@ -1,0 +1,1 @@
+"""The map as files, pictures and 2-D grids."""

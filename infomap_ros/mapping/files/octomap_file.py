@@ -1,0 +1,148 @@
+"""OctoMap's files: .ot with log-odds, .bt with free and occupied only.
+
+A. Hornung et al., "OctoMap: an efficient probabilistic 3D mapping framework based on octrees",
+Autonomous Robots 34, 2013, https://doi.org/10.1007/s10514-012-9321-0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import MapFileError
+from infomap_ros.mapping.files.octree import DEPTH, KEY_OFFSET, Octree, build_octree
+from infomap_ros.mapping.voxel_map import VoxelMap
+
+_FULL = "# Octomap OcTree file"
+_BINARY = "# Octomap OcTree binary file"
+_FREE, _OCCUPIED, _INNER = 1, 2, 3  # two bits of a child in a .bt file; 0: unknown
+
+
+@dataclass(frozen=True, eq=False)
+class OctomapLeaves:
+    """Leaves of an OctoMap tree: cubes of voxels with one state.
+
+    Attributes:
+        resolution: edge of a voxel [m].
+        corners: smallest voxel index of each leaf, shape (n, 3), int32.
+        edges: edge of each leaf [voxels], shape (n,), int32.
+        occupied: whether it is occupied, else free, shape (n,), bool.
+    """
+
+    resolution: float
+    corners: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    occupied: NDArray[np.bool_]
+
+    def occupied_voxels(self) -> NDArray[np.int32]:
+        """Indices of all occupied voxels, shape (k, 3); large leaves are taken apart."""
+        parts = [np.zeros((0, 3), dtype=np.int32)]
+        for edge in np.unique(self.edges[self.occupied]):
+            cube = np.indices((edge, edge, edge), dtype=np.int32).reshape(3, -1).T
+            corners = self.corners[self.occupied & (self.edges == edge)]
+            parts.append((corners[:, None] + cube).reshape(-1, 3))
+        return np.concatenate(parts)
+
+
+def write_ot(voxel_map: VoxelMap, path: str | Path) -> None:
+    """Write all known voxels with their log-odds as a full OctoMap tree.
+
+    OctoMap takes log-odds of exactly 0 for occupied.
+
+    Raises:
+        InvalidInputError: a voxel lies beyond OctoMap's 2^15 voxels from the origin.
+        OSError: the file cannot be written.
+    """
+    tree = build_octree(*voxel_map.voxels())
+    nodes = np.zeros(len(tree.values), dtype=[("value", "<f4"), ("children", "u1")])
+    nodes["value"], nodes["children"] = tree.values, tree.children
+    _write(path, _FULL, len(nodes), voxel_map.config.voxel_size, nodes.tobytes())
+
+
+def write_bt(voxel_map: VoxelMap, path: str | Path) -> None:
+    """Write all known voxels as a binary OctoMap tree; occupied is p > 0.5.
+
+    Raises:
+        InvalidInputError: a voxel lies beyond OctoMap's 2^15 voxels from the origin.
+        OSError: the file cannot be written.
+    """
+    indices, log_odds = voxel_map.voxels()
+    tree = build_octree(indices, np.where(log_odds > 0.0, 1.0, -1.0).astype(np.float32))
+    data = _child_states(tree).tobytes()
+    _write(path, _BINARY, len(tree.values), voxel_map.config.voxel_size, data)
+
+
+def _child_states(tree: Octree) -> NDArray[np.uint16]:
+    """Two bits for each child of each inner node, shape (inner nodes,)."""
+    inner = tree.children > 0
+    children = tree.children[inner]
+    has_children, occupied = tree.inner_children[inner], tree.occupied_children[inner]
+    states = np.zeros(len(children), dtype="<u2")
+    for i in range(8):
+        exists, below, full = (bits >> i & 1 for bits in (children, has_children, occupied))
+        state = np.where(below, _INNER, np.where(full, _OCCUPIED, _FREE)) * exists
+        states |= state.astype(np.uint16) << (2 * i)
+    return states
+
+
+def _write(path: str | Path, title: str, size: int, resolution: float, data: bytes) -> None:
+    header = f"{title}\n# written by infomap_ros\nid OcTree\nsize {size}\nres {resolution}\ndata\n"
+    Path(path).write_bytes(header.encode("ascii") + data)
+
+
+def read_bt(path: str | Path) -> OctomapLeaves:
+    """Read a binary OctoMap tree, for example a recorded building.
+
+    Raises:
+        MapFileError: the file is missing, no .bt file, truncated, or contradicts itself.
+    """
+    source = Path(path)
+    try:
+        content = source.read_bytes()
+    except OSError as error:
+        raise MapFileError(f"cannot read OctoMap file {source}: {error.strerror}") from error
+    header, _, data = content.partition(b"\ndata\n")
+    lines = header.decode("ascii", errors="replace").splitlines()
+    fields = dict(line.split(maxsplit=1) for line in lines[1:] if len(line.split()) == 2)
+    try:
+        size, resolution = int(fields["size"]), float(fields["res"])
+    except (KeyError, ValueError):
+        size, resolution = -1, 0.0
+    if lines[:1] != [_BINARY] or fields.get("id") != "OcTree" or size < 0 or not resolution > 0.0:
+        raise MapFileError(f"{source} is no binary OctoMap file of an OcTree")
+    states = np.frombuffer(data[: len(data) // 2 * 2], dtype="<u2")
+    corners, edges, occupied, nodes = _leaves_of(states if size else states[:0], source)
+    if nodes != size:
+        raise MapFileError(f"OctoMap file {source} holds {nodes} nodes, its header says {size}")
+    return OctomapLeaves(resolution, corners - np.int32(KEY_OFFSET), edges, occupied)
+
+
+def _leaves_of(
+    states: NDArray[np.uint16], source: Path
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_], int]:
+    """Walk through the inner nodes of a .bt file in the order in which they are stored."""
+    leaves: list[tuple[int, int, int, int, bool]] = []
+    pending = [(0, 0, 0, 1 << DEPTH)] if len(states) else []
+    nodes = len(pending)
+    following = iter(states.tolist())
+    while pending:
+        x, y, z, edge = pending.pop()
+        state = next(following, None)
+        if state is None or edge == 1:
+            problem = "is truncated" if state is None else f"has more than {DEPTH} levels"
+            raise MapFileError(f"OctoMap file {source} {problem}")
+        half, inner = edge // 2, []
+        for i in range(8):
+            kind = state >> (2 * i) & 3
+            child = (x + half * (i & 1), y + half * (i >> 1 & 1), z + half * (i >> 2), half)
+            nodes += kind != 0
+            if kind == _INNER:
+                inner.append(child)
+            elif kind:
+                leaves.append((*child, kind == _OCCUPIED))
+        pending.extend(reversed(inner))
+    table = np.array(leaves, dtype=np.int32).reshape(-1, 5)
+    return table[:, :3], table[:, 3], table[:, 4] > 0, nodes

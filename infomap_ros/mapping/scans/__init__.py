@@ -1,0 +1,1 @@
+"""How a scan becomes evidence for voxels, and enters the map."""

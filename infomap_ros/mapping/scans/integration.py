@@ -1,0 +1,115 @@
+"""Integrating one scan, as a few named steps.
+
+gather     points by voxel, and the voxels through which the scan sees
+observe    one observation per voxel, with the pose's error in it once
+write      evidence and Gaussians into the map
+
+Only the last step touches the map, and it runs after the last check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.mapping.config import VoxelMapConfig
+from infomap_ros.mapping.scans.association import Sensor
+from infomap_ros.mapping.scans.gathering import ScanGatherer
+from infomap_ros.mapping.scans.observation import empty_observations, observe_rows
+from infomap_ros.mapping.scans.scan import ScanRows
+from infomap_ros.mapping.scans.scan_input import Scan
+from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.storage import MapStorage, Observations, ScanWriter
+
+
+@dataclass(frozen=True)
+class IntegrationReport:
+    """What became of the points of a scan.
+
+    Attributes:
+        points_used: points that informed the map.
+        points_out_of_range: points beyond ``max_range``; they only free space.
+        points_refused: points outside the coordinate limits or the camera's image, behind another
+            point in their pixel, or with a covariance that is not positive.
+        voxels_observed: voxels that received an observation.
+        blocks_seen_through: blocks in which voxels were freed.
+    """
+
+    points_used: int
+    points_out_of_range: int
+    points_refused: int
+    voxels_observed: int
+    blocks_seen_through: int
+
+
+class ScanIntegrator:
+    """Integrates scans into a `MapStorage`; keeps threads and scratch memory."""
+
+    def __init__(self, config: VoxelMapConfig) -> None:
+        self._config = config
+        self._workers = Workers(config.threads)
+        self._gatherer = ScanGatherer(config, self._workers)
+        self._writer = ScanWriter(config, self._workers)
+
+    def integrate(
+        self, storage: MapStorage, measured: Scan, correlation: float
+    ) -> IntegrationReport:
+        """Add one scan to the map.
+
+        Args:
+            storage: the map's arrays.
+            measured: the scan.
+            correlation: of the errors of neighbouring points, in [0, 1].
+
+        Raises:
+            CapacityError: the map would grow beyond its limit; nothing is changed.
+        """
+        sensor = self._sensor(measured)
+        tallies = np.zeros(4, np.int64)
+        rows, free = self._gatherer.gather(measured, sensor, tallies)
+        observed = [self._observe(part, measured, sensor, correlation) for part in rows]
+        storage.check_capacity(observed, free, self._config.memory_limit * 1e9)
+        self._writer.write(storage, observed, free)
+        return IntegrationReport(
+            points_used=int(tallies[0]),
+            points_out_of_range=int(tallies[1]),
+            points_refused=int(tallies[2] + tallies[3]) + measured.outside,
+            voxels_observed=int(sum(np.count_nonzero(part.information[:, 0]) for part in observed)),
+            blocks_seen_through=len(free.bits),
+        )
+
+    def _sensor(self, measured: Scan) -> Sensor:
+        config = self._config
+        return Sensor(
+            tuple(measured.transform[:3, :3].ravel().tolist()),
+            tuple(measured.transform[:3, 3].tolist()),
+            1.0 / config.voxel_size,
+            config.voxel_size,
+            config.max_range,
+            config.association_sigmas,
+            config.association_limit,
+        )
+
+    def _observe(
+        self, rows: ScanRows, measured: Scan, sensor: Sensor, correlation: float
+    ) -> Observations:
+        count = int(rows.used[0])
+        information, hits = empty_observations(count)
+        hit_quanta = self._config.hit_quanta
+
+        def observe(_: int, first: int, last: int) -> None:
+            observe_rows(
+                rows,
+                sensor,
+                measured.pose_covariance,
+                correlation,
+                hit_quanta,
+                first,
+                last,
+                information,
+                hits,
+            )
+
+        self._workers.run(observe, count)
+        return Observations(rows, information, hits)

@@ -1,0 +1,238 @@
+"""From the gathered rows of a scan to one observation per voxel.
+
+The observation is the mean of the voxel's points with covariance
+
+    v n n^T  +  max(v, s^2 / 12) (I - n n^T),    v = n^T (A + B) n
+
+    A = R (c + (1 - c) / k) C_points R^T,    B = J C_pose J^T
+
+A is the range noise of k points whose errors correlate by c (eqs. 2 and 3 of Sujan and Dubowsky
+2005, with the frame change in its correct form R C R^T). B is the error of the pose, J = [I,
+-skew(R x)], added once per scan. n is the surface normal, s the voxel size.
+
+Of an error only its part along the normal counts. An error e along the ray moves a point along the
+surface too, but there the point is gathered with those of the voxel where it ends up: the mean of
+the voxel's points is off by n^T e along the normal and by nothing across it. To keep the
+correlation of the two in A would make each scan a thin needle along its rays, and several scans
+would be triangulated to a certainty that none of them has. Across the normal the points may be any
+of the patch within the voxel, s^2 / 12; it is not taken thinner than v, so that normals that differ
+from scan to scan by their noise triangulate nothing either.
+
+Where a voxel holds an edge, no normal is known, and the covariance is A + B + s^2 / 12 I.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.mapping.scans.scan import row_centre
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, invert_symmetric
+
+_AGREEMENT = 0.7
+"""Length of the mean of unit normals below which a voxel holds an edge, not a smooth patch."""
+
+_LEAST_VARIANCE = 1e-18
+"""A variance along the normal of no more than this is what rounding left of one [m^2]."""
+
+
+@njit(cache=True, nogil=True)
+def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
+    """``scale * R S R^T`` as (xx, xy, xz, yy, yz, zz); R row by row, S in the same order."""
+    ax, ay, az = (
+        r[0] * c[0] + r[1] * c[1] + r[2] * c[2],
+        r[0] * c[1] + r[1] * c[3] + r[2] * c[4],
+        r[0] * c[2] + r[1] * c[4] + r[2] * c[5],
+    )
+    bx, by, bz = (
+        r[3] * c[0] + r[4] * c[1] + r[5] * c[2],
+        r[3] * c[1] + r[4] * c[3] + r[5] * c[4],
+        r[3] * c[2] + r[4] * c[4] + r[5] * c[5],
+    )
+    cx, cy, cz = (
+        r[6] * c[0] + r[7] * c[1] + r[8] * c[2],
+        r[6] * c[1] + r[7] * c[3] + r[8] * c[4],
+        r[6] * c[2] + r[7] * c[4] + r[8] * c[5],
+    )
+    return (
+        scale * (ax * r[0] + ay * r[1] + az * r[2]),
+        scale * (ax * r[3] + ay * r[4] + az * r[5]),
+        scale * (ax * r[6] + ay * r[7] + az * r[8]),
+        scale * (bx * r[3] + by * r[4] + bz * r[5]),
+        scale * (bx * r[6] + by * r[7] + bz * r[8]),
+        scale * (cx * r[6] + cy * r[7] + cz * r[8]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _pose_covariance(p: Any, x: float, y: float, z: float) -> Any:
+    """``J C_pose J^T`` for a point at arm (x, y, z) [m] from the sensor, map frame.
+
+    With T, X and D the blocks of C_pose and S = skew(arm) it is T - X S^T - S X^T + S D S^T.
+    """
+    # Rows of J C for the three axes: translation row, minus the rows of S times the rotation rows.
+    a = (
+        p[0, 0] + z * p[4, 0] - y * p[5, 0],
+        p[0, 1] + z * p[4, 1] - y * p[5, 1],
+        p[0, 2] + z * p[4, 2] - y * p[5, 2],
+        p[0, 3] + z * p[4, 3] - y * p[5, 3],
+        p[0, 4] + z * p[4, 4] - y * p[5, 4],
+        p[0, 5] + z * p[4, 5] - y * p[5, 5],
+    )
+    b = (
+        p[1, 1] - z * p[3, 1] + x * p[5, 1],
+        p[1, 2] - z * p[3, 2] + x * p[5, 2],
+        p[1, 3] - z * p[3, 3] + x * p[5, 3],
+        p[1, 4] - z * p[3, 4] + x * p[5, 4],
+        p[1, 5] - z * p[3, 5] + x * p[5, 5],
+    )
+    c = (
+        p[2, 2] + y * p[3, 2] - x * p[4, 2],
+        p[2, 3] + y * p[3, 3] - x * p[4, 3],
+        p[2, 4] + y * p[3, 4] - x * p[4, 4],
+    )
+    return (
+        a[0] + z * a[4] - y * a[5],
+        a[1] - z * a[3] + x * a[5],
+        a[2] + y * a[3] - x * a[4],
+        b[0] - z * b[2] + x * b[4],
+        b[1] + y * b[2] - x * b[3],
+        c[0] + y * c[1] - x * c[2],
+    )
+
+
+@njit(cache=True, nogil=True)
+def _variance_along(c: Any, nx: float, ny: float, nz: float) -> float:
+    """``n^T C n`` of C = (xx, xy, xz, yy, yz, zz)."""
+    variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
+    return variance + 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
+
+
+@njit(cache=True, nogil=True)
+def _plane_matrix(along: float, across: float, nx: float, ny: float, nz: float) -> Any:
+    """``along n n^T + across (I - n n^T)`` as (xx, xy, xz, yy, yz, zz)."""
+    d = along - across
+    return (
+        across + d * nx * nx,
+        d * nx * ny,
+        d * nx * nz,
+        across + d * ny * ny,
+        d * ny * nz,
+        across + d * nz * nz,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _covariance_sums(sums: Any, row: int) -> Any:
+    """Sum of the points' covariances of a row, in double precision."""
+    return (
+        np.float64(sums[row, 4]),
+        np.float64(sums[row, 5]),
+        np.float64(sums[row, 6]),
+        np.float64(sums[row, 7]),
+        np.float64(sums[row, 8]),
+        np.float64(sums[row, 9]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _sum(a: Any, b: Any) -> Any:
+    """Sum of two symmetric matrices given by their upper triangles."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5])
+
+
+@njit(cache=True, nogil=True)
+def _share_inside(
+    distance: float, nx: float, ny: float, nz: float, variance: float, size: float
+) -> float:
+    """Probability that the surface lies in the voxel, along the normal.
+
+    Args:
+        distance: from the voxel's centre to the surface, along the normal [m].
+        nx: unit normal, likewise ny and nz.
+        ny: see nx.
+        nz: see nx.
+        variance: of that distance [m^2].
+        size: of the voxel [m].
+    """
+    half = 0.5 * size * (abs(nx) + abs(ny) + abs(nz))
+    scale = 1.0 / math.sqrt(2.0 * variance)
+    return 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
+
+
+@njit(cache=True, nogil=True)
+def observe_rows(
+    rows: Any,
+    sensor: Any,
+    pose_covariance: Any,
+    correlation: float,
+    hit_quanta: int,
+    first: int,
+    last: int,
+    information: Any,
+    hits: Any,
+) -> None:
+    """Turn the rows [first, last) into observations.
+
+    Args:
+        rows: a `ScanRows`.
+        sensor: a `Sensor`.
+        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
+        correlation: of the errors of the points of one voxel, in [0, 1].
+        hit_quanta: evidence of a certain hit.
+        first: first row.
+        last: one past the last row.
+        information: receives information matrix and vector of each row relative to the voxel's
+            centre, shape (n, 9), float32; the first entry is 0 where a row has
+            no points or its covariance is not positive definite.
+        hits: receives the evidence of each row [quanta], int32.
+    """
+    inverse, centre = np.empty(6), np.empty(3)
+    sums, t, size = rows.sums, sensor.position, sensor.size
+    for row in range(first, last):
+        information[row, 0] = 0.0
+        hits[row] = 0
+        count = np.float64(sums[row, 0])
+        if count == 0.0:
+            continue
+        share = 1.0 / count
+        row_centre(rows.keys[row], size, centre)
+        ox, oy, oz = sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share
+        nx, ny, nz = np.float64(sums[row, 10]), np.float64(sums[row, 11]), np.float64(sums[row, 12])
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        smooth = length > _AGREEMENT * count
+        scale = 1.0 / length if smooth else 0.0
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        points = _covariance_sums(sums, row)
+        total = _sum(
+            _rotate_symmetric(
+                sensor.rotation, points, (correlation + (1.0 - correlation) * share) * share
+            ),
+            _pose_covariance(
+                pose_covariance, centre[0] + ox - t[0], centre[1] + oy - t[1], centre[2] + oz - t[2]
+            ),
+        )
+        inside, patch = min(1.0, np.float64(sums[row, 13])), size * size / 12.0
+        if not invert_symmetric(_sum(total, (patch, 0.0, 0.0, patch, 0.0, patch)), inverse):
+            continue
+        if smooth:
+            variance = _variance_along(total, nx, ny, nz)
+            if not variance > _LEAST_VARIANCE:
+                continue
+            inside = _share_inside(ox * nx + oy * ny + oz * nz, nx, ny, nz, variance, size)
+            inverse[:] = _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
+        hits[row] = int(hit_quanta * inside + 0.5)
+        for i in range(6):
+            information[row, i] = inverse[i]
+        information[row, 6] = inverse[0] * ox + inverse[1] * oy + inverse[2] * oz
+        information[row, 7] = inverse[1] * ox + inverse[3] * oy + inverse[4] * oz
+        information[row, 8] = inverse[2] * ox + inverse[4] * oy + inverse[5] * oz
+
+
+def empty_observations(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Storage for `observe_rows`: information (count, 9) and hits (count,)."""
+    return np.empty((count, INFORMATION_SIZE), np.float32), np.empty(count, np.int32)

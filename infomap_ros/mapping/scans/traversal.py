@@ -1,0 +1,292 @@
+"""Exact traversal of the voxel grid by rays (Amanatides and Woo 1987).
+
+Used for clouds without a camera, whose free space is what their rays cross, and to cast rays
+through the map.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from infomap_ros.mapping.scans.association import NEAREST, set_reach, voxel_position, within_limit
+from infomap_ros.mapping.scans.cloud_normals import CELL_VOXELS, normal_at
+from infomap_ros.mapping.scans.scan import (
+    GROUP_SIZE,
+    INSIDE,
+    add_group,
+    axis_start,
+    row_centre,
+    row_of,
+)
+from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_at
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
+
+_ONE = np.uint64(1)
+_LONGEST_MARGIN = 20.0
+
+
+@njit(cache=True, nogil=True)
+def gather_cloud(
+    rows: Any,
+    far: Any,
+    cells: Any,
+    sensor: Any,
+    pose_covariance: Any,
+    points: Any,
+    covariances: Any,
+    columns: Any,
+    tallies: Any,
+) -> bool:
+    """Gather an unorganised scan.
+
+    Args:
+        rows: a `ScanRows`.
+        far: `ScanRows` that receives the voxels where rays that found nothing in range end.
+        cells: `ScanRows` with the normals of the scan.
+        sensor: a `Sensor`.
+        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
+        points: shape (n, 3), float32, sensor frame [m], NaN = no measurement.
+        covariances: shape (n, k), or (1, k) for one covariance for all [m^2].
+        columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
+        tallies: int64, shape (4,), as in `gather_organised`.
+
+    Returns:
+        False when the scratch storage is full.
+    """
+    table, keys, sums, used = rows.table, rows.keys, rows.sums, rows.used
+    reach, axis, direction = np.zeros(3), np.zeros(3), np.zeros(3)
+    group = np.zeros((1, GROUP_SIZE))
+    shared = len(covariances) == 1
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        squared = np.float64(x * x + y * y + z * z)
+        if not (NEAREST * NEAREST < squared < np.inf):
+            continue
+        norm = np.sqrt(squared)
+        if norm > sensor.max_range:
+            tallies[1] += 1
+            if not _add_far(far, sensor, points[i], sensor.max_range / norm):
+                return False
+            continue
+        row = 0 if shared else i
+        normal_at(cells, CELL_VOXELS * sensor.size, x, y, z, direction)
+        set_reach(
+            sensor, pose_covariance, x, y, z, covariances, row, columns, direction, reach, axis
+        )
+        mx, my, mz = voxel_position(sensor, x, y, z)
+        if not within_limit(mx, my, mz):
+            tallies[2] += 1
+            continue
+        group[0, 0] = 1.0
+        group[0, 1], group[0, 2], group[0, 3] = np.floor(mx), np.floor(my), np.floor(mz)
+        group[0, 4], group[0, 5] = mx - group[0, 1] - 0.5, my - group[0, 2] - 0.5
+        group[0, 6] = mz - group[0, 3] - 0.5
+        for n in range(6):
+            group[0, 7 + n] = covariances[row, columns[n]]
+        xx, yy, zz = group[0, 7], group[0, 10], group[0, 12]
+        if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
+            tallies[3] += 1
+            continue
+        tallies[0] += 1
+        if not add_group(table, keys, sums, used, sensor, reach, axis, group, 0):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _add_far(far: Any, sensor: Any, point: Any, scale: float) -> bool:
+    """Note the voxel in which ``scale * point`` lies; False when the storage is full."""
+    x, y, z = voxel_position(sensor, scale * point[0], scale * point[1], scale * point[2])
+    if not within_limit(x, y, z):
+        return True
+    return bool(row_of(far, pack(int(np.floor(x)), int(np.floor(y)), int(np.floor(z)))) >= 0)
+
+
+class FreeMarks(NamedTuple):
+    """Scratch storage of the voxels that rays cross.
+
+    Attributes:
+        table: hash table, row or -1, int32.
+        keys: packed block coordinates of each row, int64.
+        bits: one bit per crossed voxel, uint64, shape (n, 8).
+        used: number of rows, int64, shape (1,).
+    """
+
+    table: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    bits: NDArray[np.uint64]
+    used: NDArray[np.int64]
+
+
+def empty_marks(capacity: int = 1 << 13) -> FreeMarks:
+    """Scratch storage with room for `capacity` blocks."""
+    return FreeMarks(
+        np.full(2 * capacity, -1, np.int32),
+        np.empty(capacity, np.int64),
+        np.zeros((capacity, 8), np.uint64),
+        np.zeros(1, np.int64),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _mark_row(marks: Any, key: int) -> Any:
+    place = table_slot(key, len(marks.table))
+    while True:
+        row = marks.table[place]
+        if row < 0:
+            break
+        if marks.keys[row] == key:
+            return np.int64(row)
+        place += 1
+        if place == len(marks.table):
+            place = 0
+    count = marks.used[0]
+    if count == len(marks.keys):
+        return np.int64(-1)
+    marks.used[0] = count + 1
+    marks.table[place] = count
+    marks.keys[count] = key
+    marks.bits[count, :] = 0
+    return count
+
+
+@njit(cache=True, nogil=True)
+def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
+    """Mark the voxels that a ray crosses before `length`, the one that holds `end` excepted.
+
+    Args:
+        marks: a `FreeMarks`.
+        start: shape (3,) [voxels].
+        end: shape (3,) [voxels].
+        length: share of the way from start to end, in [0, 1].
+
+    Returns:
+        False when the scratch storage is full.
+    """
+    dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    i, j, k = int(np.floor(start[0])), int(np.floor(start[1])), int(np.floor(start[2]))
+    last = pack(int(np.floor(end[0])), int(np.floor(end[1])), int(np.floor(end[2])))
+    step_x, next_x, delta_x = axis_start(start[0], dx, i)
+    step_y, next_y, delta_y = axis_start(start[1], dy, j)
+    step_z, next_z, delta_z = axis_start(start[2], dz, k)
+    block_key, row = np.int64(-1), np.int64(-1)
+    while pack(i, j, k) != last:
+        leave = min(next_x, min(next_y, next_z))
+        if leave > length:
+            return True
+        key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
+        if key != block_key:
+            block_key, row = key, _mark_row(marks, key)
+            if row < 0:
+                return False
+        local = local_index(i, j, k)
+        marks.bits[row, local >> 6] |= _ONE << np.uint64(local & 63)
+        if next_x == leave:
+            i += step_x
+            next_x += delta_x
+        elif next_y == leave:
+            j += step_y
+            next_y += delta_y
+        else:
+            k += step_z
+            next_z += delta_z
+    return True
+
+
+@njit(cache=True, nogil=True)
+def mark_free(marks: Any, rows: Any, far: Any, sensor: Any, gap: float) -> bool:
+    """Mark what the rays of an unorganised scan cross, one ray per end voxel.
+
+    A ray ends as evidence before it comes within reach of its surface: ``k sigma`` of its range,
+    and where it would be within `gap` of the surface's tangent plane, so that a ray that grazes a
+    floor does not free the floor's voxels.
+
+    Args:
+        marks: a `FreeMarks`.
+        rows: `ScanRows` of the points in range.
+        far: `ScanRows` of the rays that found nothing in range.
+        sensor: a `Sensor`.
+        gap: see above [voxels].
+
+    Returns:
+        False when the scratch storage is full.
+    """
+    start, end, centre = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        start[i] = sensor.position[i] * sensor.inverse_size
+    for row in range(far.used[0]):
+        row_centre(far.keys[row], 1.0, centre)
+        if not mark_ray(marks, start, centre, 1.0):
+            return False
+    for row in range(rows.used[0]):
+        if rows.sums[row, INSIDE] == 0.0:
+            continue
+        count = np.float64(rows.sums[row, 0])
+        row_centre(rows.keys[row], 1.0, centre)
+        length, along = 0.0, 0.0
+        for i in range(3):
+            end[i] = centre[i] + rows.sums[row, 1 + i] / count * sensor.inverse_size
+            end[i] = min(max(end[i], centre[i] - 0.4999), centre[i] + 0.4999)
+            length += (end[i] - start[i]) ** 2
+        length = np.sqrt(length)
+        for i in range(3):
+            along += (end[i] - start[i]) * rows.sums[row, 10 + i] / count
+        incidence = max(abs(along) / max(length, 1e-9), 1.0 / _LONGEST_MARGIN)
+        spread = 0.0
+        for i in (4, 7, 9):
+            spread += rows.sums[row, i] / count
+        margin = gap / incidence + sensor.sigmas * np.sqrt(spread) * sensor.inverse_size
+        if length > margin and not mark_ray(marks, start, end, (length - margin) / length):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def unpack_all(keys: Any, count: int, coordinates: Any) -> None:
+    """Coordinates, shape (count, 3), of packed keys."""
+    for i in range(count):
+        x, y, z = unpack(keys[i])
+        coordinates[i, 0], coordinates[i, 1], coordinates[i, 2] = x, y, z
+
+
+@njit(cache=True, nogil=True)
+def cast_rays(
+    blocks: Any,
+    origins: Any,
+    directions: Any,
+    max_range: float,
+    inverse_size: float,
+    distances: Any,
+    hits: Any,
+) -> None:
+    """Distance along each ray to the first occupied voxel; see `VoxelMap.cast_rays`."""
+    for ray in range(len(origins)):
+        x, y, z = origins[ray] * inverse_size
+        dx, dy, dz = directions[ray] * inverse_size
+        i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+        step_x, next_x, delta_x = axis_start(x, dx, i)
+        step_y, next_y, delta_y = axis_start(y, dy, j)
+        step_z, next_z, delta_z = axis_start(z, dz, k)
+        block_key, slot, entered = np.int64(-1), np.int64(-1), 0.0
+        distances[ray], hits[ray] = max_range, False
+        while entered < max_range:
+            key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
+            if key != block_key:
+                block_key, slot = key, np.int64(find_block(blocks, key))
+            if slot >= 0 and quanta_at(blocks, slot, local_index(i, j, k))[1] > 0:
+                distances[ray], hits[ray] = entered, True
+                break
+            entered = min(next_x, min(next_y, next_z))
+            if next_x == entered:
+                i += step_x
+                next_x += delta_x
+            elif next_y == entered:
+                j += step_y
+                next_y += delta_y
+            else:
+                k += step_z
+                next_z += delta_z

@@ -1,0 +1,218 @@
+"""Writing a scan into the map: evidence into blocks, observations into Gaussians.
+
+Each voxel changes at most once per scan: by its hit where the scan saw a surface in it, else by a
+miss where the scan saw through it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from infomap_ros.mapping.voxels.block_kernels import (
+    add_quanta,
+    add_quanta_to_all,
+    clipped,
+    find_block,
+    find_or_add_block,
+    make_room,
+)
+from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, gaussian_row
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
+
+_ONE = np.uint64(1)
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@njit(cache=True, nogil=True)
+def enter_rows(
+    blocks: Any,
+    rows: Any,
+    hits: Any,
+    hit_blocks: int,
+    hit_row: Any,
+    hit_bits: Any,
+    owners: Any,
+    down: int,
+    up: int,
+) -> int:
+    """Make the blocks of a scan's rows and add the hits.
+
+    Args:
+        blocks: a `BlockArrays` with room for a block and a plane per row.
+        rows: a `ScanRows`.
+        hits: evidence of each row [quanta].
+        hit_blocks: number of blocks that have a hit already.
+        hit_row: per block the row of `hit_bits` or -1.
+        hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8), unused rows zero.
+        owners: receives the voxel of each row as the Gaussians number it, int64.
+        down: largest decrease of a voxel in this scan [quanta].
+        up: largest increase of a voxel in this scan [quanta].
+
+    Returns:
+        Number of blocks with a hit.
+    """
+    last_key, slot = np.int64(-1), np.int64(-1)
+    kind, base, plane, narrow = blocks.kind, blocks.base, blocks.plane, blocks.narrow
+    tracked = len(blocks.dirty) > 0
+    for row in range(rows.used[0]):
+        x, y, z = unpack(rows.keys[row])
+        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        if key != last_key:
+            slot = np.int64(find_or_add_block(blocks, key))
+            last_key = key
+        local = local_index(x, y, z)
+        owners[row] = slot * BLOCK_VOXELS + local
+        if hits[row] == 0:
+            continue
+        if hit_row[slot] < 0:
+            hit_row[slot] = hit_blocks
+            hit_blocks += 1
+            make_room(blocks, slot, down, up)
+        hit_bits[hit_row[slot], local >> 6] |= _ONE << np.uint64(local & 63)
+        if kind[slot] == NARROW and not tracked:
+            delta = narrow[plane[slot], local]
+            old = -base[slot] if delta == NARROW_UNKNOWN else np.int32(delta)
+            narrow[plane[slot], local] = old + hits[row]
+        else:
+            add_quanta(blocks, slot, local, hits[row])
+    return hit_blocks
+
+
+@njit(cache=True, nogil=True)
+def merge_rows_into_map(
+    blocks: Any, gaussians: Any, owners: Any, information: Any, first: int, last: int
+) -> int:
+    """Merge the observations of rows [first, last) into the Gaussians.
+
+    Returns:
+        First row that was not merged because the table is full, or `last`.
+    """
+    table, owner = gaussians.table, gaussians.owner
+    stored, counts, dirty = gaussians.information, gaussians.counts, blocks.dirty
+    tracked = len(dirty) > 0
+    for row in range(first, last):
+        if information[row, 0] > 0.0:
+            place = gaussian_row(table, owner, counts, owners[row], stored)
+            if place < 0:
+                return row
+            for i in range(INFORMATION_SIZE):
+                stored[place, i] += information[row, i]
+            if tracked:
+                bit = np.uint64(owners[row] & 63)
+                dirty[owners[row] >> 9, (owners[row] & 511) >> 6] |= _ONE << bit
+    return last
+
+
+@njit(cache=True, nogil=True)
+def free_voxels(
+    blocks: Any, coordinates: Any, bits: Any, count: int, hit_row: Any, hit_bits: Any, miss: int
+) -> None:
+    """Add a miss to every voxel that the scan sees through and does not hit.
+
+    Args:
+        blocks: a `BlockArrays` with room for `count` blocks and planes.
+        coordinates: of the blocks, shape (n, 3).
+        bits: free voxels of each block, uint64, shape (n, 8).
+        count: number of blocks.
+        hit_row: per block the row of `hit_bits` or -1.
+        hit_bits: voxels with a hit.
+        miss: evidence of a miss [quanta].
+    """
+    for i in range(count):
+        anything, everything = np.uint64(0), _ALL
+        for word in range(8):
+            anything |= bits[i, word]
+        if anything == 0:
+            continue
+        key = pack(coordinates[i, 0], coordinates[i, 1], coordinates[i, 2])
+        slot = find_or_add_block(blocks, key)
+        if hit_row[slot] >= 0:
+            anything = np.uint64(0)
+            for word in range(8):
+                bits[i, word] &= ~hit_bits[hit_row[slot], word]
+                anything |= bits[i, word]
+        for word in range(8):
+            everything &= bits[i, word]
+        if everything == _ALL:
+            add_quanta_to_all(blocks, slot, miss)
+        elif anything:
+            make_room(blocks, slot, -miss, 0)
+            _free_some(blocks, slot, bits[i], miss)
+
+
+@njit(cache=True, nogil=True)
+def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
+    """Add a miss to the voxels of a block whose bits are set."""
+    if blocks.kind[slot] != NARROW:
+        for local in range(BLOCK_VOXELS):
+            if (bits[local >> 6] >> np.uint64(local & 63)) & _ONE:
+                add_quanta(blocks, slot, local, miss)
+        return
+    plane = blocks.narrow[blocks.plane[slot]]
+    base = np.int64(blocks.base[slot])
+    if len(blocks.dirty):
+        _mark_freed(blocks.dirty[slot], plane, base, bits, miss)
+    origin, step = np.int8(-base), np.int8(miss)
+    for word in range(8):
+        pattern = bits[word]
+        for i in range(64):
+            delta = plane[word * 64 + i]
+            old = origin if delta == NARROW_UNKNOWN else delta
+            is_free = (pattern >> np.uint64(i)) & _ONE
+            plane[word * 64 + i] = np.int8(old + step) if is_free else delta
+
+
+@njit(cache=True, nogil=True)
+def _mark_freed(dirty: Any, plane: Any, base: int, bits: Any, miss: int) -> None:
+    """Mark the voxels of a NARROW block that a miss will change."""
+    for word in range(8):
+        pattern, changed = bits[word], np.uint64(0)
+        for i in range(64):
+            delta = np.int64(plane[word * 64 + i])
+            told = clipped(base + delta) != clipped(base + delta + miss)
+            if delta == NARROW_UNKNOWN or told:
+                changed |= _ONE << np.uint64(i)
+        dirty[word] |= changed & pattern
+
+
+@njit(cache=True, nogil=True)
+def count_new_by_rows(blocks: Any, rows: Any, hits: Any, counts: Any) -> None:
+    """Count blocks and planes that the rows of a scan would make; at most, not exactly.
+
+    Args:
+        blocks: a `BlockArrays`.
+        rows: a `ScanRows`.
+        hits: evidence of each row [quanta].
+        counts: number of blocks and of planes; increased.
+    """
+    last_key, last_plane = np.int64(-1), np.int64(-1)
+    for row in range(rows.used[0]):
+        x, y, z = unpack(rows.keys[row])
+        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        slot = find_block(blocks, key)
+        if key != last_key and slot < 0:
+            counts[0] += 1
+        last_key = key
+        if hits[row] != 0 and key != last_plane:
+            last_plane = key
+            counts[1] += slot < 0 or blocks.kind[slot] < NARROW
+
+
+@njit(cache=True, nogil=True)
+def count_new_by_free(blocks: Any, coordinates: Any, bits: Any, counts: Any) -> None:
+    """Count blocks and planes that the free voxels of a scan would make, as `count_new_by_rows`."""
+    for i in range(len(bits)):
+        anything, everything = np.uint64(0), _ALL
+        for word in range(8):
+            anything |= bits[i, word]
+            everything &= bits[i, word]
+        if anything == 0:
+            continue
+        key = pack(coordinates[i, 0], coordinates[i, 1], coordinates[i, 2])
+        slot = find_block(blocks, key)
+        counts[0] += slot < 0
+        counts[1] += everything != _ALL and (slot < 0 or blocks.kind[slot] < NARROW)

@@ -1,0 +1,1 @@
+"""The ground that the map shows to what drives on it."""

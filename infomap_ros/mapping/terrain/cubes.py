@@ -1,0 +1,163 @@
+"""Occupancy as the terrain needs it: dense cubes of about the terrain's resolution, no specks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from infomap_ros.mapping.voxels.block_kernels import quanta_of
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, UNSEEN
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, unpack
+from infomap_ros.mapping.voxels.queries import is_surface, voxel_of
+
+NEVER_SEEN, OPEN, SOLID = 0, 1, 2
+"""States of a cube: no voxel known, none occupied, at least one occupied."""
+
+_FLATTEST = 0.2  # share of a Gaussian's information along z from which it is ground (about 63 deg)
+
+
+@njit(cache=True, nogil=True)
+def gather_cubes(blocks: Any, first: Any, ratio: int, occupied: float, cubes: Any) -> None:
+    """State of cubes of `ratio`^3 voxels.
+
+    Args:
+        blocks: a `BlockArrays`.
+        first: index of cube (0, 0, 0) of the array, shape (3,).
+        ratio: voxels along the edge of a cube.
+        occupied: evidence above which a voxel is occupied [quanta].
+        cubes: receives the states, uint8, shape (nx, ny, nz); zero before.
+    """
+    places = np.empty((3, BLOCK_SIDE), np.int64)
+    for slot in range(blocks.counts[BLOCK_COUNT]):
+        if blocks.kind[slot] == UNSEEN:
+            continue
+        corner, inside = unpack(blocks.keys[slot]), True
+        for axis in range(3):
+            for n in range(BLOCK_SIDE):
+                places[axis, n] = (corner[axis] * BLOCK_SIDE + n) // ratio - first[axis]
+            size = cubes.shape[axis]
+            inside = inside and places[axis, BLOCK_SIDE - 1] >= 0 and places[axis, 0] < size
+        if inside:
+            _gather_block(blocks, slot, places, occupied, cubes)
+
+
+@njit(cache=True, nogil=True)
+def _gather_block(blocks: Any, slot: int, places: Any, occupied: float, cubes: Any) -> None:
+    """Enter a block's voxels into the cubes whose indices `places` holds per axis."""
+    nx, ny, nz = cubes.shape
+    kind, base, row = blocks.kind[slot], blocks.base[slot], blocks.plane[slot]
+    narrow, wide = blocks.narrow, blocks.wide
+    for c in range(BLOCK_SIDE):
+        k = places[2, c]
+        if not 0 <= k < nz:
+            continue
+        for b in range(BLOCK_SIDE):
+            j = places[1, b]
+            if not 0 <= j < ny:
+                continue
+            for a in range(BLOCK_SIDE):
+                i = places[0, a]
+                local = a | (b << 3) | (c << 6)
+                known, value = quanta_of(kind, base, row, narrow, wide, local)
+                if known and 0 <= i < nx:
+                    if value > occupied:
+                        cubes[i, j, k] = SOLID
+                    elif cubes[i, j, k] == NEVER_SEEN:
+                        cubes[i, j, k] = OPEN
+
+
+@njit(cache=True, nogil=True)
+def drop_specks(cubes: Any, largest: int) -> None:
+    """Open the solid cubes of connected groups (26 neighbours) of at most `largest` cubes."""
+    if largest <= 0:
+        return
+    members = np.empty((largest + 1, 3), np.int64)
+    nx, ny, nz = cubes.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if cubes[i, j, k] == SOLID:
+                    count = _group(cubes, i, j, k, members)
+                    if count <= largest:
+                        for n in range(count):
+                            cubes[members[n, 0], members[n, 1], members[n, 2]] = OPEN
+
+
+@njit(cache=True, nogil=True)
+def _group(cubes: Any, i: int, j: int, k: int, members: Any) -> int:
+    """Members of the group of a solid cube, as many as fit; their number."""
+    nx, ny, nz = cubes.shape
+    members[0, 0], members[0, 1], members[0, 2] = i, j, k
+    count, next_one = 1, 0
+    while next_one < count:
+        x, y, z = members[next_one]
+        next_one += 1
+        for a in range(max(x - 1, 0), min(x + 2, nx)):
+            for b in range(max(y - 1, 0), min(y + 2, ny)):
+                for c in range(max(z - 1, 0), min(z + 2, nz)):
+                    if cubes[a, b, c] != SOLID or _is_member(members, count, a, b, c):
+                        continue
+                    members[count, 0], members[count, 1], members[count, 2] = a, b, c
+                    count += 1
+                    if count == len(members):
+                        return count
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _is_member(members: Any, count: int, a: int, b: int, c: int) -> bool:
+    for n in range(count):
+        if members[n, 0] == a and members[n, 1] == b and members[n, 2] == c:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def refine_heights(
+    blocks: Any, gaussians: Any, size: float, first: Any, ratio: int, top: Any, heights: Any,
+    sigmas: Any,
+) -> None:  # fmt: skip
+    """Replace heights of cubes by those of the surface Gaussians in them and one cube below.
+
+    A Gaussian's height is its conditional mean of z at the middle of its voxel's column, so that
+    a slope is read where the column is: with information matrix A and vector b about the voxel's
+    centre, z = b_z / A_zz with variance 1 / A_zz. Gaussians of a cell are weighted by A_zz, and
+    their deviation is not divided by their number, as their errors are correlated.
+
+    Args:
+        blocks: a `BlockArrays`.
+        gaussians: a `GaussianArrays`.
+        size: edge of a voxel [m].
+        first: index of cube (0, 0, 0), shape (3,).
+        ratio: voxels along the edge of a cube.
+        top: uppermost cube of the ground per cell, -1 for none, shape (nx, ny).
+        heights: height of the ground [m, map], shape (nx, ny); changed.
+        sigmas: its standard deviation [m], shape (nx, ny); changed.
+    """
+    nx, ny = top.shape
+    weights, sums = np.zeros((nx, ny)), np.zeros((nx, ny))
+    counts = np.zeros((nx, ny))
+    work, mean = np.empty(6), np.empty(3)
+    for row in range(gaussians.counts[0]):
+        x, y, z = voxel_of(blocks, np.int64(gaussians.owner[row]))
+        i, j = x // ratio - first[0], y // ratio - first[1]
+        if not (0 <= i < nx and 0 <= j < ny) or top[i, j] < 0:
+            continue
+        below = top[i, j] - (z // ratio - first[2])
+        if not 0 <= below <= 1 or not is_surface(blocks, gaussians, row, 0.5 * size, work, mean):
+            continue
+        information = gaussians.information[row]
+        along_z = np.float64(information[5])
+        if along_z < _FLATTEST * (information[0] + information[3] + along_z):
+            continue
+        offset = min(max(information[8] / along_z, -size), size)
+        weights[i, j] += along_z
+        sums[i, j] += along_z * ((z + 0.5) * size + offset)
+        counts[i, j] += 1.0
+    for i in range(nx):
+        for j in range(ny):
+            if weights[i, j] > 0.0:
+                heights[i, j] = sums[i, j] / weights[i, j]
+                sigmas[i, j] = np.sqrt(counts[i, j] / weights[i, j])

@@ -1,0 +1,1 @@
+"""How the map is stored, asked, and compared with its copies."""

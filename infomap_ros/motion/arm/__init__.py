@@ -1,0 +1,1 @@
+"""Inverse kinematics, and ways of the arm with their times."""

@@ -1,0 +1,1 @@
+"""Where the base can stand, and its ways over rough ground."""

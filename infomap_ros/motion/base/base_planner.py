@@ -1,0 +1,215 @@
+"""Ways of the base over rough ground."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.base.drive_kernels import legs_of
+from infomap_ros.motion.base.drive_reach import DriveReach
+from infomap_ros.motion.base.drive_sampling import sample_way
+from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base.standing_ground import standing_pose, with_standing_ground
+from infomap_ros.motion.base.vehicle import Vehicle
+
+
+class BasePlanner:
+    """Plans for one terrain, one vehicle in one posture, and one place where it stands.
+
+    What was found out about the ground is kept, so that many plans cost less than one each.
+
+    Args:
+        terrain: the ground as the map shows it.
+        vehicle: the robot.
+        config: None for the defaults.
+        standing: poses T_map_base in which the robot stands or has stood, shape (4, 4) or
+            (P, 4, 4): the ground there is known. Without it the ground under the first start is
+            taken for known, in the plane of the wheels at the terrain's `near`.
+        previous: a planner for an earlier state of the ground: what it found out is kept where
+            the ground has not changed and the vehicle is the same.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        vehicle: Vehicle,
+        config: BasePlannerConfig | None = None,
+        standing: ArrayLike | None = None,
+        previous: BasePlanner | None = None,
+    ) -> None:
+        self.config = config or BasePlannerConfig()
+        self.vehicle = vehicle
+        self._declared = standing is not None
+        self._reach: DriveReach | None = None
+        known: DriveSpace | None = None if previous is None else previous._space
+        ground = self._with_ground(terrain, standing)
+        self._space: DriveSpace = DriveSpace(ground, vehicle, self.config, known)
+
+    @property
+    def terrain(self) -> Terrain:
+        """The ground, with that on which the robot stands."""
+        return self._space.terrain
+
+    def plan(self, start: ArrayLike, goals: ArrayLike, time_limit: float | None = None) -> BasePath:
+        """Find a way to one of the goals, or as near to one as is safe.
+
+        Args:
+            start: x, y [m] and yaw [rad] of the base in the map, shape (3,).
+            goals: likewise, shape (3,) or (G, 3); yaw NaN for any heading.
+            time_limit: of sampling [s]; None for the configuration's. Complete search follows;
+                where that was done from this start already, it answers at once.
+
+        Raises:
+            InvalidInputError: shapes do not fit, or values are not finite.
+        """
+        here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
+        self._stand_at(here)
+        places, owners, reasons = self._space.standable_goals(targets)
+        limit = self.config.sampling_time if time_limit is None else float(time_limit)
+        if self._reach is None or not self._reach.starts_at(here):
+            way = self._sampled(here, places, limit)
+            if way is not None:
+                return self._arrived(way, places, owners, targets, "sampling")
+        found = self._reached_from(here).way_to_any(places)
+        if found is None:
+            return self._approach(targets, reasons)
+        return self._arrived(self._shorter(found[0]), places, owners, targets, "search")
+
+    def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
+        """Cells of the terrain in whose middle the base can stand and to which it can drive.
+
+        Args:
+            start: x, y, yaw of the base, shape (3,); None for the start of the last call.
+
+        Returns:
+            Shape (nx, ny), indexed [x, y] as `terrain`.
+
+        Raises:
+            InvalidInputError: there was no start yet, or it is not finite.
+        """
+        if start is not None:
+            here = _places(start, "start", False)[0]
+            self._stand_at(here)
+            self._reached_from(here)
+        if self._reach is None:
+            raise InvalidInputError("start", "is not known yet: give it or plan first")
+        return self._reach.cells()
+
+    def _reached_from(self, start: FloatArray) -> DriveReach:
+        """All ground that can be reached from a start, remembered for the last one."""
+        if self._reach is None or not self._reach.starts_at(start):
+            self._reach = DriveReach(self._space, start)
+        return self._reach
+
+    def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
+        """A way found by sampling, made shorter, every stance on it asked itself; or None."""
+        space, config = self._space, self.config
+        if config.turning_radius > 0.0 or not len(goals) or not space.stands(start):
+            return None
+        end = time.monotonic() + limit
+        while (left := end - time.monotonic()) > 0.0:
+            space.trust(np.concatenate([start[None], goals]))
+            way = sample_way(
+                space.lattice, space.grid, start, goals, config.reverse, config.reach, left,
+                space.ground,
+            )  # fmt: skip
+            if way is None:
+                return None
+            checked = self._checked(space.shortened(way), way)
+            if checked is not None:
+                return checked
+            space.distrust(way)
+        return None
+
+    def _checked(self, *ways: FloatArray) -> FloatArray | None:
+        """The first of several ways on which every stance is good."""
+        return next((way for way in ways if self._space.fault_on(way) is None), None)
+
+    def _shorter(self, way: FloatArray) -> FloatArray:
+        """A way of the graph, shortened where that holds; one of curves is left as it is."""
+        if self.config.turning_radius > 0.0:
+            return way
+        shorter = self._checked(self._space.shortened(way))
+        return way if shorter is None else shorter
+
+    def _arrived(
+        self,
+        way: FloatArray,
+        places: FloatArray,
+        owners: NDArray[np.int64],
+        targets: FloatArray,
+        method: str,
+    ) -> BasePath:
+        """A way that leads to one of the places, as the caller gets it."""
+        goal = _owner(way[-1], places, owners)
+        if np.isnan(targets[goal, 2]):
+            way = self._free_arrival(way)
+        return self._space.finished(way, goal, method)
+
+    def _free_arrival(self, way: FloatArray) -> FloatArray:
+        """A way to a goal of any heading without its last turn, where that may be left out."""
+        if len(way) < 2 or self.config.turning_radius > 0.0:
+            return way
+        a, b = way[-2:]
+        first, length, _ = legs_of(*a, *b, self.config.reverse)
+        arrival = way.copy()
+        arrival[-1, 2] = a[2] + first if length > 0.0 else a[2]
+        arrived = self._checked(arrival[-2:])
+        return way if arrived is None else arrival
+
+    def _approach(self, targets: FloatArray, reasons: list[str]) -> BasePath:
+        """The farthest safe approach, or no way at all, and why."""
+        assert self._reach is not None
+        nearest = self._reach.nearest_to(targets)
+        if nearest is None:
+            reason = self._why_stuck(self._reach)
+            return self._space.nowhere(f"the robot cannot leave its place: {reason}")
+        way, goal, left = nearest
+        reason = reasons[goal] or "no way to the goal over ground that is known and safe"
+        reason += f"; the farthest safe approach ends {left:.2f} m from it"
+        return self._space.finished(self._shorter(way), goal, "search", reason)
+
+    def _why_stuck(self, reach: DriveReach) -> str:
+        x, y, yaw = (float(value) for value in reach.start)
+        reason = self.vehicle.stance(self.terrain, x, y, yaw).reason
+        return reason or "no pose next to it is safe"
+
+    def _with_ground(self, terrain: Terrain, standing: ArrayLike | None) -> Terrain:
+        if standing is None:
+            return terrain
+        return with_standing_ground(terrain, self.vehicle, standing, self.config.standing_reach)
+
+    def _stand_at(self, start: FloatArray) -> None:
+        """Declare the ground under the first start as known, if no pose was given."""
+        if not self._declared:
+            self._declared = True
+            pose = standing_pose(self._space.terrain, self.vehicle, start)
+            terrain = self._with_ground(self._space.terrain, pose)
+            self._space = DriveSpace(terrain, self.vehicle, self.config, self._space)
+            self._reach = None
+
+
+def _places(values: ArrayLike, name: str, any_heading: bool) -> FloatArray:
+    rows = float_array(values, name)
+    if rows.ndim == 1:
+        rows = rows[None]
+    if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows):
+        raise InvalidInputError(name, f"shape {rows.shape}, expected (3,) or (N, 3)")
+    if not np.isfinite(rows[:, : 2 if any_heading else 3]).all() or np.isinf(rows).any():
+        raise InvalidInputError(name, "hold NaN or infinity")
+    return rows
+
+
+def _owner(place: FloatArray, places: FloatArray, owners: NDArray[np.int64]) -> int:
+    """Goal to which the place belongs at which a way ends."""
+    away = np.hypot(*(places[:, :2] - place[:2]).T)
+    away += np.abs((places[:, 2] - place[2] + math.pi) % (2.0 * math.pi) - math.pi)
+    return int(owners[away.argmin()])

@@ -1,0 +1,157 @@
+"""Where a vehicle can stand and drive on a terrain, found out as it is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.motion.base import drive_kernels, drive_shortcut
+from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.base.drive_graph import HEADINGS, IN_PLACE, arc_moves, empty_graph
+from infomap_ros.motion.base.drive_memory import carry_over
+from infomap_ros.motion.base.easy_ground import easy_cells
+from infomap_ros.motion.base.quick_stance import ground_of
+from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
+
+_SHORTEN_PASSES = 2
+_SHORTEN_SPACING = 0.5  # of the places between which a way is cut short [m]
+
+
+class DriveSpace:
+    """Memory of one terrain and one vehicle.
+
+    Args:
+        terrain: the ground.
+        vehicle: the robot.
+        config: of the planner.
+        known: what was found out before; where the ground is the same it still holds.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        vehicle: Vehicle,
+        config: BasePlannerConfig,
+        known: DriveSpace | None = None,
+    ) -> None:
+        self.terrain, self.vehicle, self.config = terrain, vehicle, config
+        step = 2.0 * np.pi / config.headings
+        self.grid = np.array([*terrain.origin, terrain.resolution, step])
+        arrays = terrain_arrays(terrain, vehicle.config)
+        self.easy = easy_cells(arrays, vehicle.arrays)
+        self.lattice = drive_kernels.empty_lattice(self.easy, config.headings)
+        self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
+        in_place = config.turning_radius == 0.0
+        self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
+        self.graph = empty_graph(self.easy, in_place)
+        if known is not None:
+            carry_over(known.graph, self.graph, known.ground, self.ground)
+
+    def stands(self, place: FloatArray) -> bool:
+        """Whether the robot may stand at x, y, yaw."""
+        return self.fault_on(place[None]) is None
+
+    def fault_on(self, places: FloatArray) -> FloatArray | None:
+        """Place of the first stance on a way that is not good, shape (3,); None if all are."""
+        fault = np.empty(3)
+        good = drive_kernels.drives_well(
+            places, self.config.reverse, self.grid[2], self.grid[3], self.ground, fault
+        )
+        return None if good else fault
+
+    def trust(self, places: FloatArray) -> None:
+        """Take the cells of places that are good themselves for good, whatever their middles."""
+        for x, y, yaw in places:
+            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, x, y, yaw)
+            if i >= 0:
+                self.lattice[i, j, k] = drive_kernels.CLEAR
+
+    def distrust(self, way: FloatArray) -> None:
+        """Take the cells of the first stance on a way that is not good for not good."""
+        fault = self.fault_on(way)
+        if fault is not None:
+            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, *fault)
+            if i >= 0:
+                self.lattice[i, j, k] = drive_kernels.BLOCKED
+
+    def standable_goals(self, goals: FloatArray) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
+        """Goals at which the robot may stand, NaN headings replaced by each heading that is good.
+
+        Returns:
+            Places, shape (P, 3); the goal that each stands for, shape (P,); and per goal why it
+            has none, empty where it has.
+        """
+        rows, owners = [], []
+        for index, (x, y, yaw) in enumerate(goals):
+            headings = HEADINGS if np.isnan(yaw) else np.array([yaw])
+            rows.append(np.column_stack([np.full((len(headings), 2), (x, y)), headings]))
+            owners += [index] * len(headings)
+        places, owner = np.concatenate(rows), np.array(owners)
+        good = self.vehicle.stances(self.terrain, places).ok
+        reasons = []
+        for index in range(len(goals)):
+            own = np.flatnonzero(owner == index)
+            bad = "" if good[own].any() else self._reason_at(places[own[0]])
+            reasons.append(bad and f"goal: {bad}")
+        return places[good], owner[good], reasons
+
+    def _reason_at(self, place: FloatArray) -> str:
+        return self.vehicle.stance(self.terrain, *(float(value) for value in place)).reason
+
+    def shortened(self, way: FloatArray) -> FloatArray:
+        """The way with detours and needless turns cut, as far as the lattice's cells allow."""
+        config = self.config
+        common = (self.lattice, self.grid, config.reverse)
+        for _ in range(_SHORTEN_PASSES):
+            way = drive_shortcut.points_along(way, config.reverse, _SHORTEN_SPACING, np.pi)
+            kept = drive_shortcut.best_subset(way, *common, config.turn_cost, self.ground)
+            way = np.ascontiguousarray(way[kept])
+            drive_shortcut.straighten_headings(way, *common, self.ground)
+        return way
+
+    def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
+        """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
+        config = self.config
+        poses = np.array(way)
+        if config.turning_radius == 0.0:
+            poses = drive_shortcut.points_along(poses, config.reverse, self.grid[2], self.grid[3])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
+        stances = standing_on(poses, self.vehicle.stances(self.terrain, poses).T_map_base)
+        return BasePath(poses, stances, length, not reason, reason, goal, method)
+
+    def nowhere(self, reason: str) -> BasePath:
+        """No way at all."""
+        return BasePath(np.zeros((0, 3)), np.zeros((0, 4, 4)), 0.0, False, reason, -1, "nothing")
+
+
+def standing_on(poses: FloatArray, stances: FloatArray) -> FloatArray:
+    """Stances with those that are not known taken from their nearest neighbours on the way.
+
+    A robot that leaves a place where it should not stand may come by ground that the map does not
+    know. Where no stance is known the ground counts as level, at height zero.
+
+    Args:
+        poses: x, y [m] and yaw [rad], shape (K, 3).
+        stances: ``T_map_base`` of each, shape (K, 4, 4); NaN where there is none.
+    """
+    known = np.flatnonzero(np.isfinite(stances).all(axis=(1, 2)))
+    planar = _planar(poses)
+    if len(known) == len(poses) or not len(known):
+        return stances if len(known) else planar
+    nearest = known[np.abs(np.arange(len(poses))[:, None] - known).argmin(axis=1)]
+    moved = planar @ np.linalg.inv(planar[nearest]) @ stances[nearest]
+    moved[known] = stances[known]
+    return moved
+
+
+def _planar(poses: FloatArray) -> FloatArray:
+    """Level transforms at height zero, shape (K, 3) -> (K, 4, 4)."""
+    transforms = np.tile(np.eye(4), (len(poses), 1, 1))
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    transforms[:, 0, 0], transforms[:, 0, 1] = cos, -sin
+    transforms[:, 1, 0], transforms[:, 1, 1] = sin, cos
+    transforms[:, :2, 3] = poses[:, :2]
+    return transforms

@@ -1,0 +1,108 @@
+"""Ground that is known because the robot stands, or has stood, on it.
+
+A robot never sees what is under it. Without this it could not leave its first place, as unknown
+ground is not driven on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import check_transform, float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.motion.base.settling import tilt_to
+from infomap_ros.motion.base.vehicle import Vehicle
+
+_AROUND = 0.4  # width of the ring whose ground tells how the robot stands [m]
+_ENOUGH = 30  # cells
+_FLATTEST = 0.2  # cosine of the steepest plane that is taken for ground
+
+
+def with_standing_ground(
+    terrain: Terrain, vehicle: Vehicle, T_map_bases: ArrayLike, reach: float = 0.2
+) -> Terrain:
+    """Declare the ground under poses in which the robot stands or has stood as known.
+
+    Cells under the body and between the wheels that have no ground get the plane of the wheels;
+    cells with ground keep theirs. Unseen space up to the body's height counts as seen there.
+
+    Args:
+        terrain: the ground as the map shows it.
+        vehicle: the robot, its joints as they are.
+        T_map_bases: shape (4, 4) or (P, 4, 4).
+        reach: how far around the body this holds [m].
+
+    Returns:
+        A changed copy. It is as large as `terrain`: what lies beyond its edge is lost.
+
+    Raises:
+        InvalidInputError: not rigid transforms.
+    """
+    poses = float_array(T_map_bases, "T_map_bases")
+    if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
+        raise InvalidInputError("T_map_bases", f"shape {poses.shape}, expected (P, 4, 4)")
+    names = ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
+    changed = dataclasses.replace(terrain, **{n: getattr(terrain, n).copy() for n in names})
+    for pose in poses.reshape(-1, 4, 4):
+        _declare(changed, vehicle, check_transform(pose, "T_map_bases"), reach)
+    return changed
+
+
+def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: float) -> None:
+    arrays = vehicle.arrays
+    extent = np.concatenate([vehicle.undercarriage.outline, arrays.columns[:, :2]])
+    low, high = extent.min(axis=0) - reach, extent.max(axis=0) + reach
+    z = arrays.support[:, 2].mean()
+    top = max(float(arrays.columns[:, 3].max(initial=z)), z)
+    up = T_map_base[:3, 2]
+    if up[2] < _FLATTEST:
+        raise InvalidInputError("T_map_bases", "a robot that stands is not tilted by 78 degrees")
+    cells = np.argwhere(np.ones(terrain.heights.shape, np.bool_))
+    middle = terrain.centres_of(cells)
+    # Heights of the wheels' plane at the cells' middles, then those places in the base frame.
+    on_plane = T_map_base[:3, 3] + z * up
+    heights = on_plane[2] - (middle - on_plane[:2]) @ up[:2] / up[2]
+    places = np.column_stack([middle, heights]) - T_map_base[:3, 3]
+    local = places @ T_map_base[:3, :3]
+    near = ((local[:, :2] >= low) & (local[:, :2] <= high)).all(axis=1)
+    i, j = cells[near].T
+    ceiling = heights[near] + (top - z) / up[2] + reach
+    unknown = np.isnan(terrain.heights[i, j]) & (terrain.overhead[i, j] >= ceiling)
+    u, v = i[unknown], j[unknown]
+    terrain.heights[u, v] = terrain.floor[u, v] = heights[near][unknown]
+    terrain.sigma[u, v], terrain.step[u, v], terrain.roughness[u, v] = terrain.resolution, 0.0, 0.0
+    known = ~np.isnan(terrain.heights[i, j])
+    u, v = i[known], j[known]
+    seen = np.minimum(np.maximum(terrain.seen[u, v], ceiling[known]), terrain.overhead[u, v])
+    terrain.seen[u, v] = seen
+
+
+def standing_pose(terrain: Terrain, vehicle: Vehicle, place: FloatArray) -> FloatArray:
+    """Pose in which the robot stands at x, y, yaw, shape (3,): T_map_base, shape (4, 4).
+
+    On the ground that is known there; else on the plane that fits the known ground around; where
+    there is none either upright, at the height of the point about which ground was looked for.
+    """
+    x, y, yaw = (float(value) for value in place)
+    pose = vehicle.stance(terrain, x, y, yaw).T_map_base
+    if np.isfinite(pose).all():
+        return pose
+    pose = np.eye(4)
+    pose[:3, 3] = x, y, terrain.near[2]
+    radius = np.hypot(*vehicle.undercarriage.outline.T).max() + _AROUND
+    cells = np.argwhere(np.isfinite(terrain.heights))
+    offsets = terrain.centres_of(cells) - (x, y)
+    around = np.hypot(*offsets.T) <= radius
+    slope_x, slope_y = 0.0, 0.0
+    if around.sum() >= _ENOUGH and np.ptp(offsets[around], axis=0).min() >= radius:
+        design = np.column_stack([np.ones(around.sum()), offsets[around]])
+        heights = terrain.heights[tuple(cells[around].T)]
+        level, slope_x, slope_y = np.linalg.lstsq(design, heights, rcond=None)[0]
+        pose[2, 3] = level - vehicle.arrays.support[:, 2].mean()
+    tilt_to(pose, yaw, slope_x, slope_y)
+    return pose

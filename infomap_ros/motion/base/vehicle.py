@@ -1,0 +1,252 @@
+"""A wheeled robot on rough ground: where it can stand, and why not where it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PlacedSolid, float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.motion.base import stance as kernels
+from infomap_ros.motion.base.body_columns import body_columns, off_the_ground
+from infomap_ros.motion.base.stance import TerrainArrays, VehicleArrays
+from infomap_ros.motion.base.stance_reasons import outcome_in_words
+from infomap_ros.motion.base.undercarriage import Undercarriage, footprint_of, wheels_of
+from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.robot.mass import mass_of
+from infomap_ros.motion.robot.robot_model import RobotModel
+
+_STEP = 2  # of VehicleConfig.limits_for
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How the robot stands at one place.
+
+    Attributes:
+        T_map_base: pose of the base, shape (4, 4); NaN where the ground is unknown.
+        ok: whether it may stand there.
+        reason: why not, in words; empty where it may.
+        tip_margin: angle by which it must turn to fall over [rad].
+        slope: of the plane of all wheels [rad].
+        step: largest step under a wheel [m].
+        roughness: largest roughness under a wheel [m].
+        clearance: of the body above ground [m], beyond the margin; measured last.
+
+    Measures that were not reached before the stance was refused are NaN.
+    """
+
+    T_map_base: FloatArray
+    ok: bool
+    reason: str
+    tip_margin: float
+    slope: float
+    step: float
+    roughness: float
+    clearance: float
+
+
+@dataclass(frozen=True, eq=False)
+class StanceBatch:
+    """How the robot stands at N places.
+
+    Attributes:
+        T_map_base: shape (N, 4, 4).
+        outcomes: as in `infomap_ros.motion.base.stance`, shape (N,).
+        measures: columns as in `infomap_ros.motion.base.stance`, shape (N, MEASURES).
+    """
+
+    T_map_base: FloatArray
+    outcomes: NDArray[np.int64]
+    measures: FloatArray
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Where it may stand, shape (N,)."""
+        return np.asarray(self.outcomes == kernels.STANDS)
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """A robot with its joints at rest, as what drives; immutable.
+
+    Attributes:
+        robot: its model.
+        config: limits of what it drives on.
+        joint_positions: of all its joints [rad or m].
+        undercarriage: wheels and support polygon.
+        mass: [kg].
+        arrays: for kernels.
+    """
+
+    robot: RobotModel
+    config: VehicleConfig
+    joint_positions: Mapping[str, float]
+    undercarriage: Undercarriage
+    mass: float
+    arrays: VehicleArrays
+
+    @classmethod
+    def from_robot(
+        cls,
+        robot: RobotModel,
+        config: VehicleConfig | None = None,
+        joint_positions: Mapping[str, float] | None = None,
+    ) -> Vehicle:
+        """Read the vehicle from a robot model.
+
+        Args:
+            robot: the robot.
+            config: limits; None for the defaults.
+            joint_positions: of its joints while it drives [rad or m]. Joints not named are at
+                zero, or at the limit nearest to zero.
+
+        Raises:
+            RobotModelError: fewer than three wheels and no footprint, wheels in one line, or no
+                inertials.
+        """
+        settings = config or VehicleConfig()
+        joints = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
+        joints.update({k: float(v) for k, v in (joint_positions or {}).items() if k in joints})
+        solids = robot.solids_in(robot.base_frame, joints)
+        if settings.footprint:
+            carriage = footprint_of(settings.footprint, settings.ground_height)
+        else:
+            carriage = wheels_of(robot, settings.wheel_links, solids)
+        wheels = set() if settings.footprint else set(carriage.names)
+        body = [solid for solid in solids if solid.name not in wheels]
+        limits = settings.limits_for(_smallest_radius(carriage))
+        columns = off_the_ground(
+            body_columns(body, settings.column_spacing, settings.margin),
+            float(carriage.contacts[:, :, 2].min()),
+            float(limits[_STEP]),
+            settings.margin,
+        )
+        columns = np.concatenate([columns, _wheel_columns(solids, wheels, carriage, settings)])
+        mass, centre = mass_of(robot, joints)
+        arrays = VehicleArrays(
+            carriage.centres,
+            np.ascontiguousarray(carriage.contacts),
+            columns,
+            _inside_polygon(columns[:, :2], carriage.outline),
+            carriage.support,
+            centre,
+            _reach(columns, carriage, settings.max_slope),
+            limits,
+        )
+        return cls(robot, settings, joints, carriage, mass, arrays)
+
+    def with_joints(self, joint_positions: Mapping[str, float]) -> Vehicle:
+        """The same vehicle with some joints elsewhere [rad or m]: other outline, other balance."""
+        return Vehicle.from_robot(
+            self.robot, self.config, {**self.joint_positions, **joint_positions}
+        )
+
+    def stance(
+        self, terrain: Terrain, x: float, y: float, yaw: float, q: ArrayLike | None = None
+    ) -> Stance:
+        """How the robot stands with its base at (x, y) [m, map], heading `yaw` [rad].
+
+        Args:
+            terrain: the ground.
+            x: of the base's origin [m, map].
+            y: of the base's origin [m, map].
+            yaw: heading of the base's x axis [rad].
+            q: positions of the arm, shape (n,) as of `robot.arm`, for the balance alone; the
+                body's outline stays that of the vehicle's own posture.
+        """
+        batch = self.stances(terrain, np.array([[x, y, yaw]]), q)
+        measures = batch.measures[0]
+        outcome = int(batch.outcomes[0])
+        return Stance(
+            T_map_base=batch.T_map_base[0],
+            ok=outcome == kernels.STANDS,
+            reason=outcome_in_words(
+                outcome, measures, self.arrays.limits, self.undercarriage.names
+            ),
+            tip_margin=float(measures[kernels.TIP]),
+            slope=float(measures[kernels.SLOPE]),
+            step=float(measures[kernels.STEP]),
+            roughness=float(measures[kernels.ROUGHNESS]),
+            clearance=float(measures[kernels.CLEARANCE]),
+        )
+
+    def stances(
+        self, terrain: Terrain, places: ArrayLike, q: ArrayLike | None = None
+    ) -> StanceBatch:
+        """How the robot stands at many places (x, y, yaw), shape (N, 3); see `stance`.
+
+        Raises:
+            InvalidInputError: `places` or `q` has another shape or is not finite.
+        """
+        rows = np.ascontiguousarray(float_array(places, "places"))
+        if rows.ndim != 2 or rows.shape[1] != 3 or not np.isfinite(rows).all():
+            raise InvalidInputError("places", f"shape {rows.shape}, expected (N, 3), finite")
+        arrays = self.arrays
+        if q is not None:
+            joints = {**self.joint_positions, **self.robot.arm.by_name(q)}
+            arrays = arrays._replace(centre_of_mass=mass_of(self.robot, joints)[1])
+        poses = np.full((len(rows), 4, 4), np.nan)
+        poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
+        outcomes = np.empty(len(rows), np.int64)
+        measures = np.empty((len(rows), kernels.MEASURES))
+        kernels.stand_all(
+            terrain_arrays(terrain, self.config), arrays, rows, poses, outcomes, measures
+        )
+        poses[outcomes == kernels.UNKNOWN_WHEEL, :3] = np.nan
+        return StanceBatch(poses, outcomes, measures)
+
+
+def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
+    """A terrain as the kernels take it, for a vehicle of this configuration."""
+    heights, roughness, step, floor, overhead, seen = (
+        np.ascontiguousarray(getattr(terrain, name), dtype=np.float32)
+        for name in TerrainArrays._fields[:6]
+    )
+    bottom = np.where(np.isnan(heights), np.float32(np.inf), heights)
+    top = overhead if config.unseen_is_free else np.minimum(overhead, seen)
+    x, y = terrain.origin
+    return TerrainArrays(
+        heights, roughness, step, floor, overhead, seen, bottom, top, x, y, terrain.resolution
+    )
+
+
+def _wheel_columns(
+    solids: Sequence[PlacedSolid], wheels: set[str], carriage: Undercarriage, config: VehicleConfig
+) -> FloatArray:
+    """Upper halves of the wheels: what stands beside a wheel higher than its axle is touched."""
+    columns = []
+    for name, centre in zip(carriage.names, carriage.centres, strict=True):
+        own = [solid for solid in solids if solid.name == name and name in wheels]
+        part = body_columns(own, config.column_spacing, config.margin)
+        part[:, 2] = np.maximum(part[:, 2], centre[2])
+        columns.append(part[part[:, 3] > part[:, 2]])
+    return np.concatenate([np.zeros((0, 4)), *columns])
+
+
+def _smallest_radius(carriage: Undercarriage) -> float:
+    """Height of the axle above the lowest point of the smallest wheel [m]."""
+    lowest = carriage.contacts[:, :, 2].min(axis=1)
+    return float((carriage.centres[:, 2] - lowest).min())
+
+
+def _reach(columns: FloatArray, carriage: Undercarriage, slope: float) -> float:
+    """Horizontal distance of the farthest point from the base, on slopes up to `slope` [rad]."""
+    ends = np.concatenate(
+        [columns[:, [0, 1, 2]], columns[:, [0, 1, 3]], carriage.contacts.reshape(-1, 3)]
+    )
+    return float((np.hypot(*ends[:, :2].T) + np.sin(slope) * np.abs(ends[:, 2])).max())
+
+
+def _inside_polygon(points: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:
+    """Which points lie in a convex polygon given counter-clockwise."""
+    inside = np.ones(len(points), np.bool_)
+    for here, following in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        edge, offset = following - here, points - here
+        inside &= edge[0] * offset[:, 1] - edge[1] * offset[:, 0] >= 0.0
+    return inside

@@ -1,0 +1,90 @@
+"""What a vehicle drives on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+
+_STEP_SHARE = 0.75  # of a wheel's radius that it climbs
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """Limits of the ground that a vehicle stands and drives on.
+
+    Raises:
+        ConfigError: a value is out of its range, or a footprint comes without `max_step`.
+    """
+
+    wheel_links: str = parameter(
+        "*_wheel,wheel_*,*caster*",
+        "Links that are wheels or casters: file-name patterns, separated by commas. Links without "
+        "a collision shape are left out.",
+    )
+    footprint: tuple[float, ...] = parameter(
+        (),
+        "Corners x0, y0, x1, y1, ... on which a robot rests whose wheels are not to be read from "
+        "its description, base frame. Empty for the wheels.",
+        unit="m",
+    )
+    ground_height: float = parameter(
+        0.0, "Height of the ground in the base frame, for a footprint.", unit="m", low=-10.0,
+        high=10.0,
+    )  # fmt: skip
+    suspension_travel: float = parameter(
+        0.03, "How far a wheel may be above or below the plane of all wheels.", unit="m", low=0.0,
+        high=1.0,
+    )  # fmt: skip
+    max_slope: float = parameter(
+        0.44, "Steepest plane of the wheels (25 degrees).", unit="rad", low=0.0, high=1.5
+    )
+    max_step: float = parameter(
+        0.0,
+        "Highest step from cell to cell under a wheel; 0 for three quarters of the smallest "
+        "wheel's radius.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    max_roughness: float = parameter(
+        0.03, "Largest roughness of the ground under a wheel.", unit="m", low=0.0, high=1.0
+    )
+    min_tip_margin: float = parameter(
+        0.25, "Smallest angle by which it must turn to fall over.", unit="rad", low=0.0, high=1.5
+    )
+    margin: float = parameter(
+        0.02, "Growth of the body against ground and obstacles.", unit="m", low=0.0, high=1.0
+    )
+    unseen_is_free: bool = parameter(
+        False, "Whether space over known ground that was never seen may be entered."
+    )
+    column_spacing: float = parameter(
+        0.05, "Edge of the squares into which the body is divided.", unit="m", low=0.005, high=0.5
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.footprint and self.max_step == 0.0:
+            raise ConfigError("max_step", self.max_step, "more than 0 m where a footprint is given")
+
+    def limits_for(self, radius: float) -> FloatArray:
+        """As `infomap_ros.motion.base.stance.VehicleArrays` holds them, shape (6,).
+
+        Args:
+            radius: of the smallest wheel [m].
+        """
+        return np.array(
+            [
+                self.suspension_travel,
+                self.max_slope,
+                self.max_step or _STEP_SHARE * radius,
+                self.max_roughness,
+                self.min_tip_margin,
+                float(self.unseen_is_free),
+            ]
+        )

@@ -1,0 +1,1 @@
+"""Whether the robot touches itself or the map."""

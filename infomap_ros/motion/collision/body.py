@@ -1,0 +1,294 @@
+"""A robot as spheres on its links, for collision checks; it depends on no map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.collision import kernels
+from infomap_ros.motion.collision.kernels import BodyArrays
+from infomap_ros.motion.collision.link_pairs import allowed_pairs, is_any_of, movable_pairs
+from infomap_ros.motion.collision.pair_study import TrueShapes, study_pairs
+from infomap_ros.motion.collision.sphere_cover import cover_by_spheres
+from infomap_ros.motion.robot.body_shapes import BodyShape
+from infomap_ros.motion.robot.chain import KinematicChain
+from infomap_ros.motion.robot.link_tree import LinkTree
+from infomap_ros.motion.robot.robot_model import RobotModel
+
+_REFINEMENTS = 2
+
+
+_LOST = 0.002  # [m]
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """How the body is modelled and what counts as in its way.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    tolerance: float = parameter(
+        0.015,
+        "How far the spheres that cover the body may stick out of its collision shapes.",
+        unit="m",
+        low=0.001,
+        high=0.5,
+    )
+    margin: float = parameter(
+        0.01,
+        "Distance that is kept to everything. A motion is checked in steps in which no point of "
+        "the body goes farther than twice this, so that all of it is known to be free.",
+        unit="m",
+        low=0.0005,
+        high=0.5,
+    )
+    unknown_is_free: bool = parameter(False, "The arm may enter space that was never observed.")
+    free_probability: float = parameter(
+        0.02,
+        "The arm may enter voxels that are less likely occupied than this. It takes three looks of "
+        "the map's default model: two pairs from one place share their errors, and a stereo "
+        "camera may see through thin things.",
+        low=1e-6,
+        high=0.4,
+    )
+    ground_links: tuple[str, ...] = parameter(
+        ("*_wheel",),
+        "Links (patterns) that stand on the ground: they are not compared with the map, as the "
+        "planner of the base answers for where they stand.",
+    )
+    always_share: float = parameter(
+        0.5,
+        "Links whose collision meshes touch in at least this share of random configurations touch "
+        "by design, or their meshes are too coarse to tell, and are not compared.",
+        low=0.1,
+        high=1.0,
+    )
+    alarm_share: float = parameter(
+        0.3,
+        "Where the spheres of two links come too near in more than this share of random "
+        "configurations although the links do not touch, their distance is adapted until they "
+        "mostly do not.",
+        low=0.0,
+        high=1.0,
+    )
+    samples: int = parameter(500, "Number of random configurations for both.", low=50, high=100000)
+    allowed_contacts: tuple[str, ...] = parameter(
+        (), "Pairs of links (patterns) that may touch, as 'first:second'."
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        for pair in self.allowed_contacts:
+            if pair.count(":") != 1:
+                raise ConfigError("allowed_contacts", pair, "two patterns, as 'first:second'")
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionBody:
+    """The spheres of a robot's links and the pairs of links that must not touch.
+
+    Attributes:
+        robot: whose body it is.
+        chain: the joints that move it, ``robot.arm``.
+        config: how it was made.
+        links: names of the links with shapes.
+        tree: kinematics.
+        arrays: for kernels.
+        gaps: distance below which the links of each pair count as touching, shape (P,) [m];
+            negative where their spheres overlap without harm.
+        moving_links: numbers of the links that the arm moves and the map may block.
+        base_links: of those that stand still on the base, without the ground links.
+    """
+
+    robot: RobotModel
+    chain: KinematicChain
+    config: CollisionConfig
+    links: tuple[str, ...]
+    tree: LinkTree
+    arrays: BodyArrays
+    gaps: FloatArray
+    moving_links: NDArray[np.int64]
+    base_links: NDArray[np.int64]
+
+    @classmethod
+    def from_robot(
+        cls,
+        robot: RobotModel,
+        config: CollisionConfig | None = None,
+        joint_positions: Mapping[str, float] | None = None,
+    ) -> CollisionBody:
+        """Cover a robot's links by spheres.
+
+        Links never compared with each other: those that do not move against each other, those
+        joined by a joint, those that `allowed_contacts` names, and those that touch with all joints
+        at rest or in nearly all configurations. Where spheres come too near to each other too often
+        although the links do not touch, the pair's gap is adapted, and if that does not help the
+        spheres are made finer (see `pair_study`).
+
+        Args:
+            robot: with a camera frame.
+            config: how.
+            joint_positions: of the other joints [rad or m]; at rest where not given.
+
+        Raises:
+            RobotModelError: the robot has no camera frame or its arm moves its own base.
+        """
+        settings, robot = config or CollisionConfig(), robot.holding(joint_positions or {})
+        tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
+        pairs = movable_pairs(robot, tree)
+        pairs = pairs[~allowed_pairs(links, pairs, settings.allowed_contacts)]
+        qs = _configurations(robot, settings.samples)
+        shapes = TrueShapes(robot, tree, qs)
+        tolerances = np.full(len(links), settings.tolerance)
+        covers: dict[tuple[str, float], FloatArray] = {}
+        for _ in range(_REFINEMENTS + 1):
+            arrays = _body_arrays(robot, tree, tolerances, pairs, covers)
+            gaps = _wanted_gaps(arrays, settings.margin)
+            shares = settings.always_share, settings.alarm_share
+            study = study_pairs(shapes, tree, arrays, qs, gaps, *shares)
+            noisy = study.compared & (study.false_alarms > settings.alarm_share)
+            if not noisy.any():
+                break
+            tolerances[np.unique(pairs[noisy])] *= 0.5
+        arrays = arrays._replace(pairs=np.ascontiguousarray(pairs[study.compared]))
+        ground = np.array([is_any_of(link, settings.ground_links) for link in links], dtype=bool)
+        moves = arrays.bodies > 0
+        return cls(
+            robot, robot.arm, settings, links, tree, arrays, study.gaps[study.compared],
+            np.flatnonzero(moves & ~ground), np.flatnonzero(~moves & ~ground),
+        )  # fmt: skip
+
+    @property
+    def compared_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Names of the links that are compared with each other."""
+        return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
+
+    @cached_property
+    def kept(self) -> FloatArray:
+        """Part of each pair's gap that may be lost between two checks of a way, shape (P,) [m].
+
+        All of the margin, but little where the gap was adapted to what the true shapes allow.
+        """
+        wanted = _wanted_gaps(self.arrays, self.config.margin)
+        return np.where(self.gaps < wanted, np.minimum(wanted, _LOST), wanted)
+
+    @cached_property
+    def pair_reach(self) -> FloatArray:
+        """Bound of the way of any point of one link of a pair against the other.
+
+        Per unit of each of the arm's positions, shape (P, n) [m/rad or 1]; joints that move both
+        links alike do not count.
+        """
+        arrays, tree = self.arrays, self.tree
+        reach = np.zeros((len(arrays.pairs), len(self.chain)))
+        for row, (a, b) in enumerate(arrays.pairs):
+            up, down = (set(tree.bodies_up_from(int(arrays.bodies[link]))) for link in (a, b))
+            columns = np.unique(tree.arrays.columns[[body - 1 for body in up ^ down]])
+            reach[row, columns] = arrays.reach[a, columns] + arrays.reach[b, columns]
+        return reach
+
+    def scratch(self) -> FloatArray:
+        """Room for the poses of all bodies, as the kernels need it."""
+        return np.empty((len(self.tree.arrays.parents) + 1, 3, 4))
+
+    def spheres(self, q: FloatArray, T_map_base: FloatArray) -> FloatArray:
+        """Centres in the map and radii of all spheres, shape (S, 4) [m].
+
+        Args:
+            q: positions of the arm, shape (n,).
+            T_map_base: shape (4, 4).
+        """
+        placed = np.empty_like(self.arrays.spheres)
+        base = np.ascontiguousarray(T_map_base[:3])
+        kernels.place_spheres(self.tree.arrays, self.arrays, q, base, placed)
+        return placed
+
+
+def _wanted_gaps(arrays: BodyArrays, margin: float) -> FloatArray:
+    """Distance that the links of each pair keep, shape (P,) [m]: the margin for each that moves."""
+    return margin * (arrays.bodies > 0)[arrays.pairs].sum(axis=1).astype(np.float64)
+
+
+def _configurations(robot: RobotModel, count: int) -> FloatArray:
+    """The one at rest, then random ones within the limits; always the same."""
+    chain = robot.arm
+    low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    rest = [robot.joint(name).rest for name in chain.joint_names]
+    return np.vstack([rest, np.random.default_rng(0).uniform(low, high, (count, len(chain)))])
+
+
+def _body_arrays(
+    robot: RobotModel,
+    tree: LinkTree,
+    tolerances: FloatArray,
+    pairs: NDArray[np.int64],
+    known: dict[tuple[str, float], FloatArray],
+) -> BodyArrays:
+    """Arrays of all links, each with its tolerance [m]; known covers are not made again."""
+    links = robot.links_with_solids
+    wanted = list(zip(links, tolerances.tolist(), strict=True))
+    for link, tolerance in wanted:
+        if (link, tolerance) not in known:
+            known[link, tolerance] = _link_cover(robot, tree, link, tolerance)
+    covers = [known[item] for item in wanted]
+    bodies = np.array([tree.bodies[_shapes(robot, link)[0].joint] for link in links])
+    balls = np.array([_ball(cover) for cover in covers]).reshape(-1, 4)
+    return BodyArrays(
+        bodies=bodies.astype(np.int64),
+        balls=balls,
+        starts=np.cumsum([0, *(len(cover) for cover in covers)]),
+        spheres=np.concatenate([np.zeros((0, 4)), *covers]),
+        pairs=np.ascontiguousarray(pairs),
+        reach=np.array([_reach(robot, tree, *item) for item in zip(bodies, covers, strict=True)]),
+    )
+
+
+def _shapes(robot: RobotModel, link: str) -> list[BodyShape]:
+    return [shape for shape in robot.shapes if shape.link == link]
+
+
+def _link_cover(robot: RobotModel, tree: LinkTree, link: str, tolerance: float) -> FloatArray:
+    """Spheres of all shapes of a link, in the frame of its body."""
+    covers = []
+    for shape in _shapes(robot, link):
+        cover = cover_by_spheres(shape.solid, tolerance)
+        T_body_solid = tree.placements[shape.joint] @ shape.placement
+        cover[:, :3] = cover[:, :3] @ T_body_solid[:3, :3].T + T_body_solid[:3, 3]
+        covers.append(cover)
+    return np.concatenate(covers)
+
+
+def _ball(cover: FloatArray) -> FloatArray:
+    """A sphere that holds spheres, shape (K, 4): about the middle of their extent."""
+    low, high = (cover[:, :3] - cover[:, 3:]).min(axis=0), (cover[:, :3] + cover[:, 3:]).max(axis=0)
+    middle = 0.5 * (low + high)
+    radius = (np.linalg.norm(cover[:, :3] - middle, axis=1) + cover[:, 3]).max()
+    return np.array([*middle, radius])
+
+
+def _reach(robot: RobotModel, tree: LinkTree, body: int, cover: FloatArray) -> FloatArray:
+    """Bound of the way of any point of a link, per unit of each position, shape (n,)."""
+    chain, arrays = robot.arm, tree.arrays
+    reach = np.zeros(len(chain))
+    off_axis = float((np.linalg.norm(cover[:, :2], axis=1) + cover[:, 3]).max())
+    radius = float((np.linalg.norm(cover[:, :3], axis=1) + cover[:, 3]).max())
+    for number, joint in enumerate(b - 1 for b in tree.bodies_up_from(int(body))):
+        column, scale = int(arrays.columns[joint]), abs(float(arrays.scales[joint]))
+        if arrays.prismatic[joint]:
+            reach[column] += scale
+            ends = np.array([chain.lower[column], chain.upper[column]]) * arrays.scales[joint]
+            radius += float(np.abs(ends + arrays.offsets[joint]).max())
+        else:
+            reach[column] += scale * (radius if number else off_axis)
+        radius += float(np.linalg.norm(arrays.placements[joint][:, 3]))
+    return reach

@@ -1,0 +1,211 @@
+"""Does the robot touch itself or the map?
+
+The body is covered by spheres (`sphere_cover`), which are compared with the voxels of the map
+(`mapping.distance_field`) and with each other. Both are on the safe side: what is called free is
+free of voxels that are not known to be free, and no two links touch that should not.
+
+Links that stand still on the base are compared with the map only when asked for: where the base can
+stand is the question of the planner of the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import check_transform, float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelWindow
+from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
+from infomap_ros.motion.base.way_kernels import first_on_way
+from infomap_ros.motion.collision import kernels
+from infomap_ros.motion.collision.body import CollisionBody, CollisionConfig
+from infomap_ros.motion.collision.kernels import CLEAR, MotionSpace
+from infomap_ros.motion.robot.robot_model import RobotModel
+
+_SLACK = 1e-6  # [m]
+
+__all__ = ["CollisionBody", "CollisionChecker", "CollisionConfig", "CollisionReport"]
+
+
+@dataclass(frozen=True)
+class CollisionReport:
+    """Whether a configuration is free of collisions.
+
+    Attributes:
+        free: touches nothing.
+        what: what touches what, in words; empty if free.
+    """
+
+    free: bool
+    what: str = ""
+
+
+class CollisionChecker:
+    """Compares a robot with a map and with itself. Immutable; kernels release the GIL.
+
+    Args:
+        robot: the robot, or its body where that has been made before (it takes a while).
+        surroundings: the map, a window of it, or its distance field. All outside a window counts
+            as unknown.
+        config: how; that of the body where a body is given.
+
+    Attributes:
+        body: the robot's.
+        field: the map's.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel | CollisionBody,
+        surroundings: VoxelMap | VoxelWindow | DistanceField,
+        config: CollisionConfig | None = None,
+    ) -> None:
+        if isinstance(robot, RobotModel):
+            robot = CollisionBody.from_robot(robot, config)
+        self.body = robot
+        self.field = _field(surroundings, robot.config)
+
+    def check(self, q: ArrayLike, T_map_base: ArrayLike, base: bool = True) -> CollisionReport:
+        """Check one configuration and say what it touches.
+
+        Args:
+            q: positions of the arm, shape (n,).
+            T_map_base: shape (4, 4).
+            base: compare the links that stand still on the base with the map too.
+
+        Raises:
+            InvalidInputError: malformed positions or pose.
+        """
+        position = self.body.chain.check(q)
+        space = self.space(T_map_base, base)
+        pair, sphere, *place = kernels.first_contact(space, position)
+        if pair != CLEAR:
+            first, second = (self.body.links[i] for i in self.body.arrays.pairs[pair])
+            return CollisionReport(False, f"{first} with {second}")
+        if sphere != CLEAR:
+            where = ", ".join(f"{x:.2f}" for x in place)
+            return CollisionReport(False, f"{self._link_of(sphere)} with the map at ({where})")
+        return CollisionReport(True)
+
+    def are_free(
+        self, qs: ArrayLike, T_map_bases: ArrayLike, base: bool = True
+    ) -> NDArray[np.bool_]:
+        """Check many configurations.
+
+        Args:
+            qs: positions of the arm, shape (N, n).
+            T_map_bases: one for all, shape (4, 4), or one for each, shape (N, 4, 4).
+            base: compare the links that stand still on the base with the map too.
+
+        Returns:
+            Which touch nothing, shape (N,).
+
+        Raises:
+            InvalidInputError: shapes do not fit or are not finite.
+        """
+        rows = float_array(qs, "qs")
+        if rows.ndim != 2 or rows.shape[1] != len(self.body.chain) or not np.isfinite(rows).all():
+            expected = f"(N, {len(self.body.chain)}), finite"
+            raise InvalidInputError("qs", f"shape {rows.shape}, expected {expected}")
+        poses = float_array(T_map_bases, "T_map_bases")
+        if poses.shape not in ((4, 4), (len(rows), 4, 4)) or not np.isfinite(poses).all():
+            raise InvalidInputError("T_map_bases", f"shape {poses.shape}, expected (N, 4, 4)")
+        poses = np.broadcast_to(poses, (len(rows), 4, 4))[:, :3]
+        free = np.empty(len(rows), np.bool_)
+        kernels.all_free(
+            self.space(np.eye(4), base),
+            np.ascontiguousarray(rows),
+            np.ascontiguousarray(poses),
+            free,
+        )
+        return free
+
+    def space(self, T_map_base: ArrayLike, base: bool = False) -> MotionSpace:
+        """What the kernels take.
+
+        Args:
+            T_map_base: shape (4, 4).
+            base: compare the links that stand still on the base with the map too.
+        """
+        body, pose = self.body, check_transform(T_map_base, "T_map_base")
+        return MotionSpace(
+            tree=body.tree.arrays,
+            body=body.arrays,
+            field=self.field.arrays,
+            links=self._all_links if base else body.moving_links,
+            radii=self._radii,
+            gaps=self.body.gaps,
+            kept=self.body.kept,
+            pair_reach=self.body.pair_reach,
+            margin=float(body.config.margin),
+            T_map_base=np.ascontiguousarray(pose[:3]),
+        )
+
+    def departure(self, q: ArrayLike, T_map_base: ArrayLike) -> MotionSpace:
+        """The space for a motion that begins in a configuration, which it may leave in any case.
+
+        A robot that stands beside a wall may, by the map, stand in it. A link that touches the map,
+        or another link, may come no nearer to anything, or to that link, than it is now; all others
+        keep their margin. Without a contact this is `space`.
+
+        Args:
+            q: where the arm is, shape (n,).
+            T_map_base: where the base is, shape (4, 4).
+        """
+        space, position = self.space(T_map_base), self.body.chain.check(q)
+        kept, starts = 1.001 * space.margin, self.body.arrays.starts
+        found, gaps = np.empty_like(space.radii), np.empty_like(space.gaps)
+        kernels.sphere_clearances(space, position, space.radii + kept, found)
+        depths = np.minimum.reduceat(found - kept - space.radii, starts[:-1])
+        shrunk = space.radii + np.repeat(np.minimum(depths, 0.0), np.diff(starts))
+        kernels.pair_gaps(space, position, space.gaps + _SLACK, gaps)
+        return space._replace(radii=shrunk, gaps=gaps - _SLACK)
+
+    def first_on_way(
+        self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike
+    ) -> CollisionReport:
+        """Check the straight way between two configurations, wholly.
+
+        Raises:
+            InvalidInputError: malformed positions or pose.
+        """
+        first, second = (self.body.chain.check(q) for q in (q_start, q_goal))
+        share = first_on_way(self.space(T_map_base), first, second, self.body.scratch())
+        if share < 0.0:
+            return CollisionReport(True)
+        return self.check(first + share * (second - first), T_map_base, base=False)
+
+    @cached_property
+    def _radii(self) -> FloatArray:
+        return np.ascontiguousarray(self.body.arrays.spheres[:, 3])
+
+    @cached_property
+    def _all_links(self) -> NDArray[np.int64]:
+        return np.concatenate([self.body.moving_links, self.body.base_links])
+
+    def _link_of(self, sphere: int) -> str:
+        starts = self.body.arrays.starts
+        return self.body.links[int(np.searchsorted(starts, sphere, side="right")) - 1]
+
+
+def _field(
+    surroundings: VoxelMap | VoxelWindow | DistanceField, config: CollisionConfig
+) -> DistanceField:
+    if isinstance(surroundings, DistanceField):
+        return surroundings
+    thresholds = OccupancyThresholds(config.free_probability)
+    unknown_is_free = config.unknown_is_free
+    if isinstance(surroundings, VoxelWindow):
+        return distance_field(surroundings, thresholds=thresholds, unknown_is_free=unknown_is_free)
+    bounds, size = surroundings.bounds(), surroundings.config.voxel_size
+    if bounds is None:
+        blocked = np.full((1, 1, 1), not unknown_is_free)
+        return field_of_blocked(blocked, (0, 0, 0), size, unknown_is_free)
+    low, high = (np.asarray(bound) for bound in bounds)
+    window = surroundings.window((low + 0.25) * size, (high + 0.75) * size)
+    return distance_field(window, thresholds=thresholds, unknown_is_free=unknown_is_free)

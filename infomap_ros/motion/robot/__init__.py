@@ -1,0 +1,1 @@
+"""The robot as its description gives it: joints, links, masses, solids."""

@@ -1,0 +1,111 @@
+"""Collision shapes of a URDF as the solids of `geometry`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio
+
+from infomap_ros.errors import InvalidInputError, RobotModelError
+from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, Solid, Sphere
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.robot.urdf import RobotDescription
+
+PLATE_THICKNESS = 0.001
+"""What a mesh without a volume, such as a printed tag, is given [m]."""
+
+_FLAT = 1e-6  # smallest share of its largest extent at which a mesh has a volume
+_SAME_PLANE = 1e-7  # facets of a hull whose normals [1] and offsets [m] agree so far are one
+
+
+@dataclass(frozen=True, eq=False)
+class BodyShape:
+    """One collision shape of a link.
+
+    Attributes:
+        link: name of the link.
+        joint: index of the joint that moves it, 0 for none.
+        solid: the shape.
+        placement: ``T_joint_solid``, shape (4, 4).
+        geometry: the shape as coal has it, a mesh with its hollows.
+    """
+
+    link: str
+    joint: int
+    solid: Solid
+    placement: FloatArray
+    geometry: coal.CollisionGeometry
+
+
+def body_shapes(
+    model: pinocchio.Model, description: RobotDescription, package_folders: Sequence[str | Path]
+) -> tuple[BodyShape, ...]:
+    """Build the collision shapes of all links; a mesh becomes its convex hull.
+
+    Args:
+        model: made from the same description.
+        description: the URDF.
+        package_folders: where ``package://name/...`` and relative mesh files are looked for,
+            besides the description's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
+
+    Raises:
+        RobotModelError: a mesh is not found or lies in one line, or dimensions are impossible.
+    """
+    own = [] if description.folder is None else [description.folder]
+    try:
+        geometry = pinocchio.buildGeomFromUrdfString(
+            model,
+            description.xml,
+            pinocchio.GeometryType.COLLISION,
+            package_dirs=[str(folder) for folder in (*package_folders, *own)],
+        )
+    except (ValueError, RuntimeError) as error:
+        raise RobotModelError(f"collision shapes: {error}") from error
+    shapes = tuple(_shape(model, item) for item in geometry.geometryObjects)
+    if len(shapes) != description.collision_shapes:
+        raise RobotModelError(
+            f"only {len(shapes)} of {description.collision_shapes} collision shapes can be read: "
+            "check their dimensions and origins"
+        )
+    return shapes
+
+
+def _shape(model: pinocchio.Model, item: pinocchio.GeometryObject) -> BodyShape:
+    link = str(model.frames[item.parentFrame].name)
+    try:
+        solid = _solid(item.geometry)
+    except InvalidInputError as error:
+        raise RobotModelError(f"link '{link}' has an impossible shape: {error}") from error
+    return BodyShape(
+        link, int(item.parentJoint), solid, np.array(item.placement.homogeneous), item.geometry
+    )
+
+
+def _solid(geometry: coal.CollisionGeometry) -> Solid:
+    if isinstance(geometry, coal.Box):
+        x, y, z = 2.0 * np.asarray(geometry.halfSide).ravel()
+        return Box((float(x), float(y), float(z)))
+    if isinstance(geometry, coal.Cylinder):
+        return Cylinder(float(geometry.radius), 2.0 * float(geometry.halfLength))
+    if isinstance(geometry, coal.Sphere):
+        return Sphere(float(geometry.radius))
+    return _hull(np.asarray(geometry.vertices(), dtype=np.float64).reshape(-1, 3))
+
+
+def _hull(vertices: FloatArray) -> ConvexPolytope:
+    """Convex hull with the coplanar triangles of a facet counted once; a flat mesh is a plate."""
+    if len(vertices) < 3:
+        raise InvalidInputError("mesh", f"has {len(vertices)} vertices")
+    centred = vertices - vertices.mean(axis=0)
+    _, extents, directions = np.linalg.svd(centred, full_matrices=False)
+    if extents[2] < _FLAT * extents[0]:
+        half = 0.5 * PLATE_THICKNESS * directions[2]
+        vertices = np.concatenate([vertices - half, vertices + half])
+    hull = ConvexPolytope.from_points(vertices)
+    planes = np.column_stack([hull.normals, hull.offsets])
+    _, first = np.unique(np.round(planes / _SAME_PLANE), axis=0, return_index=True)
+    return ConvexPolytope(hull.normals[first], hull.offsets[first], hull.radius)

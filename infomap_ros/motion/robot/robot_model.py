@@ -1,0 +1,264 @@
+"""The robot as its URDF describes it: joints, frames, forward kinematics, body solids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+
+from infomap_ros.errors import RobotModelError
+from infomap_ros.geometry import PlacedSolid, invert_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.robot.body_shapes import BodyShape, body_shapes
+from infomap_ros.motion.robot.chain import KinematicChain
+from infomap_ros.motion.robot.chain_builder import chain_between
+from infomap_ros.motion.robot.joint_limits import JointLimits
+from infomap_ros.motion.robot.mechanism import Mechanism
+from infomap_ros.motion.robot.urdf import read_urdf
+
+
+class RobotModel:
+    """A robot: a tree of links. Immutable, and safe to use from several threads.
+
+    Joint positions come as a mapping from joint name to [rad or m], as in
+    ``sensor_msgs/JointState``. Names that the robot does not have are ignored, as a robot's joint
+    states often hold more than its URDF; a joint that the answer depends on must be there. Joints
+    that mimic another follow it and need no position, nor do joints without a range.
+
+    Attributes:
+        name: of the robot.
+        base_frame: frame in which `forward_kinematics` answers.
+        camera_frame: optical frame of the camera, empty if none was given.
+        joints: the joints that have a position, in the model's order.
+        arm_joints: joints that `arm` moves, empty for all between base and camera.
+        mechanism: the joints, with those that mimic.
+        model: the Pinocchio model, not to be written to.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        shapes: Sequence[BodyShape] = (),
+        base_frame: str = "",
+        camera_frame: str = "",
+        arm_joints: Sequence[str] = (),
+        held: Mapping[str, float] | None = None,
+    ) -> None:
+        self.mechanism = mechanism
+        self.model = model = mechanism.model
+        self.name = str(model.name)
+        self._shapes = tuple(shapes)
+        self._frame_ids = {
+            str(frame.name): index
+            for index, frame in enumerate(model.frames)
+            if frame.type == pinocchio.FrameType.BODY
+        }
+        self.base_frame = base_frame or str(model.frames[1].name)
+        self.camera_frame = camera_frame
+        for frame in filter(None, (self.base_frame, camera_frame)):
+            self._frame_id(frame)
+        self.joints = mechanism.joints
+        body = {self._parent_joint(self.base_frame), *(shape.joint for shape in self._shapes)}
+        self._needed_by_body = mechanism.owners(mechanism.above(body))
+        self.arm_joints = tuple(arm_joints)
+        self._held = dict(held or {})
+        if self.arm_joints:
+            self.chain(self.arm_joints, self._held)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path_or_xml: str | Path,
+        camera_frame: str = "",
+        base_frame: str = "",
+        package_folders: Sequence[str | Path] = (),
+        arm_joints: Sequence[str] = (),
+        mimics: Mapping[str, str] | None = None,
+        assumed_joints: Sequence[str] = (),
+    ) -> RobotModel:
+        """Read a robot from its URDF.
+
+        Args:
+            path_or_xml: path of a file, or the XML itself (``robot_description``).
+            camera_frame: optical frame of the camera, a link's name.
+            base_frame: link whose frame is the base; the root link where empty.
+            package_folders: where ``package://name/...`` and relative mesh files are looked for,
+                besides the URDF's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
+            arm_joints: joints that `arm` moves; all between base and camera where empty.
+            mimics: joints that follow another although the URDF does not say so, name -> leader,
+                as the segments of a telescope that one motor drives.
+            assumed_joints: joints whose position nobody reports, as often of wheels; where it is
+                missing they stand at zero or at their limit nearest to it.
+
+        Raises:
+            RobotModelError: the URDF is missing or malformed, holds a joint or collision shape of
+                an unknown type, a mesh is not found, a frame or joint is unknown, or a joint of the
+                arm does not move the camera; names the culprit.
+        """
+        description = read_urdf(path_or_xml, mimics)
+        try:
+            model = pinocchio.buildModelFromXML(description.xml)
+        except (ValueError, RuntimeError) as error:
+            raise RobotModelError(f"malformed URDF: {error}") from error
+        shapes = body_shapes(model, description, package_folders)
+        mechanism = Mechanism(model, description.followers, assumed_joints)
+        return cls(mechanism, shapes, base_frame, camera_frame, arm_joints)
+
+    @cached_property
+    def arm(self) -> KinematicChain:
+        """The chain of `arm_joints` from the base to the camera, the joints between them held.
+
+        Raises:
+            RobotModelError: the robot has no camera frame.
+        """
+        return self.chain(self.arm_joints, self._held)
+
+    def holding(self, joint_positions: Mapping[str, float]) -> RobotModel:
+        """The same robot, `arm` of which holds the joints that it does not move at these positions.
+
+        Args:
+            joint_positions: by name [rad or m]; those of the arm and unknown ones are ignored.
+
+        Raises:
+            RobotModelError: a position is not finite.
+        """
+        if not self.arm_joints:
+            return self
+        others = set(self.mechanism.indices) - set(self.arm_joints)
+        held = {name: joint_positions[name] for name in others if name in joint_positions}
+        return RobotModel(
+            self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held
+        )
+
+    def chain(
+        self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None
+    ) -> KinematicChain:
+        """A chain of joints from the base to the camera.
+
+        Args:
+            joints: names of those that move; all between base and camera where empty.
+            held: where the others stand [rad or m]; where not given, at zero or at their limit
+                nearest to it. Joints that are not on the way do not matter.
+
+        Raises:
+            RobotModelError: the robot has no camera frame, a joint of `joints` does not move the
+                camera, or a position of `held` is not finite or is that of an unknown joint.
+        """
+        if not self.camera_frame:
+            raise RobotModelError(f"robot '{self.name}' was given no camera frame")
+        ends = self._frame_id(self.base_frame), self._frame_id(self.camera_frame)
+        return chain_between(self.mechanism, *ends, joints, held)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all links."""
+        return tuple(self._frame_ids)
+
+    @property
+    def shapes(self) -> tuple[BodyShape, ...]:
+        """Collision shapes of all links, each in the frame of the joint that moves it."""
+        return self._shapes
+
+    @property
+    def links_with_solids(self) -> tuple[str, ...]:
+        """Names of the links that have collision shapes, in the order of `solids_in`."""
+        return tuple(dict.fromkeys(shape.link for shape in self._shapes))
+
+    def joint(self, name: str) -> JointLimits:
+        """The joint of that name.
+
+        Raises:
+            RobotModelError: the robot has no such joint.
+        """
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise RobotModelError(
+            f"robot '{self.name}' has no joint '{name}'; it has "
+            + (", ".join(self.mechanism.indices) or "none")
+        )
+
+    def configuration(
+        self, joint_positions: Mapping[str, float], frames: Iterable[str] | None = None
+    ) -> FloatArray:
+        """Pinocchio's configuration vector, shape (nq,).
+
+        Args:
+            joint_positions: by joint name [rad or m].
+            frames: links whose place must be known; joints that move none of them may be missing
+                and are set to zero. Without it all joints must be there.
+
+        Raises:
+            RobotModelError: a joint is missing or its position is not finite, or a frame is
+                unknown; names it.
+        """
+        mechanism = self.mechanism
+        if frames is None:
+            return mechanism.configuration(joint_positions, mechanism.indices)
+        joints = mechanism.above(self._parent_joint(frame) for frame in frames)
+        return mechanism.configuration(joint_positions, mechanism.owners(joints))
+
+    def forward_kinematics(self, joint_positions: Mapping[str, float], frame: str) -> FloatArray:
+        """Place of a frame: ``T_base_frame``, shape (4, 4).
+
+        Args:
+            joint_positions: by joint name [rad or m]; only the joints between the base and the
+                frame must be there.
+            frame: name of a link.
+
+        Raises:
+            RobotModelError: the frame is unknown, or a joint is missing or not finite.
+        """
+        mechanism = self.mechanism
+        ends = (mechanism.above([self._parent_joint(f)]) for f in (self.base_frame, frame))
+        between = mechanism.owners(next(ends) ^ next(ends))
+        data = self._placed(mechanism.configuration(joint_positions, between))
+        return invert_transform(self._root_frame(data, self.base_frame)) @ self._root_frame(
+            data, frame
+        )
+
+    def solids_in(self, frame: str, joint_positions: Mapping[str, float]) -> list[PlacedSolid]:
+        """Collision solids of all links, placed in a frame.
+
+        Args:
+            frame: name of a link, for example the camera's optical frame.
+            joint_positions: by joint name [rad or m]; all joints that move a solid must be there.
+
+        Returns:
+            Solids with ``T_frame_solid``, named by their links.
+
+        Raises:
+            RobotModelError: the frame is unknown, or a joint is missing or not finite.
+        """
+        mechanism = self.mechanism
+        needed = mechanism.owners(mechanism.above([self._parent_joint(frame)]))
+        q = mechanism.configuration(joint_positions, self._needed_by_body | needed)
+        data = self._placed(q)
+        T_frame_root = invert_transform(self._root_frame(data, frame))
+        T_frame_joint = [T_frame_root @ pose.homogeneous for pose in data.oMi]
+        return [
+            PlacedSolid(shape.solid, T_frame_joint[shape.joint] @ shape.placement, shape.link)
+            for shape in self._shapes
+        ]
+
+    def _frame_id(self, frame: str) -> int:
+        try:
+            return self._frame_ids[frame]
+        except KeyError:
+            raise RobotModelError(f"robot '{self.name}' has no frame '{frame}'") from None
+
+    def _parent_joint(self, frame: str) -> int:
+        return int(self.model.frames[self._frame_id(frame)].parentJoint)
+
+    def _placed(self, q: FloatArray) -> pinocchio.Data:
+        """Kinematics at `q` in data of this call alone, so that threads do not meet."""
+        data = self.model.createData()
+        pinocchio.forwardKinematics(self.model, data, q)
+        return data
+
+    def _root_frame(self, data: pinocchio.Data, frame: str) -> FloatArray:
+        item = self.model.frames[self._frame_id(frame)]
+        return np.asarray((data.oMi[item.parentJoint] * item.placement).homogeneous)

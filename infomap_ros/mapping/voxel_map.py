@@ -85,8 +85,7 @@ class VoxelMap:
 
     def probability(self, points: ArrayLike) -> FloatArray:
         """Probability of occupancy at points, shape (N, 3) [m] -> (N,), 0.5 where unknown."""
-        evidence = np.clip(self.log_odds(points), -700.0, 700.0)
-        return np.asarray(1.0 / (1.0 + np.exp(-evidence)))
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(self.log_odds(points), -700.0, 700.0))))
 
     def is_known(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether the voxels at points, shape (N, 3) [m], were ever observed, shape (N,)."""

@@ -11,18 +11,17 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from infomap_ros.errors import CapacityError, ExplorationError, InfomapError
+from infomap_ros.errors import ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.localization.target.draw_target_command import draw_target
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.replay.command_options import Out, Setting
 from infomap_ros.replay.localize_command import localize
+from infomap_ros.replay.map_command import map_bag
 from infomap_ros.replay.map_inputs import MapOptions
-from infomap_ros.replay.map_run import MapRun
-from infomap_ros.replay.progress_bar import run_with_bar
-from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.sequences import FORMATS
 from infomap_ros.replay.sequences import convert as convert_sequence
-from infomap_ros.replay.settings import setting_names, with_settings
+from infomap_ros.replay.settings import with_settings
 from infomap_ros.studies.commands import app as studies
 
 app = typer.Typer(
@@ -32,6 +31,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(studies, name="study")
+app.command("map")(map_bag)
 app.command("localize")(localize)
 app.command("draw-target")(draw_target)
 _PASSED_ON = {
@@ -39,113 +39,17 @@ _PASSED_ON = {
     "ignore_unknown_options": True,
     "help_option_names": [],  # --help is the other command's
 }
-_Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
-
-
-def _list_settings(wanted: bool) -> None:
-    if wanted:
-        typer.echo("\n".join(setting_names(MapOptions())))
-        raise typer.Exit
-
-
-@app.command("map")
-def map_bag(
-    bag: Annotated[
-        Path, typer.Argument(help="rosbag2 folder, .mcap, .db3, or ROS 1 .bag", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
-    voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel [m]")] = None,
-    max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
-    source: Annotated[Optional[str], typer.Option(help="auto, stereo or depth")] = None,
-    rectify: Annotated[Optional[str], typer.Option(help="auto, yes or no")] = None,
-    poses: Annotated[Optional[str], typer.Option(help="auto, bag or localize")] = None,
-    left_image: _Topic = "",
-    right_image: _Topic = "",
-    left_info: _Topic = "",
-    right_info: _Topic = "",
-    depth: _Topic = "",
-    info: _Topic = "",
-    pose_topic: _Topic = "",
-    joints: _Topic = "",
-    map_frame: Annotated[Optional[str], typer.Option(help="frame of the map")] = None,
-    pose_frame: Annotated[
-        Optional[str], typer.Option(help="whose pose the pose topic tells")
-    ] = None,
-    robot: Annotated[
-        str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")
-    ] = "",
-    setting: Annotated[
-        Optional[list[str]], typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
-    ] = None,
-    settings: Annotated[
-        bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
-    ] = False,
-) -> None:
-    """Map a recorded bag: map file, .ply, pictures and summary.json."""
-    del settings  # the callback has answered it
-    shortcuts = {
-        "map.voxel_size": voxel_size,
-        "map.max_range": max_range,
-        "input.source": source,
-        "input.rectify": rectify,
-        "input.poses": poses,
-        "input.map_frame": map_frame,
-        "input.pose_frame": pose_frame,
-    }
-    given = [f"{name}={value}" for name, value in shortcuts.items() if value is not None]
-    topics = {
-        "left_image": left_image,
-        "right_image": right_image,
-        "left_info": left_info,
-        "right_info": right_info,
-        "depth": depth,
-        "info": info,
-        "pose": pose_topic,
-        "joints": joints,
-    }
-    options = with_settings(MapOptions(topics=topics, robot=robot), given + (setting or []))
-    _map(bag, out, options)
-
-
-def _map(bag: Path, out: Path, options: MapOptions) -> None:
-    from infomap_ros.replay.map_files import write_map_files
-
-    with BagReader(bag) as reader:
-        run = MapRun(reader, options)
-        run_with_bar(run.run, "mapping", "frames", run.inputs.frames)
-        summary = write_map_files(run, out)
-        for text in _remarks(run, reader):
-            typer.echo(f"infomap: {text}", err=True)
-    typer.echo(json.dumps(summary))
-    if run.full:
-        raise CapacityError(f"the map is full, what came later is not in it: {run.full}")
-
-
-def _remarks(run: MapRun, reader: BagReader) -> list[str]:
-    """What the user should know beside the figures."""
-    remarks = list(reader.problems)
-    remarks += [f"{count} messages skipped: {text}" for text, count in reader.skipped.items()]
-    remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
-    remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
-    if run.assumed_poses:
-        remarks.append(
-            f"{run.inputs.pose_topic} has no covariance: assumed.default_position_sigma and "
-            "assumed.default_rotation_sigma stand in for it"
-        )
-    return remarks
 
 
 @app.command()
 def explore(
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    out: Out,
     world: Annotated[str, typer.Option(help="mars, office or cave")] = "mars",
     seed: Annotated[int, typer.Option(help="of the world and of all noise")] = 1,
     strategy: Annotated[
         Optional[str], typer.Option(help="name of a strategy, or a class by its dotted path")
     ] = None,
-    setting: Annotated[
-        Optional[list[str]], typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
-    ] = None,
+    setting: Setting = None,
 ) -> None:
     """Explore a simulated world: map file, .ply, report.html and summary.json."""
     from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
+from infomap_ros.replay.command_options import Bag, Out, Rectify, Setting, Source, Topic, Urdf
 from infomap_ros.replay.localize_inputs import LocalizeOptions
 from infomap_ros.replay.localize_run import LocalizeRun
 from infomap_ros.replay.progress_bar import run_with_bar
 from infomap_ros.replay.reader import BagReader
 from infomap_ros.replay.settings import setting_names, with_settings
-
-_Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
 
 
 def _list_settings(wanted: bool) -> None:
@@ -24,31 +23,25 @@ def _list_settings(wanted: bool) -> None:
 
 
 def localize(
-    bag: Annotated[
-        Path, typer.Argument(help="rosbag2 folder, .mcap, .db3, or ROS 1 .bag", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
-    source: Annotated[str | None, typer.Option(help="auto, stereo or depth")] = None,
-    rectify: Annotated[str | None, typer.Option(help="auto, yes or no")] = None,
+    bag: Bag,
+    out: Out,
+    source: Source = None,
+    rectify: Rectify = None,
     motion: Annotated[
-        str | None, typer.Option(help="auto, odometry, or none for the images alone")
+        Optional[str], typer.Option(help="auto, odometry, or none for the images alone")
     ] = None,
-    target: Annotated[str | None, typer.Option(help="kind of the target, none or tags")] = None,
-    left_image: _Topic = "",
-    right_image: _Topic = "",
-    left_info: _Topic = "",
-    right_info: _Topic = "",
-    depth: _Topic = "",
-    info: _Topic = "",
-    color: _Topic = "",
-    odometry: _Topic = "",
-    joints: _Topic = "",
-    robot: Annotated[
-        str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")
-    ] = "",
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting")
-    ] = None,
+    target: Annotated[Optional[str], typer.Option(help="kind of the target, none or tags")] = None,
+    left_image: Topic = "",
+    right_image: Topic = "",
+    left_info: Topic = "",
+    right_info: Topic = "",
+    depth: Topic = "",
+    info: Topic = "",
+    color: Topic = "",
+    odometry: Topic = "",
+    joints: Topic = "",
+    robot: Urdf = "",
+    setting: Setting = None,
     settings: Annotated[
         bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
     ] = False,

@@ -78,6 +78,10 @@ class LiveGraph:
         self._watched[topic] += 1
         self._node.create_subscription(kind, topic, receive, profile or qos.stream(depth=100))
 
+    def publisher(self, kind: type, topic: str) -> Any:
+        """A publisher of a topic of the graph, as a user or another node would have it."""
+        return self._node.create_publisher(kind, topic, qos.stream())
+
     def spin_until(
         self,
         condition: Callable[[], bool],

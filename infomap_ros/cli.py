@@ -28,6 +28,7 @@ app = typer.Typer(
     help="Stereo images to a probabilistic 3-D map with honest uncertainty.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # leaves the brackets of units alone
     add_completion=False,
 )
 app.add_typer(studies, name="study")

@@ -26,8 +26,8 @@ def _list_settings(wanted: bool) -> None:
 def map_bag(
     bag: Bag,
     out: Out,
-    voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel, in metres")] = None,
-    max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point, in metres")] = None,
+    voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel [m]")] = None,
+    max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
     source: Source = None,
     rectify: Rectify = None,
     poses: Annotated[Optional[str], typer.Option(help="auto, bag or localize")] = None,

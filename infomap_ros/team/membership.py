@@ -8,11 +8,11 @@ earlier session goes on with newer versions, two robots have the same id, and it
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Protocol
 
 import numpy as np
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.versions import COUNT
 
 NOT_LISTED = "not on the team list"
@@ -22,6 +22,26 @@ AHEAD = "version far ahead"
 _MOST_BEHIND = 32 * 600  # versions; ten minutes at the fastest rate
 _MOST_AHEAD = 1 << 24
 _KEPT_SESSIONS = 16
+
+
+class Told(Protocol):
+    """What a robot tells: a map update, or of itself.
+
+    Attributes:
+        robot: whose it is.
+        session: number that this robot drew when it started.
+        version: of what it tells.
+        sender: id of the robot that tells it, where that is another one.
+    """
+
+    @property
+    def robot(self) -> int: ...  # noqa: D102
+    @property
+    def session(self) -> int: ...  # noqa: D102
+    @property
+    def version(self) -> int: ...  # noqa: D102
+    @property
+    def sender(self) -> int | None: ...  # noqa: D102
 
 
 class Membership:
@@ -53,7 +73,7 @@ class Membership:
         if self._team and robot not in self._team:
             raise UpdateRefusedError(f"robot {robot} is {NOT_LISTED}", NOT_LISTED)
 
-    def check_update(self, update: MapUpdate, now: float, own_version: int) -> None:
+    def check_update(self, update: Told, now: float, own_version: int) -> None:
         """Refuse an update that must not be written.
 
         Args:
@@ -79,7 +99,7 @@ class Membership:
                 raise UpdateRefusedError(f"{text}: {reason}", reason)
             self._newest[update.robot] = update.version if ahead > 0 else newest
 
-    def _is_current(self, update: MapUpdate, is_newer: bool, now: float) -> bool:
+    def _is_current(self, update: Told, is_newer: bool, now: float) -> bool:
         """Whether an update is of its robot's present session, which may begin with it.
 
         Raises:

@@ -1,0 +1,146 @@
+"""Who is where and wants what: what the robots of a team tell of themselves.
+
+Each robot tells, a few times a second, its pose with covariance, its joints, what it is doing, the
+view that it is heading for and the way there. So others plan around it, leave to it what it is
+about to see, and cut its body from their scans.
+
+A goal is claimed: claims are numbered, and each says which claims of the others were known when it
+was made. Of two claims that were made without knowledge of each other, that of the smaller id
+holds; no clocks are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry.transforms import FloatArray, float_array
+from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION
+
+_MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
+_LONGEST_STATE, _LONGEST_NAME = 80, 255
+_FARTHEST, _LARGEST = 1e6, 100.0  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Agent:
+    """What a robot tells of itself.
+
+    Attributes:
+        robot: its id, unique in its team.
+        session: number that it draws when it starts.
+        version: of this message, see `team.versions`.
+        stamp: time of pose and joints [ns].
+        T_map_base: pose of its base, shape (4, 4).
+        T_map_camera: pose of its left optical frame, shape (4, 4).
+        covariance: of that pose, shape (6, 6), convention of `geometry.transforms`; None if
+            unknown.
+        camera: its rectified left camera.
+        max_range: how far it sees [m].
+        state: what it is doing, in words.
+        joints: positions by name [rad or m].
+        goal: ``T_map_camera`` of the view that it is heading for, shape (4, 4); None without one.
+        way: base poses (x, y, yaw) on the way there, shape (K, 3) [m, rad, map]; the last one is
+            where it is going to stand.
+        claim: number of that goal; grows with each goal that is claimed or given up.
+        heard: claims of the others that it knew when it chose, by their ids.
+        radius: no point of its body is farther from the axis of its base [m].
+        bottom: lowest point of its body in its base frame [m].
+        top: highest point of its body in its base frame [m].
+        description: full name of the topic of its robot_description; empty without one.
+
+    Raises:
+        InvalidInputError: something is impossible; names it.
+    """
+
+    robot: int
+    session: int
+    version: int
+    stamp: int
+    T_map_base: FloatArray
+    T_map_camera: FloatArray
+    covariance: FloatArray | None
+    camera: PinholeCamera
+    max_range: float
+    state: str = "idle"
+    joints: Mapping[str, float] = field(default_factory=dict)
+    goal: FloatArray | None = None
+    way: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    claim: int = 0
+    heard: Mapping[int, int] = field(default_factory=dict)
+    radius: float = 0.5
+    bottom: float = -0.1
+    top: float = 1.0
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        _check_numbers(self)
+        _check_words(self)
+        for name in ("T_map_base", "T_map_camera", "goal"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _checked_pose(getattr(self, name), name))
+        if self.covariance is not None:
+            checked = check_covariance(self.covariance, 6, "agent covariance")
+            object.__setattr__(self, "covariance", checked)
+        way = float_array(self.way, "agent way").reshape(-1, 3)
+        if len(way) > _MOST_WAYPOINTS or not (np.abs(way) <= _FARTHEST).all():
+            raise InvalidInputError("agent way", f"{len(way)} places, or one is impossible")
+        object.__setattr__(self, "way", way)
+
+    @property
+    def sender(self) -> int | None:
+        """Each robot speaks for itself alone."""
+        return None
+
+    @property
+    def position_sigma(self) -> float:
+        """Largest standard deviation of its position [m]; 0 where unknown."""
+        if self.covariance is None:
+            return 0.0
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+
+def knows(mate: Agent, robot: int, claim: int) -> bool:
+    """Whether a teammate knew a claim of a robot when it chose its own goal."""
+    return mate.heard.get(robot, -1) >= claim
+
+
+def _check_numbers(agent: Agent) -> None:
+    numbers = (
+        ("robot", agent.robot, 0, MAX_ROBOT),
+        ("session", agent.session, 0, MAX_SESSION),
+        ("version", agent.version, 1, MAX_VERSION),
+        ("stamp", agent.stamp, 0, 2**63 - 1),
+        ("claim", agent.claim, 0, 2**63 - 1),
+        ("max_range", agent.max_range, 1e-3, _FARTHEST),
+        ("radius", agent.radius, 0.0, _LARGEST),
+        ("bottom", agent.bottom, -_LARGEST, _LARGEST),
+        ("top", agent.top, agent.bottom, _LARGEST),
+    )
+    for name, value, low, high in numbers:
+        if not low <= value <= high:
+            raise InvalidInputError(f"agent {name}", f"{value}, expected {low} to {high}")
+    if len(agent.heard) > _MOST_KNOWN or not all(0 <= r <= MAX_ROBOT for r in agent.heard):
+        raise InvalidInputError("agent heard", f"{len(agent.heard)} robots")
+    positions = np.array(list(agent.joints.values()), dtype=np.float64)
+    if len(positions) > _MOST_JOINTS or not (np.abs(positions) <= _FARTHEST).all():
+        raise InvalidInputError("agent joints", f"{dict(list(agent.joints.items())[:5])}")
+
+
+def _check_words(agent: Agent) -> None:
+    words = (("state", agent.state, _LONGEST_STATE), ("description", agent.description, 255))
+    names = (("joint", name, _LONGEST_NAME) for name in agent.joints)
+    for name, text, longest in (*words, *names):
+        if len(text) > longest or not (text.isprintable() or not text):
+            raise InvalidInputError(f"agent {name}", f"'{text[:40]}' is too long or not printable")
+
+
+def _checked_pose(pose: FloatArray, name: str) -> FloatArray:
+    checked = check_transform(pose, f"agent {name}")
+    if not (np.abs(checked[:3, 3]) <= _FARTHEST).all():
+        raise InvalidInputError(f"agent {name}", f"is at {checked[:3, 3].tolist()} m")
+    return checked

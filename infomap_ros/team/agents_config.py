@@ -1,0 +1,67 @@
+"""How robots hear of each other: the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from infomap_ros.geometry.config import check_config, parameter
+
+
+@dataclass(frozen=True)
+class AgentsConfig:
+    """How robots hear of each other.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    period: float = parameter(
+        0.2, "Time between two messages about this robot.", unit="s", low=0.01, high=60.0
+    )
+    silence: float = parameter(
+        5.0,
+        "What a teammate was heading for no longer counts when it was not heard for so long.",
+        unit="s",
+        low=0.1,
+        high=3600.0,
+    )
+    memory: float = parameter(
+        60.0,
+        "Its body still counts for so long; then it is part of the scene, if it stands there.",
+        unit="s",
+        low=0.1,
+        high=86400.0,
+    )
+    settling: float = parameter(
+        0.3,
+        "After a goal is claimed, time in which claims that teammates made at the same moment are "
+        "waited for: longer than a message takes.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    patience: float = parameter(
+        30.0,
+        "Where teammates leave no view that is worth its cost, time that is waited before this "
+        "robot has nothing left to do.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    shared: float = parameter(
+        0.5,
+        "A view of whose information a teammate is about to see more than this share is left to "
+        "it.",
+        low=0.0,
+        high=1.0,
+    )
+    clearance: float = parameter(
+        0.3,
+        "Distance that is kept between the bodies, and to the places where teammates are going.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)

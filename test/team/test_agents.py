@@ -1,0 +1,178 @@
+"""What robots tell of themselves: the text, what is refused, and who is forgotten when."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from infomap_ros.errors import InfomapError, InvalidInputError, UpdateRefusedError
+from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transform
+from infomap_ros.team.agent_board import AgentBoard
+from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
+from infomap_ros.team.membership import BACKWARDS, NOT_LISTED, TWO_OF_A_NAME
+
+LENS = PinholeCamera(640, 480, 500.0, 501.0, 319.5, 239.5)
+KEY = TeamKey(b"a secret of sixteen bytes")
+
+
+def agent(robot: int = 3, version: int = 100, session: int = 7, **fields: Any) -> Agent:
+    base = perturb_transform(make_transform(np.eye(3), (1.0, -2.0, 0.1)), [0, 0, 0, 0.1, 0.2, 0.9])
+    given: dict[str, Any] = {
+        "T_map_base": base,
+        "T_map_camera": base @ make_transform(np.eye(3), (0.2, 0.0, 0.8)),
+        "covariance": np.diag([1e-4, 4e-4, 9e-4, 1e-5, 1e-5, 1e-4]) + 1e-6,
+        "camera": LENS,
+        "max_range": 4.0,
+        "state": "choosing",
+        "joints": {"arm": 0.3, "wheel": -5.0},
+        "goal": base @ make_transform(np.eye(3), (2.0, 0.0, 0.8)),
+        "way": np.array([[1.0, -2.0, 0.9], [2.0, -1.0, 0.7]]),
+        "claim": 4,
+        "heard": {1: 9},
+        "description": "/rover3/robot_description",
+    }
+    return Agent(robot, session, version, 12_345_678_901, **(given | fields))
+
+
+def test_a_text_says_all_of_it() -> None:
+    told = agent()
+    read = agent_from_text(agent_to_text(told))
+    for name in ("T_map_base", "T_map_camera", "covariance", "goal", "way"):
+        np.testing.assert_allclose(getattr(read, name), getattr(told, name), atol=1e-12)
+    same = ["robot", "session", "version", "stamp", "camera", "max_range", "state", "joints"]
+    same += ["claim", "heard", "radius", "bottom", "top", "description"]
+    assert {n: getattr(read, n) for n in same} == {n: getattr(told, n) for n in same}
+
+
+def test_what_is_not_known_is_not_made_up() -> None:
+    read = agent_from_text(agent_to_text(agent(covariance=None, goal=None, way=np.empty((0, 3)))))
+    assert read.covariance is None
+    assert read.goal is None
+    assert read.way.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "problem"),
+    [
+        ("robot", 70_000, "agent robot: 70000"),
+        ("robot", 1.5, "not a whole number"),
+        ("version", 0, "agent version"),
+        ("base", [0, 0, 0, 0, 0, 0, 2], "norm 2"),
+        ("base", [1e9, 0, 0, 0, 0, 0, 1], "is at"),
+        ("goal", [0, 0, 0], "3 numbers, expected 7"),
+        ("covariance", [-1.0] + 20 * [0.0], "negative eigenvalue"),
+        ("lens", [640, 480, -1, 1, 1, 1], "not positive"),
+        ("max_range", 1e300, "max_range"),
+        ("way", 300 * [[0, 0, 0]], "300 places"),
+        ("way", [[0, 0]], "2 numbers, expected 3"),
+        ("joints", {"a": "b"}, "not a finite number"),
+        ("joints", {"a": 10**400}, "too large"),
+        ("heard", {"-1": 3}, "agent heard"),
+        ("heard", {"x": 3}, "invalid literal"),
+        ("state", "a\u0000b", "not printable"),
+        ("description", 3, "not a text"),
+        ("top", -50.0, "agent top"),
+    ],
+)
+def test_what_is_impossible_is_refused_and_named(field: str, value: Any, problem: str) -> None:
+    content = json.loads(agent_to_text(agent()))
+    with pytest.raises(InvalidInputError, match=problem):
+        agent_from_text(json.dumps(content | {field: value}))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "null", "[]", '{"infomap_agent":1}', "[" * 60_000, "1" * 70_000, "NaN", "\ud800"]
+)
+def test_what_is_no_such_text_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInputError, match="agent"):
+        agent_from_text(text)
+
+
+def test_changed_texts_are_read_or_refused_and_never_end_the_process() -> None:
+    rng = np.random.default_rng(5)
+    text = agent_to_text(agent())
+    read = 0
+    for _ in range(3000):
+        letters = list(text)
+        for place in rng.integers(len(letters), size=rng.integers(1, 4)):
+            letters[place] = chr(rng.integers(1, 128))
+        try:
+            read += isinstance(agent_from_text("".join(letters)), Agent)
+        except InfomapError:
+            continue
+    assert 0 < read < 3000
+
+
+def test_with_a_key_only_what_was_signed_with_it_counts() -> None:
+    signed = agent_to_text(agent(), KEY)
+    assert agent_from_text(signed, KEY).robot == 3
+    assert agent_from_text(signed).robot == 3
+    other = TeamKey(b"another secret of the same size")
+    forged = signed.replace('"claim":4', '"claim":5')
+    for text in (agent_to_text(agent()), agent_to_text(agent(), other), forged, signed + "0"):
+        with pytest.raises(UpdateRefusedError) as refused:
+            agent_from_text(text, KEY)
+        assert refused.value.reason == NOT_AUTHENTIC
+
+
+def test_the_newest_word_of_each_counts_in_whatever_order_it_comes() -> None:
+    board = AgentBoard(0, 1)
+    news = [board.hear(agent(2, version, claim=version), 0.0) for version in (10, 12, 11, 12)]
+    assert news == [True, True, False, False]
+    assert board.hear(agent(1, 50), 0.0)
+    assert [(each.robot, each.claim) for each in board.present(0.0)] == [(1, 4), (2, 12)]
+    assert board.claims(0.0) == {1: 4, 2: 12}
+
+
+def test_the_silent_lose_their_goals_first_and_are_forgotten_then() -> None:
+    board = AgentBoard(0, 1, AgentsConfig(silence=5.0, memory=60.0))
+    board.hear(agent(2), 10.0)
+    assert board.age(2, 14.0) == 4.0
+    for now, goals, bodies in ((15.0, 1, 1), (15.1, 0, 1), (70.0, 0, 1), (70.1, 0, 0)):
+        assert (len(board.present(now)), len(board.remembered(now))) == (goals, bodies)
+    assert board.age(2, 80.0) == np.inf
+    assert board.hear(agent(2, 99), 80.0), "an older version than that of one who was forgotten"
+
+
+@pytest.mark.parametrize("session", [1, None])
+def test_own_words_are_no_news(session: int | None) -> None:
+    board = AgentBoard(3, session)
+    assert not board.hear(agent(3, session=1), 0.0, own_version=100)
+    assert board.remembered(0.0) == ()
+
+
+def refusal(board: AgentBoard, told: Agent, now: float = 0.0) -> str:
+    with pytest.raises(UpdateRefusedError) as refused:
+        board.hear(told, now, own_version=100)
+    return refused.value.reason
+
+
+def test_strangers_namesakes_and_the_past_are_refused() -> None:
+    board = AgentBoard(0, 1, team=(3,))
+    board.hear(agent(3, 10**6), 0.0)
+    before = board.present(0.0)
+    assert refusal(board, agent(9)) == NOT_LISTED
+    assert refusal(board, agent(3, 10**6 - 20_000)) == BACKWARDS
+    board.hear(agent(0, 101, session=2), 0.0, own_version=100)
+    assert refusal(board, agent(0, 102, session=2), 6.0) == TWO_OF_A_NAME
+    assert board.present(0.0) == before
+
+
+def test_a_robot_that_has_started_again_is_the_same_robot() -> None:
+    board = AgentBoard(0, 1)
+    board.hear(agent(3, 100, session=7, claim=40), 0.0)
+    assert board.hear(agent(3, 200, session=8, claim=1), 1.0)
+    assert not board.hear(agent(3, 101, session=7, claim=41), 1.1), "late, from before"
+    assert board.claims(1.1) == {3: 1}
+
+
+def test_a_pose_tells_how_sure_it_is() -> None:
+    assert agent(covariance=np.diag([1.0, 4.0, 0.25, 1, 1, 1])).position_sigma == 2.0
+    assert replace(agent(), covariance=None).position_sigma == 0.0

@@ -2,7 +2,8 @@
 
 It publishes what the hardware would and moves on cmd_vel, base_path and arm_trajectory; what is
 true and a robot cannot know goes to ground_truth/* alone. Simulation and drawing run in the worker
-thread; callbacks only pass commands on. On a machine that is too slow for the wanted pace,
+thread; callbacks only pass commands on. Other robots in the same world have simulators of their
+own (`infomap_ros.nodes.simulator_teammates`). On a machine that is too slow for the wanted pace,
 simulated time passes more slowly, and /clock says so.
 """
 
@@ -20,6 +21,11 @@ from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.simulator_inputs import SimulatorInputs
 from infomap_ros.nodes.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
+from infomap_ros.nodes.simulator_teammates import (
+    SimulatorTeammates,
+    TeammatesConfig,
+    teammate_names,
+)
 from infomap_ros.simulation.robot import read_description
 from infomap_ros.simulation.robot_account import RobotAccount
 from infomap_ros.simulation.scenes import SCENES, build_scene, describe_scene
@@ -72,6 +78,7 @@ class SimulatorNode(MonitoredNode):
     CONFIGS = (
         (SimulatorNodeConfig, ""),
         (SimulatorOutputsConfig, ""),
+        (TeammatesConfig, ""),
         (SimulatorConfig, ""),
     )
 
@@ -81,6 +88,7 @@ class SimulatorNode(MonitoredNode):
         self._simulator, scene = self._build()
         self._outputs = SimulatorOutputs(self, self._simulator, scene)
         self._inputs = SimulatorInputs(self, self._simulator)
+        self._teammates = SimulatorTeammates(self, self._simulator)
         self._stopping = False
         self.start_worker(1).submit(self._run)
 
@@ -94,7 +102,8 @@ class SimulatorNode(MonitoredNode):
         world = build_scene(scene)
         given = Path(config.description)
         description = read_description(given if given.is_file() else find_share(given))
-        simulator = Simulator(world, description, self.config(SimulatorConfig))
+        others = dict.fromkeys(teammate_names(self.config(TeammatesConfig)), description)
+        simulator = Simulator(world, description, self.config(SimulatorConfig), others)
         self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
         self._account = RobotAccount(simulator, config.state_file, scene)
         if config.resume and self._account.resume():
@@ -104,10 +113,14 @@ class SimulatorNode(MonitoredNode):
     def _run(self) -> None:
         """Simulate until the end; in the worker thread, to which drawing is bound."""
         self._outputs.begin()
+        self._teammates.join(self._outputs.publish_state)
         pace = _Pace(self._config.pace, lambda: self._simulator.is_moving)
         try:
             while not self._stopping:
                 self._inputs.carry_out()
+                self._teammates.update()
+                if self._teammates.wait(self._outputs.publish_state):
+                    continue
                 self._simulator.step(_TICK)
                 self.guard("simulation", self._outputs.publish_due)
                 self.guard("state_file", self._account.save_when_due)

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
@@ -13,7 +14,13 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, TextRecord
+from infomap_ros.geometry import (
+    CameraInfoRecord,
+    ImageRecord,
+    JointStateRecord,
+    PoseRecord,
+    TextRecord,
+)
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
@@ -42,6 +49,9 @@ class SimulatorOutputsConfig:
     """
 
     map_frame: str = parameter("map", "Name of the frame of the world.")
+    publish_clock: bool = parameter(
+        True, "Publish /clock. Of several robots in one world only one may."
+    )
     clock_rate: float = parameter(50.0, "Rate of /clock.", unit="Hz", low=1.0, high=1000.0)
     state_rate: float = parameter(
         20.0, "Rate of joint_states, odom and camera_pose.", unit="Hz", low=0.1, high=1000.0
@@ -82,7 +92,9 @@ class SimulatorOutputs:
         self._config = node.config(SimulatorOutputsConfig)
         self._types = RclpyMessageTypes()
         stream = qos.stream
-        self._clock = node.advertise(Clock, "/clock", stream(depth=1))
+        self._clock = (
+            node.advertise(Clock, "/clock", stream(depth=1)) if self._config.publish_clock else None
+        )
         self._joints = node.advertise(JointState, "joint_states", stream(depth=50))
         self._odometry = node.advertise(Odometry, "odom", stream(depth=50))
         pose = PoseWithCovarianceStamped
@@ -93,6 +105,7 @@ class SimulatorOutputs:
         )
         self._true_camera = node.advertise(pose, "ground_truth/camera_pose", stream())
         self._true_base = node.advertise(pose, "ground_truth/base_pose", stream())
+        self._true_joints = node.advertise(JointState, "ground_truth/joint_states", stream())
         self._images = [node.advertise(Image, f"{s}/image_raw", stream(depth=5)) for s in _SIDES]
         self._infos = [
             node.advertise(CameraInfo, f"{s}/camera_info", stream(depth=5)) for s in _SIDES
@@ -124,10 +137,10 @@ class SimulatorOutputs:
         """
         config = self._config
         image = self._is_due("image", config.image_rate, wait=not self._may_look())
-        if self._is_due("clock", config.clock_rate) or image:
+        if self._clock is not None and (self._is_due("clock", config.clock_rate) or image):
             self._clock.publish(encode_clock(self._types, self._simulator.stamp))
         if self._is_due("state", config.state_rate) or image:
-            self._publish_state()
+            self.publish_state()
         if image:
             self._publish_pair()
             self._publish_depth()
@@ -143,7 +156,8 @@ class SimulatorOutputs:
     def _may_look(self) -> bool:
         return self._config.images_while_moving or not self._simulator.is_moving
 
-    def _publish_state(self) -> None:
+    def publish_state(self) -> None:
+        """Publish what joints and odometry measure now, and the truth."""
         simulator, types = self._simulator, self._types
         stamp, world = simulator.stamp, self._config.map_frame
         self._joints.publish(encode_joint_state(types, simulator.joint_state()))
@@ -158,6 +172,10 @@ class SimulatorOutputs:
             (self._true_base, simulator.true_pose()),
         ):
             publisher.publish(encode_pose(types, PoseRecord(stamp, world, truth)))
+        joints = simulator.true_joints()
+        angles = np.array(list(joints.values()))
+        record = JointStateRecord(stamp, "", tuple(joints), angles)
+        self._true_joints.publish(encode_joint_state(types, record))
         if self._frames is not None:
             self._frames.publish(odometry)
 

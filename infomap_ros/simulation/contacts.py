@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +39,8 @@ class ContactMonitor:
 
     Wheels and casters may touch the ground, and other things up to the height of a step above
     their lowest point; a wheel that touches a thing higher up has driven against it. Everything
-    else must not be touched, nor links each other. What touches on and on counts once.
+    else must not be touched, nor links each other, nor other robots. What touches on and on
+    counts once.
 
     Args:
         model: the compiled world.
@@ -46,6 +48,7 @@ class ContactMonitor:
         trial: the robot, measured.
         casters: links that may touch the ground too.
         step_height: see above [m].
+        teammates: names of the other robots.
     """
 
     def __init__(
@@ -55,10 +58,13 @@ class ContactMonitor:
         trial: TrialModel,
         casters: tuple[str, ...],
         step_height: float,
+        teammates: Iterable[str] = (),
     ) -> None:
         self._model, self._prefix, self._step_height = model, prefix, step_height
         names = [model.body(index).name for index in range(model.nbody)]
         self._is_robot = np.array([name.startswith(prefix) for name in names])[model.geom_bodyid]
+        others = tuple(f"{name}/" for name in teammates)
+        self._is_teammate = np.array([n.startswith(others) for n in names])[model.geom_bodyid]
         radius = {prefix + wheel.body: wheel.radius for wheel in trial.wheels}
         radius |= dict.fromkeys((prefix + link for link in casters), np.inf)
         self._radius = np.array([radius.get(name, 0.0) for name in names])[model.geom_bodyid]
@@ -85,7 +91,7 @@ class ContactMonitor:
 
     def _may_touch(self, data: mujoco.MjData, first: int, second: int, place: np.ndarray) -> bool:
         radius = self._radius[first]
-        if radius == 0.0 or self._is_robot[second]:
+        if radius == 0.0 or self._is_robot[second] or self._is_teammate[second]:
             return False
         lowest = data.geom_xpos[first, 2] - radius
         return bool(second == self._ground or place[2] - lowest <= self._step_height)

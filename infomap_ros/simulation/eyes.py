@@ -71,7 +71,7 @@ class Eyes:
     def look(self, stamp: int) -> StereoPair:
         """Take a pair; the first one opens a renderer, which belongs to the calling thread.
 
-        What the cameras see is drawn anew only when the robot has moved; the noise is always new.
+        What the cameras see is drawn anew only when a robot has moved; the noise is always new.
 
         Raises:
             SimulationError: this machine cannot draw images.
@@ -86,7 +86,7 @@ class Eyes:
     def _light(self) -> tuple[FloatArray, FloatArray]:
         if self._renderer is None:
             self._renderer = self.camera.renderer(self._body.model)
-        now = np.array(self._body.data.qpos)
+        now = self._body.appearance()
         if self._lights is None or not np.array_equal(now, self._seen_at):
             self._lights = self.camera.capture(self._renderer, self._body.data, *self.poses())
             self._seen_at = now

@@ -159,12 +159,19 @@ def add_robot(
     Raises:
         RobotModelError: MuJoCo cannot read the description.
     """
-    robot = load_robot(description)
+    root = attach_robot(spec, load_robot(description), prefix, material)
+    root.add_freejoint(name=f"{prefix}base")
+    return root
+
+
+def attach_robot(
+    spec: mujoco.MjSpec, robot: mujoco.MjSpec, prefix: str, material: str
+) -> mujoco.MjsBody:
+    """Put what `load_robot` read into a world, fixed to it; see `add_robot`."""
     root = spec.worldbody.add_frame().attach_body(robot.worldbody.first_body(), prefix, "")
     for geom in spec.geoms:
         if material and geom.group == 1:
             geom.material = material
-    root.add_freejoint(name=f"{prefix}base")
     return root
 
 

@@ -13,6 +13,7 @@ from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.dynamics import DynamicsConfig, add_dynamics
 from infomap_ros.simulation.robot import add_robot
 from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.teammate_body import TeammateBody, add_teammate
 from infomap_ros.simulation.trial import TrialModel, measure_robot
 
 import mujoco  # isort: skip  # after the backend has been chosen
@@ -32,12 +33,14 @@ class RobotBody:
         description: URDF text.
         setup: names of the robot's parts.
         config: parameters of the forces.
+        teammates: URDF texts of the other robots in the world, by name.
 
     Attributes:
         model: the compiled world with the robot.
         data: its state.
         trial: the robot, measured alone.
         servos: names of the joints with position servos, the order of `targets`.
+        teammates: the other robots, by name.
 
     Raises:
         RobotModelError: the description is malformed or lacks a part.
@@ -45,14 +48,22 @@ class RobotBody:
     """
 
     def __init__(
-        self, world: World, description: str, setup: RobotSetupConfig, config: DynamicsConfig
+        self,
+        world: World,
+        description: str,
+        setup: RobotSetupConfig,
+        config: DynamicsConfig,
+        teammates: Mapping[str, str] | None = None,
     ) -> None:
+        others = {f"{name}/": text for name, text in (teammates or {}).items()}
         self.trial: TrialModel = measure_robot(description, setup)
         self.setup, self.config = setup, config
         spec = world.spec.copy()
         material = "paint" if spec.material("paint") else ""
         add_robot(spec, description, PREFIX, material)
         add_dynamics(spec, PREFIX, setup, self.trial, config)
+        for prefix, text in others.items():
+            add_teammate(spec, text, prefix, material)
         try:
             self.model = spec.compile()
         except ValueError as error:
@@ -66,6 +77,10 @@ class RobotBody:
         self._base_q = int(self.model.joint(f"{PREFIX}base").qposadr[0])
         self._base_v = int(self.model.joint(f"{PREFIX}base").dofadr[0])
         self._base = self._body(setup.base_frame)
+        self.teammates = {
+            prefix[:-1]: TeammateBody(self.model, self.data, text, prefix, setup.base_frame)
+            for prefix, text in others.items()
+        }
         self._place(world)
 
     def _addresses(self, joints: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -121,6 +136,11 @@ class RobotBody:
         """Simulate one control period; the weight of the arm is held by its servos."""
         self.data.qfrc_applied[self._v] = self.data.qfrc_bias[self._v]
         mujoco.mj_step(self.model, self.data, self.config.steps)
+
+    def appearance(self) -> FloatArray:
+        """Changes when anything in the world has moved, shape (K,)."""
+        others = [mate.placement for mate in self.teammates.values()]
+        return np.concatenate([self.data.qpos, *others])
 
     def command_servos(self, positions: FloatArray) -> None:
         """Set the servos' targets [rad or m], in the order of `servos`."""

@@ -93,6 +93,10 @@ class RobotSensors:
         """``T_world_camera`` of the left optical frame, shape (4, 4)."""
         return self._body.frame(self.config.robot.left_camera_frame)
 
+    def true_joints(self) -> dict[str, float]:
+        """Positions of all joints by name, without noise [rad or m]."""
+        return dict(self._body.joint_positions())
+
     def frame(self, link: str) -> FloatArray:
         """True ``T_world_link``, shape (4, 4).
 

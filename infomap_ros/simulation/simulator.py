@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -44,9 +45,11 @@ class Simulator(RobotSensors):
         world: where; no robot in it.
         description: URDF text of the robot.
         config: the parameters.
+        teammates: URDF texts of other robots in this world, by name. They are not simulated here:
+            `place_teammate` tells where they are.
 
     Attributes:
-        world: as given.
+        world: as given, the robot's own start in it.
         description: as given.
         config: as given.
 
@@ -56,12 +59,19 @@ class Simulator(RobotSensors):
     """
 
     def __init__(
-        self, world: World, description: str, config: SimulatorConfig | None = None
+        self,
+        world: World,
+        description: str,
+        config: SimulatorConfig | None = None,
+        teammates: Mapping[str, str] | None = None,
     ) -> None:
-        self.world, self.description = world, description
         config = config or SimulatorConfig()
         setup = config.robot
-        body = RobotBody(world, description, setup, config.dynamics)
+        if config.start:
+            x, y, yaw = config.start
+            world = replace(world, start=(x, y, yaw))
+        self.world, self.description = world, description
+        body = RobotBody(world, description, setup, config.dynamics, teammates)
         seeds = np.random.SeedSequence(config.seed).spawn(5)
         joints, odometry, images, poses, depths = (np.random.default_rng(seed) for seed in seeds)
         self._drive = DriveTrain(body, config.drive, config.following)
@@ -72,7 +82,7 @@ class Simulator(RobotSensors):
         self._still, self._idle, self._left = 0.0, 0.0, 0.0
         self._contacts_before = 0
         self._contacts = ContactMonitor(
-            body.model, PREFIX, body.trial, setup.casters, config.step_height
+            body.model, PREFIX, body.trial, setup.casters, config.step_height, body.teammates
         )
         self._eyes = Eyes(body, config.camera, config.sensor, images)
         self._depth_eye = DepthEye(body, self._eyes.camera.rig.left, config.depth, depths)
@@ -98,6 +108,25 @@ class Simulator(RobotSensors):
         self._contacts_before = saved.contacts
         self._drive.restart()
         self.stop()
+
+    def place_teammate(
+        self, name: str, T_world_base: FloatArray, joints: Mapping[str, float]
+    ) -> None:
+        """Tell where another robot truly is. It is seen from now on, and in the way.
+
+        Args:
+            name: of the other robot.
+            T_world_base: pose of its base, shape (4, 4).
+            joints: its joint positions by name [rad or m].
+
+        Raises:
+            InvalidInputError: there is no such robot.
+            RobotModelError: it has no such joint.
+        """
+        if name not in self._body.teammates:
+            known = ", ".join(self._body.teammates) or "none"
+            raise InvalidInputError("teammate", f"'{name}' is unknown; known: {known}")
+        self._body.teammates[name].place(T_world_base, joints)
 
     def _settle(self, body: RobotBody, period: float) -> None:
         """Let the robot come to rest on its wheels."""
@@ -192,6 +221,17 @@ class Simulator(RobotSensors):
         commanded = self._base.active or self._arm.active
         self._idle = 0.0 if commanded else self._idle + period
         self._still = self._still + period if at_rest and not commanded else 0.0
+
+    def skip(self, duration: float) -> None:
+        """Let time pass in which the robot is switched off and stands as it is.
+
+        Raises:
+            InvalidInputError: negative or not finite.
+        """
+        if not (np.isfinite(duration) and duration >= 0.0):
+            raise InvalidInputError("duration", f"{duration} s is negative or not finite")
+        self._ticks += round(duration / self._period)
+        self._body.data.time = self.time
 
     # What is to be known
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.simulation.base_motion import BaseMotionConfig
 from infomap_ros.simulation.depth_eye import DepthEyeConfig
@@ -23,6 +24,11 @@ class SimulatorConfig:
     seed: int = parameter(1, "Seed of all noise.", low=0)
     start_time: float = parameter(
         1_000_000_000.0, "Stamp of the first moment.", unit="s", low=1.0, high=4e9
+    )
+    start: tuple[float, ...] = parameter(
+        (),
+        "Where the robot starts: x, y [m] and yaw [rad] in the world. Empty: where the world says; "
+        "of several robots in one world each needs a place of its own.",
     )
     joint_noise: float = parameter(
         0.0005, "Standard deviation of the joint positions.", unit="rad", low=0.0, high=0.1
@@ -49,3 +55,5 @@ class SimulatorConfig:
     def __post_init__(self) -> None:
         """Validate all fields."""
         check_config(self)
+        if len(self.start) not in (0, 3):
+            raise ConfigError("start", self.start, "three numbers x, y, yaw, or none")

@@ -48,13 +48,6 @@ class AgentsConfig:
         low=0.0,
         high=3600.0,
     )
-    shared: float = parameter(
-        0.5,
-        "A view of whose information a teammate is about to see more than this share is left to "
-        "it.",
-        low=0.0,
-        high=1.0,
-    )
     clearance: float = parameter(
         0.3,
         "Distance that is kept between the bodies, and to the places where teammates are going.",

@@ -65,7 +65,8 @@ class CandidateConfig:
     )
     teammate_clearance: float = parameter(
         0.6,
-        "Smallest distance to a teammate and to the view that it is heading for.",
+        "Smallest distance of the camera to the body of a teammate and to the view that it is "
+        "heading for.",
         unit="m",
         low=0.0,
         high=100.0,
@@ -282,9 +283,8 @@ def _tests(
 def _clear_of_team(situation: Situation, points: FloatArray, clearance: float) -> NDArray[np.bool_]:
     clear = np.ones(len(points), np.bool_)
     for mate in situation.teammates:
-        places = [mate.position] if mate.goal is None else [mate.position, mate.goal[:3, 3]]
-        for place in places:
-            clear &= np.linalg.norm(points - place, axis=1) >= clearance
+        for place, radius in mate.places():
+            clear &= np.linalg.norm(points - place, axis=1) >= clearance + radius
     return clear
 
 

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.claimed import claimed_gains, shares_left
 from infomap_ros.views.glances import Glances, glance_at
 from infomap_ros.views.situation import Situation
 from infomap_ros.views.surroundings import IntArray, Surroundings
@@ -93,6 +94,21 @@ class Options:
         """What a few rays of each view meet."""
         return glance_at(self.situation, self.surroundings, self.wishes, self.poses)
 
+    @cached_property
+    def claimed(self) -> VoxelGains | None:
+        """What teammates are about to be told, voxel by voxel; None where none has a goal."""
+        return claimed_gains(self.source, self.situation)
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """Share of each view's information that teammates leave, shape (M,).
+
+        For the final choice voxel by voxel, for the ranking before it by glances.
+        """
+        if not self.fine:
+            return self.glances.left
+        return shares_left(self.source, self.situation, self.poses, self.claimed)
+
     @property
     def recent_views(self) -> FloatArray:
         """The last views that were taken, shape (V, 4, 4)."""
@@ -120,5 +136,6 @@ class Options:
             fine=True,
         )
         options.__dict__["wishes"] = self.wishes
+        options.__dict__["claimed"] = self.claimed
         options.__dict__["left_over"] = self.left_over
         return options

@@ -18,6 +18,8 @@ from infomap_ros.views.reach import Reachability, ReachResult
 from infomap_ros.views.strategy import Scores, Strategy
 from infomap_ros.views.surroundings import IntArray
 
+LEFT_TO_TEAMMATE = "a teammate is about to see most of it"
+
 KnownUnreachable = Callable[[FloatArray], Sequence[str]]
 """Reasons not to try views again: (M, 4, 4) -> M texts, "" where nothing is known against it."""
 
@@ -45,6 +47,13 @@ class SelectionConfig:
     )
     least_rating: float = parameter(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
+    )
+    most_shared: float = parameter(
+        0.5,
+        "A view of whose information teammates are about to see more than this share is left to "
+        "them.",
+        low=0.0,
+        high=1.0,
     )
     approach: ApproachConfig = field(default_factory=ApproachConfig)
     keep_margin: float = parameter(
@@ -144,6 +153,16 @@ class Selection:
             elif rating < self._config.least_rating:
                 views[index] = views[index].rejected("not worth its cost")
 
+    def _leave_to_teammates(
+        self, views: list[RatedView], options: Options, indices: IntArray
+    ) -> None:
+        """Reject what teammates are about to see themselves."""
+        if options.claimed is None:
+            return
+        for index, left in zip(indices, options.left, strict=True):
+            if 1.0 - left > self._config.most_shared and not views[index].rejection:
+                views[index] = views[index].rejected(LEFT_TO_TEAMMATE)
+
     def _survivors(self, views: list[RatedView], scores: Scores) -> Iterator[IntArray]:
         """The views that nothing cheap speaks against, best first, as many as are refined at once.
 
@@ -202,6 +221,7 @@ class Selection:
         for index, view in zip(chosen, _views(options, ratings, scores), strict=True):
             views[index] = view
         self._reject_worthless(views, ratings, chosen)
+        self._leave_to_teammates(views, options, chosen)
         order = np.argsort(-scores.values, kind="stable")
         ranked = [int(chosen[i]) for i in order if not views[chosen[i]].rejection]
         kept = self._keeps(views, ranked)

@@ -71,10 +71,12 @@ class Teammate:
     """Another robot: where it is, and what it is about to see.
 
     Attributes:
-        position: of its camera or base, shape (3,) [m, map].
+        position: of its camera or base, or the middle of its body, shape (3,) [m, map].
         goal: ``T_map_camera`` of the view that it is heading for, shape (4, 4), None if unknown.
         max_range: how far its camera sees [m].
         camera: its camera; None where it is like one's own.
+        radius: of its body about `position` [m].
+        stand: where the middle of its body is going to be, shape (3,) [m, map], None if unknown.
 
     Raises:
         InvalidInputError: a position, pose or range is impossible.
@@ -84,15 +86,31 @@ class Teammate:
     goal: FloatArray | None = None
     max_range: float = 5.0
     camera: PinholeCamera | None = None
+    radius: float = 0.0
+    stand: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        position = float_array(self.position, "teammate position")
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise InvalidInputError("teammate position", f"is {position.tolist()}")
-        object.__setattr__(self, "position", position)
+        for name in ("position", "stand"):
+            if getattr(self, name) is None:
+                continue
+            place = float_array(getattr(self, name), f"teammate {name}")
+            if place.shape != (3,) or not np.isfinite(place).all():
+                raise InvalidInputError(f"teammate {name}", f"is {place.tolist()}")
+            object.__setattr__(self, name, place)
+        if not (np.isfinite(self.radius) and self.radius >= 0.0):
+            raise InvalidInputError("teammate radius", f"is {self.radius} m")
         if self.goal is not None:
             object.__setattr__(self, "goal", check_transform(self.goal, "teammate goal"))
         _check_range(self.max_range, "teammate max_range")
+
+    def places(self) -> list[tuple[FloatArray, float]]:
+        """Where it is or is going to be: middles, shape (3,) [m, map], and radii [m]."""
+        places = [(self.position, self.radius)]
+        if self.stand is not None:
+            places.append((self.stand, self.radius))
+        if self.goal is not None:
+            places.append((np.asarray(self.goal[:3, 3]), 0.0))
+        return places
 
 
 @dataclass(frozen=True, eq=False)

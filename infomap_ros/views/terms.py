@@ -72,8 +72,7 @@ class TeammatesTerm:
         """Lost information of each view, shape (M,), at most 0."""
         if not options.situation.teammates:
             return np.zeros(len(options))
-        glances = options.glances
-        return np.asarray(options.information * glances.wanted * (glances.left - 1.0))
+        return np.asarray(options.information * options.glances.wanted * (options.left - 1.0))
 
 
 class Repetition:
@@ -175,9 +174,8 @@ class Risk:
         here = np.linalg.norm(positions - situation.position, axis=1) < 1e-6
         safe[here] = 1.0  # it stands there unharmed
         for mate in situation.teammates:
-            places = [mate.position] if mate.goal is None else [mate.position, mate.goal[:3, 3]]
-            for place in places:
-                gaps = np.linalg.norm(positions - place, axis=1)
+            for place, radius in mate.places():
+                gaps = np.maximum(np.linalg.norm(positions - place, axis=1) - radius, 0.0)
                 safe *= 1.0 - np.exp(-0.5 * (gaps / self._sigma) ** 2)
         return np.asarray(1.0 - safe)
 

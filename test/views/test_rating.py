@@ -97,7 +97,8 @@ def test_interest_draws_the_view_that_sees_it(situation: Situation) -> None:
 def test_what_a_teammate_is_about_to_see_counts_less(situation: Situation) -> None:
     poses = [facing(0.0, (2.5, 2.0, 1.2)), facing(np.pi, (1.2, 2.0, 1.2))]
     mate = Teammate(np.array((1.5, 3.5, 1.2)), facing(0.0, (2.4, 2.0, 1.2)), 4.0)
-    terms = Rating().rate(options_of(with_fields(situation, teammates=(mate,)), poses, [50, 50]))
+    together = with_fields(situation, teammates=(mate,))
+    terms = Rating().rate(options_of(together, poses, [50, 50], fine=False))
     loss = terms.terms["teammates"]
     assert loss[0] < -25.0 and loss[1] == pytest.approx(0.0, abs=2.0)
     assert terms.shares[0] == pytest.approx((50.0 + loss[0]) / 100.0)

@@ -18,12 +18,14 @@ from rich.progress import Progress
 from infomap_ros.studies.localization_commands import drift, pose_consistency
 from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
 from infomap_ros.studies.planar.commands import planar, two
+from infomap_ros.studies.rover.commands import rover
 
 app = typer.Typer(help="Experiments with the package, and their figures.", no_args_is_help=True)
 app.command("drift")(drift)
 app.command("pose-consistency")(pose_consistency)
 app.command("planar")(planar)
 app.command("two")(two)
+app.command("rover")(rover)
 
 
 @app.callback()

@@ -1,0 +1,110 @@
+"""The runs of a study: many, over the cores, each kept in a file as soon as it is done."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+Result = TypeVar("Result")
+Result_co = TypeVar("Result_co", covariant=True)
+
+
+class Task(Protocol[Result_co]):
+    """One run of a study; hashable, and can be pickled.
+
+    Attributes:
+        file_name: where the result is kept, with the suffix .npz.
+    """
+
+    @property
+    def file_name(self) -> str: ...  # noqa: D102
+
+    def fingerprint(self) -> str:
+        """All that the result depends on, but for the code; a result with another one is stale."""
+
+    def run(self) -> Result_co:
+        """Do it; returns a dataclass object of arrays, numbers and texts."""
+
+
+Work = TypeVar("Work", bound=Task[Any])
+
+
+@dataclasses.dataclass(frozen=True)
+class Kept(Generic[Result]):
+    """The folder that keeps the results of one kind.
+
+    Attributes:
+        folder: made if need be; one file for each result.
+        kind: class of the results.
+    """
+
+    folder: Path
+    kind: type[Result]
+
+    def load(self, task: Task[Result]) -> Result | None:
+        """The kept result of a task; None where there is none, or that of other settings."""
+        path = self.folder / task.file_name
+        if not path.exists():
+            return None
+        with np.load(path) as kept:
+            if str(kept["fingerprint"]) != task.fingerprint():
+                return None
+            values = {name: kept[name] for name in kept.files if name != "fingerprint"}
+        return self.kind(**{n: v if v.ndim else v.item() for n, v in values.items()})
+
+    def save(self, task: Task[Result], result: Result) -> None:
+        """Keep a result: the file is there as a whole or not at all."""
+        fields = dataclasses.fields(result)  # type: ignore[arg-type]
+        arrays: dict[str, Any] = {field.name: getattr(result, field.name) for field in fields}
+        path = self.folder / task.file_name
+        partial = path.with_suffix(".part.npz")
+        np.savez_compressed(partial, fingerprint=task.fingerprint(), **arrays)
+        partial.replace(path)
+
+
+def run_all(
+    tasks: Sequence[Work],
+    kept: Kept[Result],
+    jobs: int,
+    progress: Callable[[int], None] | None = None,
+    compute: bool = True,
+) -> dict[Work, Result]:
+    """Do what is not done yet; what is found in the folder is not done again.
+
+    Args:
+        tasks: what to do; the first are done first.
+        kept: keeps the results.
+        jobs: processes.
+        progress: called with the number of tasks done.
+        compute: else only what is found is returned.
+
+    Returns:
+        Results by task, in the order of the tasks.
+    """
+    kept.folder.mkdir(parents=True, exist_ok=True)
+    found = {task: kept.load(task) for task in tasks}
+    done = sum(result is not None for result in found.values())
+    if progress is not None:
+        progress(done)
+    missing = [task for task, result in found.items() if result is None] if compute else []
+    if missing:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            futures = {pool.submit(_run_and_keep, task, kept): task for task in missing}
+            for future in as_completed(futures):
+                found[futures[future]] = future.result()
+                done += 1
+                if progress is not None:
+                    progress(done)
+    return {task: result for task, result in found.items() if result is not None}
+
+
+def _run_and_keep(task: Task[Result], kept: Kept[Result]) -> Result:
+    result = task.run()
+    kept.save(task, result)
+    return result

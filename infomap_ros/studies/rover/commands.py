@@ -1,0 +1,84 @@
+"""``infomap study rover``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from infomap_ros.studies.common.command_line import (
+    DrawOnly,
+    Jobs,
+    Out,
+    Quick,
+    finish,
+    progress_bar,
+    refusals,
+    workers,
+)
+from infomap_ros.studies.common.runs import Kept, run_all
+from infomap_ros.studies.common.tables import write_lines, write_rows
+from infomap_ros.studies.rover.explore import RoverExploration
+from infomap_ros.studies.rover.rover_study import (
+    Results,
+    RoverStudyConfig,
+    overview,
+    quick,
+    rows_of,
+    summary,
+    tasks_of,
+)
+
+
+def rover(
+    out: Out,
+    worlds: Annotated[int, typer.Option(help="seeded worlds")] = RoverStudyConfig.worlds,
+    seed: Annotated[int, typer.Option(help="of the first world")] = RoverStudyConfig.seed,
+    strategies: Annotated[
+        str,
+        typer.Option(
+            help="names or dotted paths of classes, with commas; the study's own if empty"
+        ),
+    ] = "",
+    jobs: Jobs = 0,
+    is_quick: Quick = False,
+    draw_only: DrawOnly = False,
+) -> None:
+    """Figs. 17, 18: the rover in a rough world, largest information against raster scans.
+
+    What is done is kept in OUT/runs, and not done again when the command is repeated.
+    """
+    from infomap_ros.studies.rover.figures import all_figures
+
+    sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
+    with refusals():
+        config = RoverStudyConfig(worlds=worlds, seed=seed)
+        config = quick(config) if is_quick else config
+        if strategies:
+            config = replace(config, strategies=tuple(strategies.split(",")))
+        tasks, start = tasks_of(config), time.monotonic()
+        kept = Kept(out / "runs", RoverExploration)
+        with progress_bar("explorations", len(tasks)) as advance:
+            results = run_all(tasks, kept, workers(jobs), advance, compute=not draw_only)
+    write_rows(rows_of(results, config), out / "rover.csv")
+    _write_curves(results, out / "rover_curves.csv")
+    all_figures(results, config, out)
+    seconds = time.monotonic() - start
+    finish("rover", overview(results, config), summary(results, config, seconds), out)
+
+
+def _write_curves(results: Results, path: Path) -> None:
+    """Mapped points and way after each view, one line each."""
+    names = ["world", "strategy", "view", "points", "distance_m", "processor_s"]
+    lines = [
+        [task.seed, task.label, view, *map(float, row)]
+        for task, result in results.items()
+        for view, row in enumerate(
+            zip(result.points, result.distance, result.seconds, strict=True), 1
+        )
+    ]
+    write_lines(names, lines, path)

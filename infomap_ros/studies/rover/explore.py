@@ -1,0 +1,183 @@
+"""One exploration by the simulated rover, and what of the true surface is mapped after each view.
+
+Everything is that of ``infomap explore``; only images are smaller, and the pose is the true one
+with a little noise, so that a run takes about a minute of one core.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.exploration_run import (
+    ExplorationOptions,
+    ExplorationRun,
+    WorldConfig,
+)
+from infomap_ros.simulation.exploring_robot import ExploringRobotConfig
+from infomap_ros.simulation.simulator import SimulatorConfig
+from infomap_ros.simulation.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.visible_surface import (
+    VisibleSurface,
+    VisibleSurfaceConfig,
+    covered,
+    visible_surface,
+)
+
+
+@dataclass(frozen=True)
+class RoverConfig:
+    """World, camera, and what counts as mapped.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    world: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
+    size: float = parameter(
+        12.0, "Size of the world: of `mars`, diameter of the crater.", unit="m", low=4.0, high=40.0
+    )
+    width: int = parameter(256, "Image width.", unit="px", low=64, high=2048)
+    height: int = parameter(192, "Image height.", unit="px", low=48, high=2048)
+    surface: VisibleSurfaceConfig = field(default_factory=VisibleSurfaceConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class RoverTask:
+    """One exploration: implements `infomap_ros.studies.common.runs.Task`.
+
+    Attributes:
+        seed: of world and noise.
+        strategy: name of a strategy, or dotted path of a class.
+        views: at most so many.
+        config: world and camera.
+    """
+
+    seed: int
+    strategy: str
+    views: int
+    config: RoverConfig
+
+    @property
+    def label(self) -> str:
+        """Name of the strategy for tables: that of its class where it is a dotted path."""
+        return self.strategy.rpartition(".")[2]
+
+    @property
+    def file_name(self) -> str:
+        """Where the result is kept."""
+        return f"{self.config.world}_{self.seed}__{self.label}.npz"
+
+    def fingerprint(self) -> str:
+        """All that the result depends on, but for the code."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+    def options(self) -> ExplorationOptions:
+        """Of the product's own exploration, which ends when the views are used up."""
+        camera = StereoCameraConfig(
+            width=self.config.width, height=self.config.height, supersampling=1
+        )
+        return ExplorationOptions(
+            world=WorldConfig(self.config.world, self.seed, self.config.size),
+            task=TaskConfig(known_fraction=1.0, max_views=self.views),
+            planner=ViewPlannerConfig(strategy=self.strategy, seed=self.seed, threads=1),
+            robot=ExploringRobotConfig(pose_source="simulator"),
+            simulator=SimulatorConfig(camera=camera),
+        )
+
+    def run(self) -> RoverExploration:
+        """Explore."""
+        return _explore(self)
+
+
+@dataclass(frozen=True, eq=False)
+class RoverExploration:
+    """What became of an exploration; entry k is that after view k, shape (K,) each.
+
+    Attributes:
+        points: of the true surface that are mapped.
+        distance: way of the base until then [m].
+        seconds: time of the processor since the start [s].
+        cameras: where the views were taken from, shape (K, 4, 4), ``T_map_camera``.
+        first_seen: number of the view after which each point of the true surface was first mapped,
+            shape (N,); 0 where never.
+        contacts: that should not be.
+        ended: why it ended.
+    """
+
+    points: FloatArray
+    distance: FloatArray
+    seconds: FloatArray
+    cameras: FloatArray
+    first_seen: NDArray[np.int16]
+    contacts: int
+    ended: str
+
+    def after(self, view: int) -> float:
+        """Points mapped after so many views; what was reached at the end stays."""
+        return float(self.points[min(view, len(self.points)) - 1])
+
+
+class _Watcher:
+    """Measures the map whenever the run log tells of progress, which is once after each view."""
+
+    def __init__(self) -> None:
+        self.run: ExplorationRun | None = None
+        self.surface: VisibleSurface | None = None
+        self.rows: list[tuple[float, float, float]] = []
+        self.cameras: list[FloatArray] = []
+        self._start = process_time()
+
+    def begin(self, run: ExplorationRun, surface: VisibleSurface) -> None:
+        self.run, self.surface = run, surface
+        self.first_seen = np.zeros(len(surface.points), np.int16)
+
+    def note(self, entry: Mapping[str, Any]) -> None:
+        """Take an entry of the run log."""
+        if entry["kind"] != "progress" or self.run is None or self.surface is None:
+            return
+        if entry["views"] <= len(self.rows):  # the last choice led nowhere: nothing new was seen
+            return
+        mapped = covered(self.run.map, self.surface.points)
+        seconds = process_time() - self._start
+        self.rows.append((float(np.count_nonzero(mapped)), float(entry["distance"]), seconds))
+        self.first_seen[mapped & (self.first_seen == 0)] = len(self.rows)
+        self.cameras.append(self.run.audit.poses[-1].pose.transform)
+
+
+def surface_of(run: ExplorationRun, config: RoverConfig) -> VisibleSurface:
+    """The true surface that reachable views can see, one point for each `spacing` squared."""
+    reach = run.options.planner.max_range
+    return visible_surface(run.simulator.world, reach, config.surface)
+
+
+def _explore(task: RoverTask) -> RoverExploration:
+    watcher = _Watcher()
+    with tempfile.TemporaryDirectory() as folder:
+        run = ExplorationRun(task.options(), Path(folder), watcher.note)
+        try:
+            watcher.begin(run, surface_of(run, task.config))
+            ending = run.run()
+            contacts = run.simulator.contacts
+        finally:
+            run.close()
+    points, distance, seconds = np.array(watcher.rows).T
+    cameras = np.array(watcher.cameras)
+    ended = f"{ending.reason.value}: {ending.detail}"
+    return RoverExploration(points, distance, seconds, cameras, watcher.first_seen, contacts, ended)

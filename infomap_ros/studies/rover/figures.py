@@ -1,0 +1,100 @@
+"""The figures of the rover's study: mapped points against views, and what was mapped where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.visible_surface import visible_surface
+from infomap_ros.studies.common.figure_style import band_note, draw_band, save, style_of
+from infomap_ros.studies.rover.explore import RoverExploration, RoverTask
+from infomap_ros.studies.rover.rover_study import (
+    OWN,
+    Results,
+    RoverStudyConfig,
+    curves_of,
+    labels_of,
+    of_strategy,
+)
+
+_UNMAPPED, _MAPPED, _VIEWS = "#cccccc", "#0072B2", "#D55E00"
+
+
+def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
+    """Fig. 17, and the way that the views took; PNG and SVG, `path` without suffix."""
+    labels = labels_of(results)
+    styles = style_of(labels)
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    for label in labels:
+        own = list(of_strategy(results, label).values())
+        views = config.views if label == OWN else max(config.views, config.raster_views)
+        at = np.arange(1.0, views + 1.0)
+        draw_band(left, at, curves_of(own, views, "points") / 1e3, styles[label], label)
+        draw_band(right, at, curves_of(own, views, "distance"), styles[label], label)
+    _label(left, "mapped points of the true surface [1000]", config)
+    _label(right, "way of the base [m]", config)
+    left.legend(fontsize=8)
+    worlds = len({task.seed for task in results})
+    figure.suptitle(f"Fig. 17 over many worlds: {band_note(worlds)}", fontsize=10)
+    save(figure, path)
+
+
+def _label(axes: Any, name: str, config: RoverStudyConfig) -> None:
+    axes.set_xlabel("views [-]")
+    axes.set_ylabel(name)
+    axes.set_xlim(0.0, max(config.views, config.raster_views))
+    axes.set_ylim(bottom=0.0)
+    axes.axvline(config.views, color="#999999", linewidth=0.8, linestyle=":")
+    axes.grid(alpha=0.3)
+
+
+def draw_regions(results: Results, config: RoverStudyConfig, path: Path) -> None:
+    """Fig. 18: what is mapped of the first world, from above, and the places of the views."""
+    first = next(iter(results)).seed
+    shown = [(task, result) for task, result in results.items() if task.seed == first]
+    world = make_world(config.rover.world, first, size=config.rover.size)
+    reach = shown[0][0].options().planner.max_range
+    points = visible_surface(world, reach, config.rover.surface).points
+    figure = Figure(figsize=(3.6 * len(shown), 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (task, result) in zip(panels, shown, strict=True):
+        _draw_region(axes, task, result, points)
+    panels[0].set_ylabel("y [m]")
+    save(figure, path)
+
+
+def _draw_region(axes: Any, task: RoverTask, result: RoverExploration, points: FloatArray) -> None:
+    mapped = result.first_seen > 0
+    for chosen, colour in ((~mapped, _UNMAPPED), (mapped, _MAPPED)):
+        _dots(axes, points[chosen], colour)
+    cameras = result.cameras[:, :3, 3]
+    axes.plot(cameras[:, 0], cameras[:, 1], "-", color=_VIEWS, linewidth=0.6)
+    axes.plot(cameras[:, 0], cameras[:, 1], "o", color=_VIEWS, markersize=3)
+    share = 100.0 * float(np.mean(mapped))
+    axes.set_title(f"{task.label}\n{len(cameras)} views: {share:.0f} % mapped", fontsize=9)
+    axes.set_xlabel("x [m]")
+    axes.set_aspect("equal")
+
+
+def _dots(axes: Any, points: FloatArray, colour: str) -> None:
+    axes.plot(points[:, 0], points[:, 1], ",", color=colour, rasterized=True)
+
+
+def all_figures(results: Results, config: RoverStudyConfig, out: Path) -> Sequence[Path]:
+    """Draw both; returns where, without suffix. Nothing is drawn where nothing was run."""
+    if not results:
+        return ()
+    paths = out / "rover_curves", out / "rover_regions"
+    draw_curves(results, config, paths[0])
+    draw_regions(results, config, paths[1])
+    return paths

@@ -106,6 +106,7 @@ def distance_field(
     unknown_is_free: bool = False,
     known_free: Sequence[PlacedSolid] = (),
     own_points: ArrayLike = (),
+    in_the_way: Sequence[PlacedSolid] = (),
 ) -> DistanceField:
     """Distance to the nearest voxel that is not free.
 
@@ -121,6 +122,8 @@ def distance_field(
             says that they are occupied.
         own_points: points within the robot, shape (K, 3) [m, map]: the voxels that hold them are
             free whatever was observed there, as nothing else can be in that place.
+        in_the_way: space that is blocked whatever was observed there, such as that which another
+            robot fills [map].
 
     Raises:
         InvalidInputError: `own_points` has another shape.
@@ -130,8 +133,9 @@ def distance_field(
     if not unknown_is_free:
         doubtful |= states == UNKNOWN
     if known_free and doubtful.any():
-        _clear(doubtful, window, known_free)
+        _mark(doubtful, window, known_free, False)
     blocked = doubtful | (states == OCCUPIED)
+    _mark(blocked, window, in_the_way, True)
     points = float_array(own_points, "own_points")
     if points.size:
         places = window.positions_of(_points(points))
@@ -173,14 +177,16 @@ def _points(points: ArrayLike) -> NDArray[np.float64]:
     return rows
 
 
-def _clear(doubtful: NDArray[np.bool_], window: VoxelWindow, solids: Sequence[PlacedSolid]) -> None:
-    """Unmark the voxels whose centres lie in solids."""
+def _mark(
+    voxels: NDArray[np.bool_], window: VoxelWindow, solids: Sequence[PlacedSolid], value: bool
+) -> None:
+    """Set the voxels whose centres lie in solids, and are not set so, to a value."""
     for solid in solids:
         middle, reach = solid.transform[:3, 3], solid.solid.bounding_radius
         low, high = window.positions_of([middle - reach, middle + reach])
-        low, high = np.clip(low, 0, doubtful.shape), np.clip(high + 1, 0, doubtful.shape)
-        box = doubtful[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-        places = np.argwhere(box)
+        low, high = np.clip(low, 0, voxels.shape), np.clip(high + 1, 0, voxels.shape)
+        box = voxels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+        places = np.argwhere(box != value)
         if len(places):
             inside = points_inside(window.centres_of(places + low), [solid])
-            box[tuple(places[inside].T)] = False
+            box[tuple(places[inside].T)] = value

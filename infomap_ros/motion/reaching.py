@@ -9,7 +9,7 @@ farthest safe approach is offered (Sujan and Dubowsky 2005, Fig. 7).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -27,6 +27,7 @@ from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
@@ -56,6 +57,7 @@ class WholeBodyReach:
         previous: the instance before: where the arm has been since the base stands, and what was
             found out about ground that has not changed since, are taken over.
         sent: the route along which the robot was sent since then.
+        obstacles: what must not be touched and the map does not show, such as other robots.
 
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
@@ -72,6 +74,7 @@ class WholeBodyReach:
         standing: ArrayLike | None = None,
         previous: WholeBodyReach | None = None,
         sent: Route | None = None,
+        obstacles: Sequence[Obstacle] = (),
     ) -> None:
         self.config = config or ReachingConfig()
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
@@ -87,8 +90,9 @@ class WholeBodyReach:
             self.config.clear_body,
             () if start is None else (start.space(self._whole.body.robot),),
             self._whole.foot,
+            [obstacle.solid for obstacle in obstacles],
         )
-        self._start = start
+        self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
         self._routes = RoutePlanner(
             self._whole, self._near, self.config, past.after(self._base, self._q, sent)
@@ -108,6 +112,7 @@ class WholeBodyReach:
         vehicle = self._whole.vehicle
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
+        terrain = with_obstacles(terrain, self._obstacles)
         before, self._planner_before = self._planner_before, None
         return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
 

@@ -44,6 +44,7 @@ class NearSpace:
         clear_body: space within this of the present body is free [m].
         known_free: further space that is free although it was never seen [map].
         foot: solids of the foot of the arm, base frame.
+        in_the_way: solids that must not be touched and that the map does not show [map].
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class NearSpace:
         clear_body: float,
         known_free: Sequence[PlacedSolid] = (),
         foot: Sequence[PlacedSolid] = (),
+        in_the_way: Sequence[PlacedSolid] = (),
     ) -> None:
         self._map, self._body, self._radius = voxel_map, body, radius
         robot = body.robot
@@ -72,6 +74,10 @@ class NearSpace:
             PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
         ]
         self._known_free = (*known_free, *own)
+        self._in_the_way = [
+            PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
+            for part in in_the_way
+        ]
         self._own_points = body.spheres(body.chain.positions(positions), T_map_base)[:, :3]
         self._remembered: dict[bytes, CollisionChecker] = {}
 
@@ -113,6 +119,7 @@ class NearSpace:
                 solid for solid in (*self._known_free, *free) if _touches_box(solid, low, high)
             ],
             own_points=self._own_points,
+            in_the_way=[solid for solid in self._in_the_way if _touches_box(solid, low, high)],
         )
         return CollisionChecker(self._body, field)
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import parameter
 from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
+from infomap_ros.simulation.natural_ground import NaturalGroundConfig, node_count, uneven_floor
 from infomap_ros.simulation.placing import Places, add_boulder, bounded_terrain, upright
 from infomap_ros.simulation.rocks import boulder
 from infomap_ros.simulation.target_board import stand_board_ahead
-from infomap_ros.simulation.textures import spectral_noise
 
 _GAP = 0.9  # [m] between things, for a rover of 0.4 m
 _MARGIN = 0.8  # [m] of ground beyond the walls
@@ -20,37 +20,13 @@ _LAMP = (0.92, 0.90, 0.86)
 
 
 @dataclass(frozen=True)
-class CaveConfig:
+class CaveConfig(NaturalGroundConfig):
     """Parameters of the cave."""
 
-    seed: int = parameter(7, "Seed of everything random in the world", low=0)
     size: float = parameter(6.5, "Mean diameter of the cave", unit="m", low=4.0, high=30.0)
     ceiling: float = parameter(1.7, "Height of the ceiling", unit="m", low=1.2, high=5.0)
-    spacing: float = parameter(
-        0.035, "Distance of height field nodes", unit="m", low=0.01, high=0.5
-    )
-    relief: float = parameter(
-        0.025, "Standard deviation of the floor's relief", unit="m", low=0.0, high=1.0
-    )
-    roughness: float = parameter(
-        0.005, "Standard deviation of bumps below 0.4 m", unit="m", low=0.0, high=0.1
-    )
     pillars: int = parameter(3, "Number of pillars, as far as they fit", low=0, high=100)
     boulders: int = parameter(5, "Number of boulders on the floor", low=0, high=200)
-    target_distance: float = parameter(
-        1.6,
-        "Distance of the board with tags from the start; 0 for none.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
-    texture_size: int = parameter(
-        2048, "Edge length of the ground texture", unit="px", low=64, high=8192
-    )
-
-    def __post_init__(self) -> None:
-        """Validate all fields."""
-        check_config(self)
 
 
 def cave(config: CaveConfig | None = None, description: str = "") -> World:
@@ -64,9 +40,8 @@ def cave(config: CaveConfig | None = None, description: str = "") -> World:
     rng, look = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     half = 0.62 * config.size + _MARGIN
-    n = round(2.0 * half / config.spacing) + 1
-    floor = config.relief * spectral_noise(n, 3.0, rng)
-    floor += config.roughness * spectral_noise(n, 1.6, rng)
+    n = node_count(config, half)
+    floor = uneven_floor(config, n, rng)
     builder = SceneBuilder(bounded_terrain(half, floor, np.full((n, n), -1.0), 0.0, 1.0))
     builder.sun, builder.ambient = False, _LAMP
     radius = 0.62 * config.size

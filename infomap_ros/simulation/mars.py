@@ -7,53 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry import transform_points
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation import textures
 from infomap_ros.simulation.builder import SceneBuilder, World
+from infomap_ros.simulation.natural_ground import NaturalGroundConfig, node_count, uneven_floor
 from infomap_ros.simulation.placing import Places, add_boulder, bounded_terrain, upright
 from infomap_ros.simulation.target_board import stand_board_ahead
 from infomap_ros.simulation.terrain import Terrain
-from infomap_ros.simulation.textures import spectral_noise
 
 _RIM = 1.0  # [m] width of the rim
 _GAP = 0.85  # [m] between things, for a rover of 0.4 m
 
 
 @dataclass(frozen=True)
-class MarsConfig:
+class MarsConfig(NaturalGroundConfig):
     """Parameters of the crater."""
 
-    seed: int = parameter(7, "Seed of everything random in the world", low=0)
     size: float = parameter(7.0, "Diameter of the crater's floor", unit="m", low=4.0, high=40.0)
-    spacing: float = parameter(
-        0.035, "Distance of height field nodes", unit="m", low=0.01, high=0.5
-    )
-    relief: float = parameter(
-        0.025, "Standard deviation of the floor's relief", unit="m", low=0.0, high=1.0
-    )
-    roughness: float = parameter(
-        0.005, "Standard deviation of bumps below 0.4 m", unit="m", low=0.0, high=0.1
-    )
     rim: float = parameter(0.75, "Height of the rim", unit="m", low=0.0, high=5.0)
     boulders: int = parameter(
         10, "Number of boulders of 0.25 to 0.8 m, as far as they fit", low=0, high=500
     )
     stones: int = parameter(60, "Number of stones of 0.02 to 0.05 m", low=0, high=2000)
-    target_distance: float = parameter(
-        1.6,
-        "Distance of the board with tags from the start; 0 for none.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
-    texture_size: int = parameter(
-        2048, "Edge length of the ground texture", unit="px", low=64, high=8192
-    )
-
-    def __post_init__(self) -> None:
-        """Validate all fields."""
-        check_config(self)
 
 
 def mars(config: MarsConfig | None = None, description: str = "") -> World:
@@ -86,14 +62,13 @@ def mars(config: MarsConfig | None = None, description: str = "") -> World:
 def _crater(config: MarsConfig, rng: np.random.Generator) -> Terrain:
     radius = 0.5 * config.size
     half = radius + _RIM
-    n = round(2.0 * half / config.spacing) + 1
+    n = node_count(config, half)
     axis = np.linspace(-half, half, n)
     x, y = np.meshgrid(axis, axis)
     distance, bearing = np.hypot(x, y), np.arctan2(y, x)
     phase = rng.uniform(0.0, 2.0 * np.pi, 2)
     uneven = 0.12 * np.sin(3.0 * bearing + phase[0]) + 0.08 * np.sin(5.0 * bearing + phase[1])
-    floor = config.relief * spectral_noise(n, 3.0, rng)
-    floor += config.roughness * spectral_noise(n, 1.6, rng)
+    floor = uneven_floor(config, n, rng)
     return bounded_terrain(half, floor, distance - radius - uneven + 0.2, config.rim, _RIM)
 
 

@@ -16,11 +16,12 @@ from typer.testing import CliRunner
 from infomap_ros.cli import app
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.planar.explore import ExplorationConfig, explore
+from infomap_ros.studies.common.runs import Kept
+from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, explore
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.planar_study import BASELINES, PlanarStudyConfig, quick, tasks_of
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
-from infomap_ros.studies.planar.tasks import load_result, run_tasks
+from infomap_ros.studies.planar.tasks import run_tasks
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
 
@@ -79,7 +80,8 @@ def test_results_are_kept_and_not_computed_again(tmp_path: Path) -> None:
     assert (tmp_path / task.file_name).stat().st_mtime_ns == written
     np.testing.assert_array_equal(again.result.views, record.result.views)
     assert again.result.ended == record.result.ended
-    assert load_result(replace(task, candidates=77), tmp_path) is None  # other settings
+    kept = Kept(tmp_path, Exploration)
+    assert kept.load(replace(task, candidates=77)) is None  # other settings
 
 
 def test_sensors_of_a_team_share_what_they_map(world: PlanarWorld) -> None:

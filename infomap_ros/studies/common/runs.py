@@ -48,7 +48,7 @@ class Kept(Generic[Result]):
     kind: type[Result]
 
     def load(self, task: Task[Result]) -> Result | None:
-        """The kept result of a task; None where there is none, or that of other settings."""
+        """The kept result of a task; None where there is none, or a stale one."""
         path = self.folder / task.file_name
         if not path.exists():
             return None
@@ -56,6 +56,8 @@ class Kept(Generic[Result]):
             if str(kept["fingerprint"]) != task.fingerprint():
                 return None
             values = {name: kept[name] for name in kept.files if name != "fingerprint"}
+        if set(values) != {field.name for field in dataclasses.fields(self.kind)}:  # type: ignore[arg-type]
+            return None
         return self.kind(**{n: v if v.ndim else v.item() for n, v in values.items()})
 
     def save(self, task: Task[Result], result: Result) -> None:

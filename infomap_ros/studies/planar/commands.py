@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-from infomap_ros.errors import InfomapError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.studies.common.command_line import (
+    DrawOnly,
+    Jobs,
+    Out,
+    Quick,
+    finish,
+    progress_bar,
+    refusals,
+    workers,
+)
 from infomap_ros.studies.planar import report
 from infomap_ros.studies.planar.planar_study import (
     PlanarStudyConfig,
@@ -28,9 +33,6 @@ from infomap_ros.studies.planar.planar_study import (
 )
 from infomap_ros.studies.planar.tasks import run_tasks
 
-Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
-Quick = Annotated[bool, typer.Option("--quick", help="a small study, in less than a minute")]
-Jobs = Annotated[int, typer.Option(help="processes; 0 for one per core")]
 FloorPlans = Annotated[
     Path | None, typer.Option(help="folder with ROS maps (.yaml) to explore besides")
 ]
@@ -38,7 +40,6 @@ Strategies = Annotated[
     str,
     typer.Option(help="names or dotted paths of classes, with commas; the study's own if empty"),
 ]
-DrawOnly = Annotated[bool, typer.Option("--draw-only", help="compute nothing, use what is there")]
 
 
 def planar(
@@ -58,7 +59,7 @@ def planar(
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
     sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
-    with _refusals():
+    with refusals():
         config = replace(PlanarStudyConfig(), worlds=worlds, seed=seed, scans=scans, cell=cell)
         if strategies:
             config = replace(config, strategies=tuple(strategies.split(",")))
@@ -68,17 +69,14 @@ def planar(
             config = replace(config, strategies=given) if given else config
         tasks = tasks_of(config, _plans_in(floor_plans))
         start = time.monotonic()
-        with _progress("explorations", len(tasks)) as advance:
-            records = run_tasks(
-                tasks, out / "runs", jobs or os.cpu_count() or 1, advance, compute=not draw_only
-            )
+        with progress_bar("explorations", len(tasks)) as advance:
+            records = run_tasks(tasks, out / "runs", workers(jobs), advance, compute=not draw_only)
     rows = report.rows_of(records, config)
     report.write_csv(rows, out / "planar.csv")
     report.write_curves(records, out / "planar_curves.csv")
     report.draw_figures(records, config, out)
     tables = report.overview(rows, config) + "\n" + report.comparisons(rows, config)
-    (out / "planar.md").write_text(tables, encoding="utf-8")
-    _finish(tables, report.summary(rows, time.monotonic() - start), out)
+    finish("planar", tables, report.summary(rows, time.monotonic() - start), out)
 
 
 def two(
@@ -97,7 +95,7 @@ def two(
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
     sys.path.insert(0, str(Path.cwd()))
-    with _refusals():
+    with refusals():
         config = TeamStudyConfig(worlds=worlds, seed=seed, sensors=sensors, scans=scans)
         if is_quick:
             quickly = ("random", "largest_information")
@@ -105,14 +103,11 @@ def two(
         if strategies:
             config = replace(config, strategies=tuple(strategies.split(",")))
         tasks, start = team_tasks(config), time.monotonic()
-        with _progress("explorations", len(tasks)) as advance:
-            records = run_tasks(
-                tasks, out / "runs", jobs or os.cpu_count() or 1, advance, compute=not draw_only
-            )
+        with progress_bar("explorations", len(tasks)) as advance:
+            records = run_tasks(tasks, out / "runs", workers(jobs), advance, compute=not draw_only)
     report.write_curves(records, out / "two_curves.csv")
     report.draw_team_figures(records, config.scans, out)
     table = report.team_overview(records, config.scans)
-    (out / "two.md").write_text(table, encoding="utf-8")
     figures: dict[str, float | str] = {"seconds": round(time.monotonic() - start, 1)}
     for name in config.strategies:
         label = name.rpartition(".")[2]
@@ -120,13 +115,7 @@ def two(
         if own:
             figures[f"{label}.fraction"] = round(float(np.mean([r.fraction[-1] for r in own])), 4)
             figures[f"{label}.distance"] = round(float(np.mean([r.distance[-1] for r in own])), 1)
-    _finish(table, figures, out)
-
-
-def _finish(tables: str, figures: dict[str, float | str], out: Path) -> None:
-    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
-    typer.echo(tables)
-    typer.echo(json.dumps(figures))
+    finish("two", table, figures, out)
 
 
 def _plans_in(folder: Path | None) -> Sequence[Path]:
@@ -141,21 +130,3 @@ def _plans_in(folder: Path | None) -> Sequence[Path]:
     if not found:
         raise InvalidInputError("floor plans", f"no .yaml file in {folder}")
     return found
-
-
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """One clear line instead of a traceback for what the library refuses."""
-    try:
-        yield
-    except InfomapError as error:
-        typer.echo(f"infomap study: {error}", err=True)
-        raise typer.Exit(1) from error
-
-
-@contextmanager
-def _progress(name: str, total: int) -> Iterator[Callable[[int], None]]:
-    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=total)
-        yield lambda done: bar.update(task, completed=done)

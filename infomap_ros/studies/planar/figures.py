@@ -13,18 +13,13 @@ from matplotlib.figure import Figure
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.planar.measures import CONFIDENCE, curve_band, fraction_at
+from infomap_ros.studies.common.figure_style import band_note as band_note
+from infomap_ros.studies.common.figure_style import draw_band, save, style_of
+from infomap_ros.studies.planar.measures import fraction_at
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.tasks import Record
 from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
 
-_COLOURS = (
-    "#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#999999",
-    "#6A3D9A", "#B15928",
-)  # fmt: skip
-"""After M. Okabe and K. Ito, told apart by the colour-blind; the last three added."""
-
-_DASHES = ("-", "--", "-.", ":")
 _POINTS = 201
 
 
@@ -51,18 +46,6 @@ class Axis:
     def label(self) -> str:
         """With the unit."""
         return "scans [-]" if self.name == "scans" else "distance moved [m]"
-
-
-def style_of(strategies: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and dashes by strategy; the same in all figures of a study."""
-    return {
-        name: {
-            "color": _COLOURS[index % len(_COLOURS)],
-            "linestyle": _DASHES[index // 5 % len(_DASHES)],
-            "linewidth": 1.6,
-        }
-        for index, name in enumerate(strategies)
-    }
 
 
 def curves_of(records: Sequence[Record], axis: Axis, value: str) -> FloatArray:
@@ -107,7 +90,7 @@ def draw_curves(
         for name in strategies:
             own = [record for record in worlds if record.task.label == name]
             if own:
-                _draw_band(axes, axis, curves_of(own, axis, value), styles[name], name)
+                draw_band(axes, axis.at, curves_of(own, axis, value), styles[name], name)
         _label(axes, kind, axis, value, len({str(r.task.world) for r in worlds}))
     for axes in grid[len(panels) :]:
         axes.remove()
@@ -115,12 +98,6 @@ def draw_curves(
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     figure.suptitle(title, fontsize=10)
     save(figure, path)
-
-
-def _draw_band(axes: Any, axis: Axis, curves: FloatArray, style: dict[str, Any], name: str) -> None:
-    mean, half = curve_band(curves)
-    axes.plot(axis.at, mean, label=name, **style)
-    axes.fill_between(axis.at, mean - half, mean + half, color=style["color"], alpha=0.12, lw=0)
 
 
 def _label(axes: Any, kind: str, axis: Axis, value: str, worlds: int) -> None:
@@ -133,11 +110,6 @@ def _label(axes: Any, kind: str, axis: Axis, value: str, worlds: int) -> None:
     if value == "fraction" and axes.get_ylim()[1] > 0.5:
         axes.set_ylim(0.0, 1.0)
     axes.grid(alpha=0.3)
-
-
-def band_note(worlds: int) -> str:
-    """What the bands are, for a caption."""
-    return f"mean and {100 * CONFIDENCE:.0f} % band over {worlds} worlds"
 
 
 def draw_ways(
@@ -198,9 +170,3 @@ def _flown(corners: FloatArray, end: FloatArray) -> FloatArray:
     """The part of the way that ends at a place."""
     last = np.flatnonzero(np.all(np.isclose(corners, end), axis=1))
     return corners[: int(last[-1]) + 1] if len(last) else corners
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write PNG and SVG; `path` without suffix."""
-    figure.savefig(path.with_suffix(".png"), dpi=110)
-    figure.savefig(path.with_suffix(".svg"))

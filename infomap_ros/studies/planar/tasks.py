@@ -5,13 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-
+from infomap_ros.studies.common.runs import Kept, run_all
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, explore
 from infomap_ros.studies.planar.floor_plans import read_floor_plan
 from infomap_ros.studies.planar.generators import make_world
@@ -48,7 +45,7 @@ class WorldName:
 
 @dataclass(frozen=True)
 class Task:
-    """One exploration.
+    """One exploration: implements `infomap_ros.studies.common.runs.Task`.
 
     Attributes:
         world: to be explored.
@@ -114,41 +111,5 @@ def run_tasks(
     Returns:
         Records in the order of the tasks.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    found = {task: load_result(task, folder) for task in tasks}
-    done = sum(result is not None for result in found.values())
-    if progress is not None:
-        progress(done)
-    missing = [task for task, result in found.items() if result is None] if compute else []
-    if missing:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            futures = {pool.submit(_run_and_keep, task, folder): task for task in missing}
-            for future in as_completed(futures):
-                found[futures[future]] = future.result()
-                done += 1
-                if progress is not None:
-                    progress(done)
-    return [Record(task, result) for task, result in found.items() if result is not None]
-
-
-def load_result(task: Task, folder: Path) -> Exploration | None:
-    """The kept result of a task; None where there is none, or that of other settings."""
-    path = folder / task.file_name
-    if not path.exists():
-        return None
-    with np.load(path) as kept:
-        if str(kept["fingerprint"]) != task.fingerprint():
-            return None
-        names = [field.name for field in dataclasses.fields(Exploration)]
-        values = {name: kept[name] for name in names}
-    return Exploration(**values | {"ended": str(values["ended"])})
-
-
-def _run_and_keep(task: Task, folder: Path) -> Exploration:
-    result = task.run()
-    arrays = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
-    path = folder / task.file_name
-    partial = path.with_suffix(".part.npz")
-    np.savez_compressed(partial, fingerprint=task.fingerprint(), **arrays)
-    partial.replace(path)
-    return result
+    kept = Kept(folder, Exploration)
+    return [Record(*pair) for pair in run_all(tasks, kept, jobs, progress, compute).items()]

@@ -2,16 +2,14 @@
 
 ros2 launch infomap_ros exploration.launch.py world:=cave seed:=3 rviz:=true
 ros2 launch infomap_ros exploration.launch.py simulator:=false
+ros2 launch infomap_ros exploration.launch.py simulator:=false namespace:=robot1 robot_id:=1
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.environment import additions, reliable_inputs
+from infomap_ros.nodes.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
 from infomap_ros.nodes.simulated_localisation import IMAGE_RATE, simulated_localisation
 from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
@@ -21,7 +19,6 @@ ARGUMENTS = {
     "simulator": ("true", "A simulated rover; false for a real robot."),
     "world": ("mars", "World of the simulator: mars, office or cave."),
     "seed": ("1", "Seed of the world."),
-    "namespace": ("", "Namespace of the robot."),
     "localisation": (
         "fiducials",
         "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
@@ -47,12 +44,11 @@ ARGUMENTS = {
     "map_file": ("map.infomap", "File of the map, saved every half minute and at the end."),
     "mission_file": ("mission.json", "File with the account of the mission."),
     "log_file": ("exploration.jsonl", "Log of the run, for the report."),
-    "parameters": ("", "Parameter file of your own, which counts for more than all of these."),
-    "rviz": ("false", "Start RViz."),
+    **ROBOT_ARGUMENTS,
 }
 AUTOSAVE = 30.0  # [s]
 IMAGES = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
-STATE = ["camera_pose", "joint_states"]
+STATE, MOTION = ["camera_pose", "joint_states"], ["odom", "joint_states"]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -63,59 +59,33 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
 
 
-def _processes(context) -> list[Node]:
+def _processes(context) -> list:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     simulated = given["simulator"] == "true"
-    clock = {"use_sim_time": simulated}
-
-    def node(executable: str, parameters: dict, inputs: list[str]) -> Node:
-        # All publishers are our own and reliable in simulation, so nothing need be lost.
-        quality = reliable_inputs(inputs, given["namespace"]) if simulated else {}
-        defaults = str(find_share(f"config/{executable}.yaml"))
-        own = [given["parameters"]] if given["parameters"] else []
-        return Node(
-            package="infomap_ros",
-            executable=executable,
-            namespace=given["namespace"],
-            parameters=[defaults, parameters | quality | clock, *own],
-            additional_env=additions(),
-            output="screen",
-        )
-
-    settings = _settings(given)
-    processes = [
-        node("stereo_range", settings["stereo_range"], IMAGES),
-        node("map_fusion", settings["map_fusion"], ["points2", *STATE]),
-        node("next_best_view", settings["next_best_view"], [*STATE, "left/camera_info"]),
-        node("explorer", settings["explorer"], [*STATE, "left/camera_info"]),
-    ]
-    motion = ["odom", "joint_states"]
+    robot = RobotLaunch(given, simulated)
+    inputs = {
+        "stereo_range": IMAGES,
+        "map_fusion": ["points2", *STATE],
+        "next_best_view": [*STATE, "left/camera_info"],
+        "explorer": [*STATE, "left/camera_info"],
+    }
     if given["localisation"] == "odometry":
-        processes.append(node("dead_reckoning", {}, [*motion, "left/camera_info"]))
+        inputs["dead_reckoning"] = [*MOTION, "left/camera_info"]
     if given["localisation"] == "fiducials":
-        name = "fiducial_localization"
-        processes.append(node(name, settings[name], [*IMAGES, *motion]))
+        inputs["fiducial_localization"] = [*IMAGES, *MOTION]
     if simulated:
-        processes.append(node("simulator", settings["simulator"], []))
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        namespace=given["namespace"],
-        arguments=["-d", str(find_share("config/infomap.rviz"))],
-        parameters=[clock],
-        additional_env=additions(),
-        condition=IfCondition(LaunchConfiguration("rviz")),
-        on_exit=Shutdown(),
-    )
-    return [*processes, rviz]
+        inputs["simulator"] = []
+    settings = _settings(given)
+    nodes = [robot.node(name, settings.get(name, {}), topics) for name, topics in inputs.items()]
+    return [*nodes, robot.rviz()]
 
 
 def _settings(given: dict[str, str]) -> dict[str, dict]:
     """Parameters of each node from the launch arguments."""
     truth = {name: value == "true" for name, value in given.items()}
     task = {
-        "task.region_low": _numbers(given["region_low"]),
-        "task.region_high": _numbers(given["region_high"]),
+        "task.region_low": numbers(given["region_low"]),
+        "task.region_high": numbers(given["region_high"]),
         "task.known_fraction": float(given["known_fraction"]),
         "task.mean_sigma": float(given["mean_sigma"]),
         "task.max_views": int(given["max_views"]),
@@ -153,8 +123,3 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             "publish_camera_pose": given["localisation"] == "pose",
         },
     }
-
-
-def _numbers(text: str) -> list[float]:
-    """Coordinates such as ``[1.0, 2, -3]`` or ``1 2 -3``."""
-    return [float(number) for number in text.strip("[] ").replace(",", " ").split()]

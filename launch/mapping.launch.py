@@ -6,13 +6,11 @@ ros2 launch infomap_ros mapping.launch.py namespace:=robot1 rectify:=true map_fi
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.environment import additions, reliable_inputs
+from infomap_ros.nodes.launching import ROBOT_ARGUMENTS, RobotLaunch
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from launch import LaunchDescription
 
@@ -21,7 +19,6 @@ ARGUMENTS = {
     "rate": ("1.0", "Speed of the replay."),
     "acknowledged": ("false", "Play as fast as the nodes follow, whatever the rate."),
     "loop": ("false", "Play the bag again and again."),
-    "namespace": ("", "Namespace of the robot."),
     "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
     "localisation": (
         "fiducials",
@@ -32,8 +29,10 @@ ARGUMENTS = {
     "map_file": ("map.infomap", "File of ~/save, ~/load and autosave."),
     "resume": ("false", "Load map_file at the start."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
-    "rviz": ("false", "Start RViz."),
+    **ROBOT_ARGUMENTS,
 }
+IMAGES = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
+MOTION = ["odom", "joint_states"]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -44,76 +43,46 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
 
 
-def _processes(context) -> list[Node]:
+def _processes(context) -> list:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    truth = {name: value == "true" for name, value in given.items()}
     bag = given["bag"]
     if bag and not Path(bag).exists():
         bag = str(find_share(bag))
-
-    def node(executable: str, parameters: dict, **options) -> Node:
-        return Node(
-            package="infomap_ros",
-            executable=executable,
-            namespace=given["namespace"],
-            parameters=[str(find_share(f"config/{executable}.yaml")), parameters],
-            additional_env=additions(),
-            output="screen",
-            **options,
-        )
-
+    robot = RobotLaunch(given, simulated=bool(bag))
     sensor = DepthCameraConfig() if given["source"] == "depth" else StereoConfig()
-    range_parameters = {"source": given["source"], "rectify": truth["rectify"]}
-    fusion_parameters = {
+    seeing = {"source": given["source"], "rectify": given["rectify"] == "true"}
+    fusion = {
         "map_file": given["map_file"],
-        "resume": truth["resume"],
+        "resume": given["resume"] == "true",
         "voxel_size": float(given["voxel_size"]),
         "error_correlation": sensor.error_correlation,
     }
-    locating = _locating(given)
-    left_image = "left/image_raw" if truth["rectify"] else "left/image_rect"
+    nodes = [
+        robot.node("stereo_range", seeing, IMAGES),
+        robot.node("map_fusion", fusion, ["points2", "camera_pose", "joint_states"]),
+    ]
+    if given["localisation"] == "fiducials":
+        nodes.append(robot.node("fiducial_localization", seeing, [*IMAGES, *MOTION]))
+    if given["localisation"] == "odometry":
+        nodes.append(robot.node("dead_reckoning", {}, [*MOTION, "left/camera_info"]))
+    if bag:
+        nodes.append(robot.node("bag_player", _player(bag, given)))
+    return [*nodes, robot.rviz()]
+
+
+def _player(bag: str, given: dict[str, str]) -> dict:
+    """Parameters of bag_player. It waits for one of each node: the first start compiles."""
+    left_image = "left/image_raw" if given["rectify"] == "true" else "left/image_rect"
     image = "depth/image_rect" if given["source"] == "depth" else left_image
-    watching = 1 + ("fiducial_localization" in locating)  # nodes that listen to the images
-    player_parameters = {
+    watching = 1 + (given["localisation"] == "fiducials")  # nodes that listen to the images
+    located = given["localisation"] != "pose"
+    return {
         "bag": bag,
         "rate": float(given["rate"]),
-        "loop": truth["loop"],
-        "acknowledged": truth["acknowledged"],
-        # One of each node: the first start compiles, and nothing should be played before.
+        "loop": given["loop"] == "true",
+        "acknowledged": given["acknowledged"] == "true",
         "wait_for_subscribers": [*[image] * watching, "camera_pose"],
-        "wait_for_publishers": ["camera_pose"] if locating else [],
-        "left_out": ["/camera_pose"] if locating else [],
+        "wait_for_publishers": ["camera_pose"] if located else [],
+        "left_out": ["/camera_pose"] if located else [],
+        "use_sim_time": False,
     }
-    clock = {"use_sim_time": bool(bag)}
-    if bag:  # all publishers are our own and reliable, so nothing need be lost
-        images = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
-        range_parameters |= reliable_inputs(images, given["namespace"])
-        clouds = ("points2", "camera_pose", "joint_states")
-        fusion_parameters |= reliable_inputs(clouds, given["namespace"])
-        inputs = reliable_inputs([*images, "odom", "joint_states"], given["namespace"])
-        locating = {name: parameters | inputs for name, parameters in locating.items()}
-    processes = [
-        node("stereo_range", range_parameters | clock),
-        node("map_fusion", fusion_parameters | clock),
-    ]
-    processes += [node(name, parameters | clock) for name, parameters in locating.items()]
-    if bag:
-        processes.append(node("bag_player", player_parameters))
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        namespace=given["namespace"],
-        arguments=["-d", str(find_share("config/infomap.rviz"))],
-        parameters=[clock],
-        additional_env=additions(),
-        condition=IfCondition(LaunchConfiguration("rviz")),
-        on_exit=Shutdown(),
-    )
-    return [*processes, rviz]
-
-
-def _locating(given: dict[str, str]) -> dict[str, dict]:
-    """The node that locates the camera, with its parameters; none where others do."""
-    seeing = {"source": given["source"], "rectify": given["rectify"] == "true"}
-    choices = {"fiducials": {"fiducial_localization": seeing}, "odometry": {"dead_reckoning": {}}}
-    return choices.get(given["localisation"], {})

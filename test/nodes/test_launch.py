@@ -211,3 +211,25 @@ def test_the_player_waits_for_all_nodes(
     nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)
 
     assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [*images, "camera_pose"]
+
+
+@pytest.mark.parametrize("name", ["mapping", "exploration"])
+def test_a_member_of_a_team_shares_the_topics_of_the_team(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {"namespace": "robot2", "robot_id": "2", "team": "1,2", "team_key": "key"}
+    nodes = nodes_of(load(name, monkeypatch), **given)
+
+    check_settings(nodes)
+    fusion = nodes["map_fusion"]
+    shared = dict(fusion.remappings)
+    assert shared["map_updates"] == shared["team/map_updates"] == "/team/map_updates"
+    assert shared["team/agents"] == "/team/agents"
+    settings = settings_of(fusion)
+    assert (settings["robot_id"], settings["team"], settings["team_key"]) == (2, [1, 2], "key")
+
+
+def test_a_robot_alone_keeps_its_topics(exploration: ModuleType) -> None:
+    for node in nodes_of(exploration, namespace="robot2").values():
+        assert not getattr(node, "remappings", [])
+        assert "robot_id" not in settings_of(node)

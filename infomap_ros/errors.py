@@ -110,6 +110,10 @@ class ExplorationError(InfomapError, RuntimeError):
     """An exploration cannot go on; says what failed."""
 
 
+class TeammatesBusyError(ExplorationError):
+    """There is nothing to do for this robot until teammates have done what they are at."""
+
+
 class CapacityError(InfomapError, MemoryError):
     """An operation would need more memory than the configuration allows."""
 

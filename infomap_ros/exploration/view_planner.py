@@ -19,8 +19,10 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
+from infomap_ros.views.claimed import claimed_gains, shares_left
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.localisation_error import LocalisationError
@@ -38,12 +40,14 @@ class Surrounding:
     Attributes:
         interests: places that matter more or less.
         teammates: other robots.
+        obstacles: what must not be touched and the map does not show, such as their bodies.
         T_map_start: pose of the base where the mission began, shape (4, 4); that of the first
             choice where not given.
     """
 
     interests: Sequence[Interest] = ()
     teammates: Sequence[Teammate] = ()
+    obstacles: Sequence[Obstacle] = ()
     T_map_start: FloatArray | None = None
 
 
@@ -106,11 +110,11 @@ class ViewPlanner:
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding, progress: MapProgress
     ) -> ViewDecision:
         """Choose among candidates, more thoroughly while the task is not met."""
-        robot = self._reach(voxel_map, state)
+        robot = self._reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_vain_looks(situation)
-        is_met = self._task.is_met(progress.known_fraction, progress.mean_sigma)
-        return self._choice.select(situation, robot, self._rng, self._goal, thorough=not is_met)
+        thorough = not self.is_done(progress)
+        return self._choice.select(situation, robot, self._rng, self._goal, thorough=thorough)
 
     def _without_vain_looks(self, situation: Situation) -> Situation:
         """Note what the view just taken promised in vain, and expect it no more."""
@@ -124,9 +128,10 @@ class ViewPlanner:
         state: RobotState,
         base: Sequence[float],
         joints: Mapping[str, float],
+        obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
         """The way to a base pose (x, y, yaw) and arm posture, or why there is none."""
-        result = self._reach(voxel_map, state).way_to(base, joints)
+        result = self._reach(voxel_map, state, obstacles).way_to(base, joints)
         self._sent = result.route
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
@@ -135,6 +140,32 @@ class ViewPlanner:
         """Note that a view could not be reached; it is not chosen until the map changes there."""
         self._failures.append((pose, reason))
         self._goal = None
+
+    def is_done(self, progress: MapProgress) -> bool:
+        """Whether the task is met."""
+        return self._task.is_met(progress.known_fraction, progress.mean_sigma)
+
+    def withdraw(self) -> None:
+        """Note that what was chosen last is not carried out."""
+        self._sent, self._goal = None, None
+
+    def share_left(
+        self, voxel_map: VoxelMap, pose: FloatArray, teammates: Sequence[Teammate]
+    ) -> float:
+        """Share of what a view is expected to tell that teammates leave to it, 0 to 1.
+
+        Args:
+            voxel_map: what is known.
+            pose: ``T_map_camera``, shape (4, 4).
+            teammates: with the views that they are heading for.
+        """
+        low, high = self._task.region
+        task = RegionOfTask(low, high)
+        situation = Situation(
+            voxel_map, self._rig.left, self.config.max_range, pose, region=task, teammates=teammates
+        )
+        claimed = claimed_gains(self._information, situation)
+        return float(shares_left(self._information, situation, pose[None], claimed)[0])
 
     def _take_note(
         self, voxel_map: VoxelMap, state: RobotState, T_map_start: FloatArray | None
@@ -151,7 +182,9 @@ class ViewPlanner:
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
         return measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
 
-    def _reach(self, voxel_map: VoxelMap, state: RobotState) -> WholeBodyReach:
+    def _reach(
+        self, voxel_map: VoxelMap, state: RobotState, obstacles: Sequence[Obstacle]
+    ) -> WholeBodyReach:
         reach = WholeBodyReach(
             self.robot,
             voxel_map,
@@ -161,6 +194,7 @@ class ViewPlanner:
             self._start,
             previous=self._last_reach,
             sent=self._sent,
+            obstacles=obstacles,
         )
         self._last_reach, self._sent = reach, None
         return reach

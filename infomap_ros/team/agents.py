@@ -4,9 +4,9 @@ Each robot tells, a few times a second, its pose with covariance, its joints, wh
 view that it is heading for and the way there. So others plan around it, leave to it what it is
 about to see, and cut its body from their scans.
 
-A goal is claimed: claims are numbered, and each says which claims of the others were known when it
-was made. Of two claims that were made without knowledge of each other, that of the smaller id
-holds; no clocks are compared.
+A goal is claimed: claims are numbered by versions, and each says which claims of the others were
+known when it was made. Of two claims that were made without knowledge of each other, that of the
+smaller id holds; no clocks are compared.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
 from infomap_ros.geometry.transforms import FloatArray, float_array
 from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION
+from infomap_ros.team.versions import is_newer
 
 _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
@@ -46,7 +47,7 @@ class Agent:
         goal: ``T_map_camera`` of the view that it is heading for, shape (4, 4); None without one.
         way: base poses (x, y, yaw) on the way there, shape (K, 3) [m, rad, map]; the last one is
             where it is going to stand.
-        claim: number of that goal; grows with each goal that is claimed or given up.
+        claim: version at which that goal was claimed, or the one before was given up.
         heard: claims of the others that it knew when it chose, by their ids.
         radius: no point of its body is farther from the axis of its base [m].
         bottom: lowest point of its body in its base frame [m].
@@ -105,8 +106,9 @@ class Agent:
 
 
 def knows(mate: Agent, robot: int, claim: int) -> bool:
-    """Whether a teammate knew a claim of a robot when it chose its own goal."""
-    return mate.heard.get(robot, -1) >= claim
+    """Whether a teammate knew a claim of a robot, or a later one, when it chose its own goal."""
+    known = mate.heard.get(robot, 0)
+    return known == claim or (known != 0 and bool(is_newer(known, claim)))
 
 
 def _check_numbers(agent: Agent) -> None:
@@ -115,7 +117,7 @@ def _check_numbers(agent: Agent) -> None:
         ("session", agent.session, 0, MAX_SESSION),
         ("version", agent.version, 1, MAX_VERSION),
         ("stamp", agent.stamp, 0, 2**63 - 1),
-        ("claim", agent.claim, 0, 2**63 - 1),
+        ("claim", agent.claim, 0, MAX_VERSION),
         ("max_range", agent.max_range, 1e-3, _FARTHEST),
         ("radius", agent.radius, 0.0, _LARGEST),
         ("bottom", agent.bottom, -_LARGEST, _LARGEST),
@@ -124,7 +126,8 @@ def _check_numbers(agent: Agent) -> None:
     for name, value, low, high in numbers:
         if not low <= value <= high:
             raise InvalidInputError(f"agent {name}", f"{value}, expected {low} to {high}")
-    if len(agent.heard) > _MOST_KNOWN or not all(0 <= r <= MAX_ROBOT for r in agent.heard):
+    known = all(0 <= r <= MAX_ROBOT and 0 <= n <= MAX_VERSION for r, n in agent.heard.items())
+    if len(agent.heard) > _MOST_KNOWN or not known:
         raise InvalidInputError("agent heard", f"{len(agent.heard)} robots")
     positions = np.array(list(agent.joints.values()), dtype=np.float64)
     if len(positions) > _MOST_JOINTS or not (np.abs(positions) <= _FARTHEST).all():

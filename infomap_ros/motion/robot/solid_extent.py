@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 
 def solid_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
@@ -35,3 +38,33 @@ def _polytope_extent(
     high = [-linprog(-axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
     low = [linprog(axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
     return middle + np.array(low), middle + np.array(high)
+
+
+def body_extent(
+    robot: RobotModel, joint_positions: Mapping[str, float]
+) -> tuple[float, float, float]:
+    """Radius about the base's z axis, lowest and highest z of a robot's body, base frame [m].
+
+    Polytopes count by the spheres that hold them. A robot without solids is a point.
+
+    Args:
+        robot: the model.
+        joint_positions: by name [rad or m].
+
+    Raises:
+        RobotModelError: a joint that moves a solid is missing.
+    """
+    radius, bottom, top = 0.0, 0.0, 0.0
+    for placed in robot.solids_in(robot.base_frame, joint_positions):
+        low, high = _quick_extent(placed)
+        corners = np.maximum(np.abs(low[:2]), np.abs(high[:2]))
+        radius = max(radius, float(np.hypot(*corners)))
+        bottom, top = min(bottom, float(low[2])), max(top, float(high[2]))
+    return radius, bottom, top
+
+
+def _quick_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
+    if not isinstance(placed.solid, ConvexPolytope):
+        return solid_extent(placed)
+    middle, reach = placed.transform[:3, 3], placed.solid.bounding_radius
+    return middle - reach, middle + reach

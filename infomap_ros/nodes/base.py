@@ -32,6 +32,7 @@ from infomap_ros.errors import (
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.health import Health
 from infomap_ros.nodes.parameters import declare_config
+from infomap_ros.nodes.team_radio import TeamRadioConfig, loses
 from infomap_ros.nodes.worker import Worker
 
 Config = TypeVar("Config")
@@ -103,8 +104,12 @@ class MonitoredNode(Node):
         name = self.resolve_topic_name(topic)
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
+        radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
 
         def receive(message: Any) -> None:
+            if loses(radio, topic):
+                self.drop("simulated loss")
+                return
             self.health.arrived(name)
             self.guard(name, lambda: handle(message))
 

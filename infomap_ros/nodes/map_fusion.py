@@ -40,6 +40,7 @@ from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
+from infomap_ros.nodes.team_radio import TeamRadioConfig
 from infomap_ros.nodes.update_stream import UpdateStreamConfig
 from infomap_ros.team import TeamConfig
 
@@ -81,6 +82,7 @@ class MapFusionNode(MonitoredNode):
         (AssumedPoseConfig, ""),
         (UpdateStreamConfig, ""),
         (TeamConfig, "team_map."),
+        (TeamRadioConfig, "team_map."),
         (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
         (VoxelMapConfig, ""),
@@ -108,6 +110,7 @@ class MapFusionNode(MonitoredNode):
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))
+        offer_order(self, "~/team_hash", self._worker, keeper.team.account)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)
         self.create_timer(_REPEAT_PERIOD, self._publish_more, clock=steady)

@@ -6,6 +6,7 @@ contribution enters as others hear it, quantised, so that all robots show the sa
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.errors import FrameError
+from infomap_ros.errors import FrameError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
@@ -63,6 +64,25 @@ class TeamMap:
     def voxel_map(self) -> VoxelMap | None:
         """The sum over all robots, None as long as there is no other robot."""
         return self._member.replica.voxel_map if self._member else None
+
+    def account(self) -> str:
+        """What this robot knows of the team, as JSON: hash, robots, voxels.
+
+        Robots of which the ``hash`` is the same hold the same map, bit by bit.
+
+        Raises:
+            InvalidInputError: there is no other robot.
+        """
+        if self._member is None:
+            raise InvalidInputError("team", "no other robot was heard")
+        replica = self._member.replica
+        known = {
+            "hash": f"{replica.hash():016x}",
+            "robots": list(replica.robots),
+            "left_out": list(replica.aside),
+            "known_voxels": replica.voxel_map.known_voxels,
+        }
+        return json.dumps(known)
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""

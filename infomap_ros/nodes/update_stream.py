@@ -4,6 +4,9 @@ Each publication holds the voxels that changed since the last one. Who comes lat
 when a subscriber appears, everything known is told again, a slice with each publication, so that
 neither the network nor the subscriber's queue overflows. Values are absolute, so telling them again
 harms nobody.
+
+The robot's own nodes listen to map_updates. What it tells goes to
+team/map_updates as well, unless both are one topic.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from sensor_msgs.msg import PointCloud2
 
@@ -38,6 +42,7 @@ from infomap_ros.team import (
 )
 from infomap_ros.team.authentication import TeamKey
 
+TEAM_UPDATES = "team/map_updates"
 _VOXEL_BYTES = 4  # of a message, about
 _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
 
@@ -91,6 +96,9 @@ class UpdateStream:
         self.session = draw_session()
         events = PublisherEventCallbacks(matched=self._on_matched)
         self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
+        self._to_team = None
+        if node.resolve_topic_name(TEAM_UPDATES) != self._publisher.topic_name:
+            self._to_team = node.advertise(PointCloud2, TEAM_UPDATES, qos.stream(depth=50))
 
     @property
     def robot(self) -> int:
@@ -189,7 +197,7 @@ class UpdateStream:
         if always and not messages:
             messages = [np.zeros(0, OCCUPANCY_ROW)]
         for rows in messages:
-            self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))
+            self._publish(rows, stamp)
 
     def _repeat(self, voxel_map: VoxelMap, blocks: int) -> None:
         """Count the next blocks as changed, from the first on when somebody is new."""
@@ -217,4 +225,11 @@ class UpdateStream:
         if self.key is not None:
             parts = [self.key.sign(rows) for rows in parts]
         for rows in parts or [np.zeros(0, OCCUPANCY_ROW)]:
-            self._publisher.publish(encode_rows(self._types, stamp, self._frame, rows))
+            self._publish(rows, stamp)
+
+    def _publish(self, rows: NDArray[np.void], stamp: int) -> None:
+        """Tell the own nodes, and the team what is not empty."""
+        message = encode_rows(self._types, stamp, self._frame, rows)
+        self._publisher.publish(message)
+        if self._to_team is not None and len(rows):
+            self._to_team.publish(message)

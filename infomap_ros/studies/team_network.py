@@ -6,7 +6,6 @@ stays lost unless the robots mend it themselves.
 
 from __future__ import annotations
 
-import heapq
 import time
 from dataclasses import dataclass, field
 
@@ -17,32 +16,16 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.simulation.radio import Channel, Radio
 from infomap_ros.studies.analytic_scene import AnalyticScene
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.sent import message_bytes
 
 CAMERA = PinholeCamera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
-PACKET_BYTES, PACKET_OVERHEAD = 1400, 60
 _HALL = (24.0, 16.0, 3.0)  # [m]
 _TICK = 0.05  # [s]
 Rows = NDArray[np.void]
-
-
-@dataclass(frozen=True)
-class Radio:
-    """The link of each robot to all others.
-
-    Attributes:
-        rate: at which a robot can send [bit/s].
-        loss: share of the packets that a receiver does not get, independent of each other; a
-            message with a lost packet is lost.
-        delay: [s].
-    """
-
-    rate: float = 10e6
-    loss: float = 0.2
-    delay: float = 0.02
 
 
 def make_hall(rng: np.random.Generator, boxes: int = 60) -> AnalyticScene:
@@ -131,8 +114,7 @@ class TeamNetwork:
         self._rng = np.random.default_rng(seed)
         self.scene = make_hall(self._rng)
         self.robots = [self.make_robot(number) for number in range(robots)]
-        self._free_at, self._count, self._digested = [0.0] * robots, 0, 0.0
-        self._on_air: list[tuple[float, int, int, str, Rows]] = []
+        self._channel, self._digested = Channel(robots, radio, self._rng), 0.0
 
     def make_robot(self, number: int) -> SimulatedRobot:
         """A robot that has seen nothing."""
@@ -180,30 +162,15 @@ class TeamNetwork:
     @property
     def backlog(self) -> float:
         """How long what was sent still takes to be transmitted, at the most [s]."""
-        return max(0.0, max(self._free_at) - self.now)
+        return self._channel.backlog(self.now)
 
     def _send(self, number: int, robot: SimulatedRobot, kind: str, rows: Rows) -> None:
         size = message_bytes(rows)
         robot.sent[kind] = robot.sent.get(kind, 0) + size
-        packets = -(-size // PACKET_BYTES)
-        duration = (size + packets * PACKET_OVERHEAD) * 8.0 / self.radio.rate
-        self._free_at[number] = max(self._free_at[number], self.now) + duration
-        for receiver in range(len(self.robots)):
-            arrives = self._rng.random() < (1.0 - self.radio.loss) ** packets
-            if receiver != number and arrives:
-                self._count += 1
-                event = (
-                    self._free_at[number] + self.radio.delay,
-                    self._count,
-                    receiver,
-                    kind,
-                    rows,
-                )
-                heapq.heappush(self._on_air, event)
+        self._channel.send(number, kind, rows, size, self.now)
 
     def _deliver(self) -> None:
-        while self._on_air and self._on_air[0][0] <= self.now:
-            _, _, receiver, kind, rows = heapq.heappop(self._on_air)
+        for receiver, kind, rows in self._channel.deliver(self.now):
             robot = self.robots[receiver]
             member = robot.member
             hear = {"digest": member.hear_digest, "request": member.hear_request}

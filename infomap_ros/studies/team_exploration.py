@@ -1,0 +1,250 @@
+"""A team of rovers explores one simulated world: views and metres until most of it is mapped.
+
+All in one process, without ROS: the world, the robots' software and the channel between them. The
+messages are those of the wire, a share of their packets is lost, and one robot's software may be
+ended midway, without a chance to tidy up, and started again from its files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.exploration.loop import Ending, EndReason
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion import RobotModel
+from infomap_ros.simulation.exploration_run import ExplorationOptions, task_in
+from infomap_ros.simulation.radio import Channel, Radio
+from infomap_ros.simulation.robot import read_description
+from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.team_world import TeamWorld
+from infomap_ros.simulation.turns import SwitchedOff
+from infomap_ros.simulation.visible_surface import surface_coverage, visible_surface
+from infomap_ros.studies.team_robot import RobotOutfit, TeamRobot
+from infomap_ros.team import TeamConfig
+
+_TICK = 0.1  # [s] of robots that have nothing to do
+_MORE = 1.03  # by this factor the map must have grown for a robot that had ended to go on
+_AGREEING = 120.0  # [s] in which the maps must become the same at the end
+
+
+@dataclass(frozen=True)
+class TeamTaskConfig:
+    """A team and what may happen to it.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    robots: int = parameter(2, "Number of robots.", low=1, high=16)
+    coverage: float = parameter(
+        0.9, "The exploration ends when a robot's map has this share of the true surface.", low=0.0
+    )
+    loss: float = parameter(0.2, "Share of the packets that are lost.", low=0.0, high=0.95)
+    rate: float = parameter(10.0, "Of each robot's radio.", unit="Mbit/s", low=0.01, high=1000.0)
+    killed_at: float = parameter(
+        0.0,
+        "Coverage at which the software of the last robot is ended without warning, to be started "
+        "again after `down`; 0 for never.",
+        low=0.0,
+        high=1.0,
+    )
+    down: float = parameter(20.0, "Time until it is started again.", unit="s", low=0.0, high=1e4)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class TeamExplorationOptions(ExplorationOptions):
+    """Everything that can be set of the exploration of a team."""
+
+    team: TeamTaskConfig = field(default_factory=TeamTaskConfig)
+    sharing: TeamConfig = field(
+        default_factory=lambda: TeamConfig(bandwidth=0.6, message_size=1400, digest_period=0.2)
+    )
+
+
+@dataclass(frozen=True)
+class Look:
+    """State of a team after a view of one of its robots.
+
+    Attributes:
+        robot: which one.
+        seconds: simulated [s].
+        views: of all robots so far.
+        distance: of all robots so far [m].
+        coverage: share of the true surface in the map of this robot.
+    """
+
+    robot: int
+    seconds: float
+    views: int
+    distance: float
+    coverage: float
+
+
+class TeamExploration:
+    """Builds the world and its robots, and lets them explore.
+
+    Args:
+        options: of everything.
+        out: folder for the robots' files.
+
+    Attributes:
+        world: with the simulated robots.
+        robots: their software, as it runs now.
+        looks: what the views brought.
+        kills: how often software was ended.
+
+    Raises:
+        InfomapError: world or robot cannot be made.
+    """
+
+    def __init__(self, options: TeamExplorationOptions, out: Path) -> None:
+        self.options, world = options, options.world
+        size: dict[str, Any] = {"size": world.size} if world.size else {}
+        scene = make_world(world.name, world.seed, **size)
+        description = read_description(find_share(world.description))
+        settings = dataclasses.replace(options.simulator, seed=world.seed)
+        count = options.team.robots
+        self.world = TeamWorld(scene, description, settings, count, self._exchange)
+        self._visible = visible_surface(scene, options.planner.max_range).points
+        self._rng = np.random.default_rng(world.seed)
+        self._channel = Channel(count, Radio(options.team.rate * 1e6, options.team.loss), self._rng)
+        frames = settings.robot
+        model = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
+        task = dataclasses.replace(task_in(scene, options.task), known_fraction=1.0)
+        self._outfits = [
+            RobotOutfit(n, options, options.sharing, task, model, out / str(n), self._on_view)
+            for n in range(count)
+        ]
+        self._missions: dict[int, Mission] = {}
+        self.robots: list[TeamRobot | None] = [self._start(n) for n in range(count)]
+        self._endings: dict[int, Ending] = {}
+        self.looks: list[Look] = []
+        self.kills, self._is_over = 0, False
+
+    def run(self) -> dict[str, Any]:
+        """Explore to the end, let the maps agree, and say what came of it."""
+        begin = time.process_time()
+        names = self.world.names
+        self.world.turns.run({name: partial(self._live, n) for n, name in enumerate(names)})
+        agreed = self._agree()
+        last = self.looks[-1]
+        return {
+            "world": f"{self.options.world.name} {self.options.world.seed}",
+            "robots": len(self.robots),
+            "coverage": round(max(look.coverage for look in self.looks), 4),
+            "views": last.views,
+            "views_per_robot": round(last.views / len(self.robots), 2),
+            "distance": round(last.distance, 2),
+            "distance_per_robot": round(last.distance / len(self.robots), 2),
+            "simulated_seconds": round(max(look.seconds for look in self.looks), 1),
+            "contacts": self.world.contacts,
+            "kills": self.kills,
+            "same_hash": agreed is not None,
+            "agreed_after": agreed,
+            "sent_bytes": [robot.sent for robot in self.robots if robot],
+            "ends": [self._endings[n].reason.value for n in sorted(self._endings)],
+            "details": [self._endings[n].detail for n in sorted(self._endings)],
+            "processor_seconds": round(time.process_time() - begin, 1),
+        }
+
+    def _start(self, number: int) -> TeamRobot:
+        session = int(self._rng.integers(1, 2**32))
+        robot = TeamRobot(self._outfits[number], self.world.simulators[number], session)
+        self._missions[number] = robot.mission
+        return robot
+
+    def _live(self, number: int) -> None:
+        """The life of a robot, in its thread: its software may end and start again."""
+        try:
+            while not self._is_over:
+                try:
+                    self._explore(number)
+                except SwitchedOff:
+                    self._break_down(number)
+        finally:
+            self._is_over |= number not in self._endings
+            self.world.simulators[number].close()  # in the thread that drew
+
+    def _explore(self, number: int) -> None:
+        """Explore, and again when others have found more, until nobody finds anything."""
+        robot = self.robots[number]
+        while robot is not None and not self._is_over:
+            self._endings[number] = robot.explore()
+            self._wait(number, robot)
+
+    def _wait(self, number: int, robot: TeamRobot) -> None:
+        """Hear and answer until others have found more, or nobody explores any more."""
+        known = robot.known_voxels
+        while not self._is_over:
+            self._is_over = len(self._endings) == len(self.robots)
+            self.world.simulators[number].step(_TICK)
+            if robot.may_go_on and robot.known_voxels > _MORE * known:
+                del self._endings[number]
+                return
+
+    def _break_down(self, number: int) -> None:
+        """The software has ended without warning; start it again after a while.
+
+        Raises:
+            SwitchedOff: because another robot's thread has failed.
+        """
+        if self.world.turns.failed:
+            raise
+        simulator = self.world.simulators[number]
+        self.robots[number] = None
+        self.kills += 1
+        simulator.stop()
+        for _ in range(round(self.options.team.down / _TICK)):
+            simulator.step(_TICK)
+        self.robots[number] = self._start(number)
+        if self._is_over:
+            self._endings[number] = Ending(EndReason.STOPPED, "the others have mapped enough")
+
+    def _on_view(self, robot: TeamRobot) -> None:
+        """Measure what a view brought; see whether it is enough, or time for a mishap."""
+        task, number = self.options.team, robot.outfit.number
+        coverage = surface_coverage(robot.member.replica.voxel_map, self._visible)
+        views = sum(mission.views for mission in self._missions.values())
+        way = sum(mission.distance for mission in self._missions.values())
+        now = self.world.simulators[number].time
+        self.looks.append(Look(number, now, views, way, coverage))
+        if coverage >= task.coverage:
+            self._is_over = True
+            for each in self.robots:
+                if each is not None:
+                    each.stop()
+        elif task.killed_at and not self.kills and coverage >= task.killed_at:
+            self.world.turns.switch_off(self.world.names[-1])
+
+    def _exchange(self, number: int) -> None:
+        """After each step of a robot: it speaks, and what has come is heard."""
+        robot, now = self.robots[number], self.world.simulators[number].time
+        if robot is not None:
+            for kind, content, size in robot.speak():
+                self._channel.send(number, kind, content, size, now)
+        for receiver, kind, content in self._channel.deliver(now):
+            hearer = self.robots[receiver]
+            if hearer is not None:
+                hearer.hear(kind, content)
+
+    def _agree(self) -> float | None:
+        """Time until all maps are the same [s]; None where they do not become it."""
+        for tick in range(round(_AGREEING / _TICK)):
+            hashes = {robot.member.replica.hash() for robot in self.robots if robot}
+            if len(hashes) == 1:
+                return round(tick * _TICK, 2)
+            for simulator in self.world.simulators:
+                simulator.step(_TICK)
+        return None

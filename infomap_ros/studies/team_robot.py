@@ -1,0 +1,179 @@
+"""The software of one robot of a simulated team: what dies and starts again with its computer."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.run_log import RunLogFile
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.motion import RobotModel
+from infomap_ros.replay.map_files import MAP_FILE
+from infomap_ros.simulation.exploration_run import ExplorationOptions
+from infomap_ros.simulation.exploring_robot import SimulatedRobot
+from infomap_ros.simulation.simulator import Simulator
+from infomap_ros.team import TeamConfig, TeamMember, version_at
+from infomap_ros.team.sent import message_bytes
+
+MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
+_TICK = 0.1  # [s]
+_TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
+
+
+@dataclass(frozen=True)
+class RobotOutfit:
+    """What a robot starts with, each time.
+
+    Attributes:
+        number: from 0 on; its id in the team.
+        options: of its exploration.
+        sharing: how it shares its map.
+        task: what is to be mapped.
+        model: of the robot.
+        folder: for its files.
+        on_view: called after each view, with the robot.
+    """
+
+    number: int
+    options: ExplorationOptions
+    sharing: TeamConfig
+    task: TaskConfig
+    model: RobotModel
+    folder: Path
+    on_view: Callable[[TeamRobot], None]
+
+
+class TeamRobot:
+    """A robot that explores with others; it goes on from its files where there are any.
+
+    Args:
+        outfit: what it starts with.
+        simulator: its hardware.
+        session: number of this start.
+
+    Attributes:
+        map: what it saw itself.
+        member: its part of the team, with the shared map.
+        mission: account so far.
+        sent: bytes that it sent, without those of packets.
+    """
+
+    def __init__(self, outfit: RobotOutfit, simulator: Simulator, session: int) -> None:
+        self.outfit, self._simulator = outfit, simulator
+        outfit.folder.mkdir(parents=True, exist_ok=True)
+        options = outfit.options
+        goes_on = (outfit.folder / MISSION_FILE).exists()
+        self.mission = Mission.load(outfit.folder / MISSION_FILE) if goes_on else Mission()
+        self.map = self._own_map()
+        version = version_at(simulator.stamp)
+        config = self.map.config
+        self.member = TeamMember(outfit.number, session, version, config, outfit.sharing)
+        self.sent, self._told = 0, -np.inf
+        self._robot = SimulatedRobot(simulator, outfit.model, self.map, options.robot)
+        planning = dataclasses.replace(
+            options.planner, seed=options.planner.seed + 1000 * outfit.number
+        )
+        self._planner = ViewPlanner(outfit.model, self._robot.poses.rig, outfit.task, planning)
+        self._control = Control()
+        log = RunLogFile(outfit.folder / LOG_FILE, goes_on, clock=lambda: simulator.time)
+        log.write("start", task=dataclasses.asdict(outfit.task), robot=f"robot {outfit.number}")
+        self._exploration = Exploration(
+            self._robot,
+            self,
+            outfit.task,
+            log,
+            self._control,
+            self.mission,
+            on_step=lambda _: self.mission.save(outfit.folder / MISSION_FILE),
+            clock=lambda: simulator.time,
+        )
+
+    def explore(self) -> Ending:
+        """Explore to the end; after a restart, first hear what is known."""
+        if self.mission.views:
+            self._let_pass(self.outfit.sharing.recovery + _TELLING)
+        return self._exploration.run()
+
+    def stop(self) -> None:
+        """Let the exploration end soon."""
+        self._control.ask(Request.STOP)
+
+    @property
+    def known_voxels(self) -> int:
+        """Size of the shared map."""
+        return self.member.replica.voxel_map.known_voxels
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether the budget of views is not spent."""
+        return self.mission.views < self.outfit.task.max_views
+
+    # As the planner of the exploration
+
+    def choose(self, state: RobotState) -> Choice:
+        """Keep and tell what was seen, then choose the next view in the map of all."""
+        self.map.save(self.outfit.folder / MAP_FILE)
+        self._let_pass(_TELLING)
+        self.outfit.on_view(self)
+        state = self._robot.state()
+        home = np.array(self.mission.home_pose)
+        around = Surrounding(T_map_start=home)
+        return self._planner.choose(self.member.replica.voxel_map, state, around)
+
+    def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
+        """The way to where the mission began."""
+        return self._planner.way_home(self.member.replica.voxel_map, state, base, joints)
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        """Note that a view could not be reached."""
+        self._planner.failed(pose, reason)
+
+    # As a member of the team
+
+    def speak(self) -> list[tuple[str, Any, int]]:
+        """Messages to send now: kind, content, size [bytes]."""
+        now = self._simulator.time
+        spoken = [("update", rows) for rows in self.member.tell(self.map, now)]
+        if now - self._told >= self.outfit.sharing.digest_period - 1e-6:
+            self._told = now
+            spoken += [("digest", rows) for rows in self.member.digests(now)]
+            spoken += [("request", rows) for rows in self.member.requests(now)]
+        messages = [(kind, rows, message_bytes(rows)) for kind, rows in spoken]
+        self.sent += sum(size for _, _, size in messages)
+        return messages
+
+    def hear(self, kind: str, content: Any) -> None:
+        """A message of another robot has come.
+
+        Raises:
+            InfomapError: it cannot be used.
+        """
+        member = self.member
+        hear = {"digest": member.hear_digest, "request": member.hear_request}
+        hear.get(kind, member.hear_update)(content, self._simulator.time)
+
+    def _let_pass(self, seconds: float) -> None:
+        """Let others speak, and hear them."""
+        for _ in range(round(seconds / _TICK)):
+            self._simulator.step(_TICK)
+
+    def _own_map(self) -> VoxelMap:
+        options, path = self.outfit.options, self.outfit.folder / MAP_FILE
+        config = dataclasses.replace(options.map, max_range=options.planner.max_range)
+        own = VoxelMap(config)
+        if path.exists():
+            own = VoxelMap.from_state(config, VoxelMap.load(path).state())
+        own.track_changes(True)
+        return own

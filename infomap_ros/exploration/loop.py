@@ -98,9 +98,17 @@ class Exploration:
         except InfomapError as error:
             stopped = self.control.request is Request.STOP  # and what was asked broken off
             ending = _STOPPED if stopped else Ending(EndReason.FAILED, str(error))
+        return self.end(ending)
+
+    def end(self, ending: Ending) -> Ending:
+        """Say that it has ended, and why: `run` does so, and who finds that it cannot begin."""
         self._enter(f"ended: {ending.reason.value}", ending.detail)
         self._log.write("end", reason=ending.reason.value, detail=ending.detail)
         return ending
+
+    def say(self, state: str, reason: str) -> None:
+        """Tell what is done before it begins, and why."""
+        self._enter(state, reason)
 
     def _explore(self) -> Ending:
         self._initialise()
@@ -119,7 +127,7 @@ class Exploration:
             return Ending(EndReason.NOTHING_LEFT, choice.reason)
         if self._plan_only:
             return self._wait()
-        problem = self._follow(choice.route, self.control.interrupted)
+        problem = self.follow(choice.route, self.control.interrupted)
         if problem and not self.control.interrupted():
             self._planner.failed(choice.pose, problem)
             return self._fail(problem)
@@ -156,7 +164,7 @@ class Exploration:
         self._log.write("decision", view=self.mission.views, **choice.explanation)
         return choice
 
-    def _follow(self, route: Route, interrupted: Interrupted) -> str:
+    def follow(self, route: Route, interrupted: Interrupted) -> str:
         """Move arm, base and arm; returns empty, or why it did not come to the end."""
         robot, problem = self._robot, ""
         if route.arm_before.moves:
@@ -231,7 +239,7 @@ class Exploration:
         problem = choice.reason
         if choice.route is not None:
             control = self.control
-            problem = self._follow(choice.route, lambda: control.request is not Request.HOME)
+            problem = self.follow(choice.route, lambda: control.request is not Request.HOME)
         self._log.write("motion", action="home", outcome=problem, path=[])
         self.last_reason = f"home: {problem}" if problem else "at home"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import JointStateRecord, OdometryRecord, PoseRecord
-from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.robot_motion import RobotMotion
 
@@ -38,6 +38,19 @@ class CarriedPose:
         """
         self._motion.add(record)
         self._odometry = record.stamp
+
+    @property
+    def odom_frame(self) -> str:
+        """Frame of odometry, empty before any has come."""
+        return self._motion.odom_frame
+
+    def posture(self) -> RobotPosture:
+        """Base and camera at the newest time for which odometry and joints are known.
+
+        Raises:
+            PoseUnavailableError: one of them has not come.
+        """
+        return self._motion.posture(min(self._odometry, self._joints))
 
     def carry(self, pose: PoseRecord) -> PoseRecord:
         """The pose of the camera at the newest time for which odometry and joints are known.

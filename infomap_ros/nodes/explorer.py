@@ -22,9 +22,10 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.loop import Exploration
+from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.run_log import RunLogFile
+from infomap_ros.exploration.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
@@ -37,6 +38,7 @@ from infomap_ros.nodes.remote_planner import RemotePlanner, RemotePlannerConfig
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.ros_robot import RosRobot, RosRobotConfig
 from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.target_sight import TargetSight
 
 _STATUS_PERIOD = 0.5  # [s]
 
@@ -83,6 +85,7 @@ class ExplorerNode(MonitoredNode):
         self._config = self.config(ExplorerConfig)
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
         self._robot = RosRobot(self, self._tracker)
+        self._sight = TargetSight(self, self._tracker)
         self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
         self._exploration: Exploration | None = None
@@ -147,11 +150,34 @@ class ExplorerNode(MonitoredNode):
 
     def _explore(self) -> None:
         """The thread of the loop."""
-        assert self._exploration is not None
-        self._tracker.wait_until(self._is_complete, math.inf, self._stopped)
-        self._write_start()
-        ending = self._exploration.run()
+        exploration = self._exploration
+        assert exploration is not None
+        ending = self._find_target(exploration)
+        if ending is None:
+            self._write_start()
+            ending = exploration.run()
+        else:
+            exploration.end(ending)
         self.get_logger().info(f"exploration ended: {ending.reason.value}: {ending.detail}")
+
+    def _find_target(self, exploration: Exploration) -> Ending | None:
+        """Wait until all is there; where localisation has to see its target first, look for it."""
+        while not self._stopped():
+            exploration.control.answered(Request.HOME, Request.PAUSE)  # home is not known yet
+            exploration.control.wait_while_paused()
+            self._tracker.wait_until(self._can_begin, math.inf, self._stopped)
+            if not self._sight.is_wanted:
+                break
+            self._robot.in_odometry = True
+            ending = find_target(exploration, self._sight, self._planner)
+            self._robot.in_odometry = False
+            if ending is not None:
+                return ending
+        return None
+
+    def _can_begin(self) -> bool:
+        """Whether everything is there, or the search for the target can begin."""
+        return self._is_complete() or (self._sight.is_wanted and self._planner.is_there)
 
     def _write_start(self) -> None:
         """Begin the log of the run, now that the robot is known."""

@@ -51,6 +51,7 @@ class LocalizationNews:
             odom_frame: frame of odometry, empty where there is none.
         """
         self._note(result)
+        self._outputs.publish_status(result)
         if result.T_map_camera is None:
             return
         pose = PoseRecord(

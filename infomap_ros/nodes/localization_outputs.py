@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
@@ -12,8 +13,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.geometry import PoseRecord, TransformRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
+from infomap_ros.localization.localisation import Localisation
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.localization_status import LOCALIZATION_STATUS, status_message
 from infomap_ros.nodes.message_types import RclpyMessageTypes, message_class
 from infomap_ros.replay.messages import TF, encode_pose, encode_transforms
 from infomap_ros.replay.messages.keyframes import KeyframePoses, encode_keyframe_poses
@@ -50,12 +53,17 @@ class LocalizationOutputs:
         self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
         self._fiducials = node.advertise(PointCloud2, "fiducials", qos.latched())
         self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
+        self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
         self._tf = None
         if publish_tf:
             try:
                 self._tf = node.advertise(message_class(TF), "/tf", qos.stream(depth=100))
             except ModuleNotFoundError:
                 node.get_logger().warning("no /tf: tf2_msgs is not installed")
+
+    def publish_status(self, result: Localisation) -> None:
+        """Publish what became of a view; latched, so that who comes late knows it too."""
+        self._status.publish(status_message(result))
 
     def publish_pose(self, pose: PoseRecord) -> None:
         """Publish the camera's pose in the map."""

@@ -23,6 +23,7 @@ from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewP
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
@@ -34,6 +35,7 @@ from infomap_ros.nodes.plan_outputs import PlanOutputs
 from infomap_ros.nodes.plan_warm_up import warm_up
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.search_plans import SearchPlans
 from infomap_ros.team import TeamConfig
 
 
@@ -46,6 +48,7 @@ class NextBestViewNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),
+        (TargetSearchConfig, "search."),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
     )
@@ -68,6 +71,7 @@ class NextBestViewNode(MonitoredNode):
         )
         offer_order(self, "~/plan", self._worker, self._plan)
         offer_order(self, "~/plan_home", self._worker, self._plan_home)
+        offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)

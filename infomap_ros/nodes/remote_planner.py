@@ -62,6 +62,7 @@ class RemotePlanner:
         planner = self._config.planner
         self._plan = node.create_client(Trigger, f"{planner}/plan")
         self._plan_home = node.create_client(Trigger, f"{planner}/plan_home")
+        self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
 
     @property
     def is_there(self) -> bool:
@@ -85,6 +86,14 @@ class RemotePlanner:
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
         return self._ask(self._plan_home)
+
+    def look_for_target(self) -> Choice:
+        """Ask where to look for the target, in the frame of odometry.
+
+        Raises:
+            ExplorationError: there is no plan for too long, or it cannot be read.
+        """
+        return self._ask(self._plan_search)
 
     def failed(self, pose: FloatArray, reason: str) -> None:
         """Tell next_best_view that a view could not be reached."""

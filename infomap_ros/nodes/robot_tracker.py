@@ -136,10 +136,31 @@ class RobotTracker:
             pose.transform @ invert_transform(T_base_camera), pose.transform, covariance, joints
         )
 
-    def known_state(self) -> RobotState | None:
-        """As `state`; None where it has no answer."""
+    def state_in_odometry(self) -> RobotState:
+        """Where odometry has the robot, in its own frame: for a robot that is not located yet.
+
+        Raises:
+            PoseUnavailableError: odometry, joints or description have not arrived.
+        """
+        robot = self.robot
+        with self._news:
+            if self._carried is None:
+                raise PoseUnavailableError("no odometry has arrived yet")
+            camera, joints = self._carried.posture().T_odom_camera, self._joints.newest()
+        T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
+        base = camera @ invert_transform(T_base_camera)
+        return RobotState(base, camera, self._assumed.covariance(), joints)
+
+    @property
+    def odom_frame(self) -> str:
+        """Frame of odometry, empty before any has come."""
+        with self._news:
+            return "" if self._carried is None else self._carried.odom_frame
+
+    def known_state(self, in_odometry: bool = False) -> RobotState | None:
+        """As `state` or `state_in_odometry`; None where that has no answer."""
         try:
-            return self.state()
+            return self.state_in_odometry() if in_odometry else self.state()
         except PoseUnavailableError:
             return None
 

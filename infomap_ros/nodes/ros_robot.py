@@ -73,7 +73,12 @@ class RosRobot:
     Args:
         node: publishes base_path and arm_trajectory, listens to map_updates.
         tracker: knows where the robot is.
+
+    Attributes:
+        in_odometry: ways of the base are given in the frame of odometry, not in the map.
     """
+
+    in_odometry = False
 
     def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
         self._config, self._tracker = node.config(RosRobotConfig), tracker
@@ -170,7 +175,7 @@ class RosRobot:
 
     def _base(self) -> tuple[float, float, float]:
         """Where the base is, or was when that was last known: messages may be lost on the way."""
-        state = self._tracker.known_state()
+        state = self._tracker.known_state(self.in_odometry)
         if state is not None:
             self._last_base = planar_pose(state.T_map_base)
         return self._last_base
@@ -190,7 +195,8 @@ class RosRobot:
         self._trajectories.publish(encode_arm_trajectory(self._types, self._now(), stay))
 
     def _send_path(self, poses: FloatArray) -> None:
-        self._paths.publish(encode_base_path(self._types, self._now(), self._map_frame, poses))
+        frame = self._tracker.odom_frame if self.in_odometry else self._map_frame
+        self._paths.publish(encode_base_path(self._types, self._now(), frame, poses))
 
 
 def _either(first: Callable[[], bool], second: Callable[[], bool]) -> Callable[[], bool]:

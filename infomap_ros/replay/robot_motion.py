@@ -61,6 +61,11 @@ class RobotMotion:
         elif isinstance(record, TransformRecord) and record.child_frame_id != self._base:
             self._tree.add_transform(record)
 
+    @property
+    def odom_frame(self) -> str:
+        """Frame of odometry, empty before any has come."""
+        return self._odom
+
     def posture(self, stamp: int) -> RobotPosture:
         """Where base and camera were.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -15,6 +15,7 @@ from infomap_ros.geometry import (
     CameraCalibration,
     CameraInfoRecord,
     JointStateRecord,
+    OdometryRecord,
     PinholeCamera,
     PoseRecord,
     TextRecord,
@@ -28,6 +29,7 @@ from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import (
     encode_camera_info,
     encode_joint_state,
+    encode_odometry,
     encode_pose,
     encode_text,
 )
@@ -48,7 +50,12 @@ class PaperRover:
     Args:
         graph: in which it is.
         tells_updates: publish an empty update with each state, as map_fusion does with each scan.
+
+    Attributes:
+        is_located: whether it publishes its camera_pose; if not, odometry.
     """
+
+    is_located = True
 
     def __init__(self, graph: Any, tells_updates: bool = True) -> None:
         self.graph, self.tells_updates = graph, tells_updates
@@ -60,6 +67,7 @@ class PaperRover:
         self.trajectories: list[JointTrajectory] = []
         self.stamp = 1_000_000_000
         self.poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose")
+        self.odometry = graph.publisher(Odometry, "odom")
         self.states = graph.publisher(JointState, "joint_states")
         self.infos = {side: graph.publisher(CameraInfo, f"{side}/camera_info") for side in FRAMES}
         self.updates = graph.publisher(PointCloud2, "map_updates", 200)
@@ -75,7 +83,13 @@ class PaperRover:
     def publish(self) -> None:
         self.stamp += 50_000_000
         pose = PoseRecord(self.stamp, "map", self.T_map_camera(), 1e-6 * np.eye(6))
-        self.poses.publish(encode_pose(TYPES, pose))
+        if self.is_located:
+            self.poses.publish(encode_pose(TYPES, pose))
+        else:
+            odometry = OdometryRecord(
+                self.stamp, "odom", self.base, None, "base_link", np.zeros(6), 1e-6 * np.eye(6)
+            )
+            self.odometry.publish(encode_odometry(TYPES, odometry))
         positions = np.array(list(self.joints.values()))
         state = JointStateRecord(self.stamp, "", tuple(self.joints), positions)
         self.states.publish(encode_joint_state(TYPES, state))

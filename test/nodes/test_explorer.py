@@ -17,9 +17,11 @@ from infomap_ros.exploration.choice_text import choice_to_text
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
+from infomap_ros.localization.localisation import Localisation
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.nodes.exploration_status import read_status
 from infomap_ros.nodes.explorer import ExplorerNode
+from infomap_ros.nodes.localization_status import status_message
 
 from .rovers import PaperRover
 
@@ -102,6 +104,56 @@ def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "run.jsonl").read_text().splitlines()]
     assert kinds[0] == "start" and kinds[-1] == "end"
     assert json.loads((tmp_path / "mission.json").read_text())["views"] == 3
+
+
+class SearchStage(Stage):
+    """A rover whose localisation has not seen its target yet, and finds it in the last look."""
+
+    gives_up = False
+
+    def __init__(self, graph: Any, folder: Path, looks: int) -> None:
+        self.left = looks
+        graph.tester.create_service(Trigger, "next_best_view/plan_search", self.plan_search)
+        self.news = graph.tester.create_publisher(DiagnosticStatus, "localization_status", LATCHED)
+        graph.tester.create_timer(0.1, self.tell)
+        super().__init__(graph, folder, views=1, autostart=True, patience=10.0)
+        self.rover.is_located = False
+
+    def tell(self) -> None:
+        if not hasattr(self, "rover"):
+            return
+        state = "tracking" if self.rover.is_located else "searching"
+        stamp = self.rover.stamp
+        self.news.publish(status_message(Localisation(stamp, state, None, None)))
+
+    def plan_search(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """The base turns while the target is not in sight."""
+        self.left -= 1
+        still = ArmPath.staying(("arm_pan_joint",), np.array([0.1]))
+        path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+        route = Route(still, path, np.stack([np.eye(4)] * 2), still, np.eye(4))
+        self.rover.is_located = self.left == 0 and not self.gives_up
+        choice = Choice(MapProgress(0.0, 0.0, 0.0, 0, 0), np.eye(4), route, "turn")
+        if self.gives_up and self.left == 0:
+            choice = Choice(choice.progress, None, None, "the target was not found: 2 looks")
+        response.message, response.success = choice_to_text(choice), True
+        return response
+
+
+def test_a_target_out_of_sight_is_looked_for_before_the_mission(graph: Any, tmp_path: Path) -> None:
+    stage = SearchStage(graph, tmp_path, looks=2)
+    stage.spin_to("looking for the target")
+    stage.spin_to("ended: done")
+    frames = [path.header.frame_id for path in stage.rover.paths]
+    assert frames[0] == "odom" and frames[-1] == "map"
+    assert stage.left == 0
+
+
+def test_a_target_that_is_not_found_ends_the_mission(graph: Any, tmp_path: Path) -> None:
+    stage = SearchStage(graph, tmp_path, looks=2)
+    stage.gives_up = True
+    stage.spin_to("ended: failed")
+    assert stage.said[-1].values[1].value == "the target was not found: 2 looks"
 
 
 def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Path) -> None:

@@ -50,6 +50,12 @@ class TargetSearchConfig:
         low=0.0,
         high=1.0,
     )
+    enough: float = parameter(
+        0.97,
+        "When this share of the directions has been looked at in vain, the target is given up.",
+        low=0.01,
+        high=1.0,
+    )
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -10,7 +10,7 @@ import dataclasses
 import json
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -36,6 +36,8 @@ from infomap_ros.simulation.visible_surface import (
     covered,
     visible_surface,
 )
+
+_ATTEMPTS, _ROUNDS = 60, 8  # views to which motions are planned, and how often others are drawn
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,21 @@ class RoverTask:
         return ExplorationOptions(
             world=WorldConfig(self.config.world, self.seed, self.config.size),
             task=TaskConfig(known_fraction=1.0, max_views=self.views),
-            planner=ViewPlannerConfig(strategy=self.strategy, seed=self.seed, threads=1),
+            planner=self._planner(),
             robot=ExploringRobotConfig(pose_source="simulator"),
             simulator=SimulatorConfig(camera=camera),
         )
+
+    def _planner(self) -> ViewPlannerConfig:
+        """The product's own, but that it tries more views before it says that there is none.
+
+        A raster scan puts views first that can hardly be reached.
+        """
+        usual = ViewPlannerConfig(strategy=self.strategy, seed=self.seed, threads=1)
+        selection = usual.choice.selection
+        approach = replace(selection.approach, attempts=_ATTEMPTS)
+        choice = replace(usual.choice, selection=replace(selection, approach=approach))
+        return replace(usual, choice=choice, rounds=_ROUNDS)
 
     def run(self) -> RoverExploration:
         """Explore."""

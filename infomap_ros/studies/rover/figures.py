@@ -16,12 +16,12 @@ from infomap_ros.simulation.visible_surface import visible_surface
 from infomap_ros.studies.common.figure_style import band_note, draw_band, save, style_of
 from infomap_ros.studies.rover.explore import RoverExploration, RoverTask
 from infomap_ros.studies.rover.rover_study import (
-    OWN,
     Results,
     RoverStudyConfig,
     curves_of,
     labels_of,
     of_strategy,
+    views_of,
 )
 
 _UNMAPPED, _MAPPED, _VIEWS = "#cccccc", "#0072B2", "#D55E00"
@@ -36,7 +36,7 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
     left, right = figure.subplots(1, 2)
     for label in labels:
         own = list(of_strategy(results, label).values())
-        views = config.views if label == OWN else max(config.views, config.raster_views)
+        views = views_of(label, config)
         at = np.arange(1.0, views + 1.0)
         draw_band(left, at, curves_of(own, views, "points") / 1e3, styles[label], label)
         draw_band(right, at, curves_of(own, views, "distance"), styles[label], label)
@@ -87,7 +87,7 @@ def _draw_region(axes: Any, task: RoverTask, result: RoverExploration, points: F
 
 
 def _dots(axes: Any, points: FloatArray, colour: str) -> None:
-    axes.plot(points[:, 0], points[:, 1], ",", color=colour, rasterized=True)
+    axes.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=0.8, rasterized=True)
 
 
 def all_figures(results: Results, config: RoverStudyConfig, out: Path) -> Sequence[Path]:

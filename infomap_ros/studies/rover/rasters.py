@@ -1,18 +1,19 @@
-"""Raster scans with shorter steps; the paper prints neither step nor headings of its own."""
+"""Other raster scans; the paper prints neither the step nor the headings of its own."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.options import Options
+from infomap_ros.views.rating import Ratings
 from infomap_ros.views.strategies import Raster
+from infomap_ros.views.strategy import Scores
 
-_SHORT_STEP = 0.1  # of the camera's range
-_VOXEL_STEP = 0.0125  # likewise: a voxel of 5 cm for a range of 4 m
-
-
-class ShortStepRaster(Raster):
-    """Places a tenth of the camera's range apart, about the length of the rover."""
-
-    def __init__(self) -> None:
-        super().__init__(_SHORT_STEP)
+_VOXEL_STEP = 0.0125  # of the camera's range: a voxel of 5 cm for a range of 4 m
+_SHORT_STEP = 0.1  # likewise: about the length of the rover
 
 
 class VoxelRaster(Raster):
@@ -24,3 +25,28 @@ class VoxelRaster(Raster):
 
     def __init__(self) -> None:
         super().__init__(_VOXEL_STEP)
+
+
+class SweepRaster(Raster):
+    """Goes on from where the camera is, by short steps along rows, and keeps its heading."""
+
+    def __init__(self) -> None:
+        super().__init__(_SHORT_STEP)
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """Minus the places ahead in the sequence; the smallest turn among views of one place."""
+        situation = options.situation
+        places = self._places(options, options.poses)
+        here = self._places(options, situation.T_map_camera[None])[0]
+        taken = np.isin(places, self._places(options, situation.past_views))
+        whole = places.max(initial=here) + 1.0
+        ahead = np.mod(places - here, whole) + whole * taken
+        axes = options.poses[:, :3, 2] @ situation.T_map_camera[:3, 2]
+        turns = np.arccos(np.clip(axes, -1.0, 1.0)) / math.pi
+        return Scores(-(ahead + 0.5 * turns))
+
+    def _places(self, options: Options, poses: FloatArray) -> FloatArray:
+        """Place of poses in the sequence, whatever their heading: (M, 4, 4) -> (M,)."""
+        opening = options.situation.camera.field_of_view[0]
+        sectors = max(1, math.ceil(2.0 * math.pi / opening))
+        return np.floor(self._order(options, poses) / sectors)

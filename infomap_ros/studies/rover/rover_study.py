@@ -18,8 +18,8 @@ from infomap_ros.studies.rover.explore import RoverConfig, RoverExploration, Rov
 
 OWN = "largest_information"
 _HERE = "infomap_ros.studies.rover.rasters"
-RASTERS = ("raster", f"{_HERE}.ShortStepRaster", f"{_HERE}.VoxelRaster")
-"""Sequential scans with long, shorter and the shortest steps."""
+RASTERS = ("raster", f"{_HERE}.SweepRaster", f"{_HERE}.VoxelRaster")
+"""Sequential scans with long, short and the shortest steps."""
 
 Results = Mapping[RoverTask, RoverExploration]
 
@@ -39,7 +39,7 @@ class RoverStudyConfig:
     )
     views: int = parameter(18, "At so many views strategies are compared.", low=2, high=1000)
     raster_views: int = parameter(
-        41, "So many views all strategies but largest_information take.", low=2, high=1000
+        41, "So many views the strategy `raster` takes.", low=2, high=1000
     )
     rover: RoverConfig = field(default_factory=RoverConfig)
 
@@ -66,12 +66,17 @@ def tasks_of(config: RoverStudyConfig) -> list[RoverTask]:
         RoverTask(
             seed,
             strategy,
-            config.views if strategy == OWN else max(config.views, config.raster_views),
+            views_of(strategy, config),
             config.rover,
         )
         for seed in range(config.seed, config.seed + config.worlds)
         for strategy in config.strategies
     ]
+
+
+def views_of(strategy: str, config: RoverStudyConfig) -> int:
+    """How many views a strategy takes."""
+    return max(config.views, config.raster_views) if strategy == RASTERS[0] else config.views
 
 
 def labels_of(results: Results) -> list[str]:

@@ -36,6 +36,7 @@ from infomap_ros.nodes.plan_warm_up import warm_up
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.search_plans import SearchPlans
+from infomap_ros.nodes.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 
 
@@ -45,6 +46,7 @@ class NextBestViewNode(MonitoredNode):
     CONFIGS = (
         (MapListenerConfig, ""),
         (TeamConfig, "team_map."),
+        (TeamRadioConfig, "team_map."),
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),

@@ -19,7 +19,11 @@ from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.localization_status import LOCALIZATION_STATUS, status_message
 from infomap_ros.nodes.message_types import RclpyMessageTypes, message_class
 from infomap_ros.replay.messages import TF, encode_pose, encode_transforms
-from infomap_ros.replay.messages.keyframes import KeyframePoses, encode_keyframe_poses
+from infomap_ros.replay.messages.keyframes import (
+    KeyframePoses,
+    encode_keyframe_covariances,
+    encode_keyframe_poses,
+)
 from infomap_ros.replay.messages.rows import encode_rows
 
 FIDUCIAL_ROW = np.dtype(
@@ -51,6 +55,7 @@ class LocalizationOutputs:
         self._types, self._map = RclpyMessageTypes(), map_frame
         self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
         self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
+        self._covariances = node.advertise(PointCloud2, "keyframe_covariances", qos.stream())
         self._fiducials = node.advertise(PointCloud2, "fiducials", qos.latched())
         self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
         self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
@@ -75,9 +80,15 @@ class LocalizationOutputs:
             self._tf.publish(encode_transforms(self._types, [edge]))
 
     def publish_keyframes(self, stamp: int, kept: KeptPoses) -> None:
-        """Publish where the camera was at the keyframes, as it is known at `stamp` [ns]."""
+        """Publish where the camera was at the keyframes, as it is known at `stamp` [ns].
+
+        Covariances go first: who hears the poses has them at hand.
+        """
+        content = kept.stamps, kept.transforms, kept.covariances
+        record = KeyframePoses(stamp, self._map, *content)
+        if self._covariances.get_subscription_count():
+            self._covariances.publish(encode_keyframe_covariances(self._types, record))
         if self._keyframes.get_subscription_count():
-            record = KeyframePoses(stamp, self._map, kept.stamps, kept.transforms)
             self._keyframes.publish(encode_keyframe_poses(self._types, record))
 
     @property

@@ -111,7 +111,8 @@ class MapKeeper:
 
     def hear(self, poses: KeyframePoses) -> None:
         """Hear of corrected poses, and begin to correct the map where scans belong elsewhere."""
-        self._corrected.hear(poses.stamp, poses.stamps, poses.transforms)
+        content = poses.stamps, poses.transforms, poses.covariances
+        self._corrected.hear(poses.stamp, *content)
         self._corrected.begin_correction()
 
     def correct_more(self) -> None:

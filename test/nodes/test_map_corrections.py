@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
 
+from infomap_ros.errors import MalformedMessageError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.replay.messages.keyframes import (
     KeyframePoses,
+    decode_keyframe_covariances,
     decode_keyframe_poses,
+    encode_keyframe_covariances,
     encode_keyframe_poses,
 )
+from infomap_ros.replay.messages.rows import encode_rows
 from test.nodes.test_map_fusion import (
     CAMERA,
     COVARIANCE,
@@ -64,6 +70,36 @@ def test_keyframe_poses_survive_the_message() -> None:
     assert (read.stamp, read.frame_id) == (START + 7, "map")
     assert np.array_equal(read.stamps, record.stamps)
     assert np.allclose(read.transforms, record.transforms)
+
+
+def test_covariances_of_keyframes_survive_the_message() -> None:
+    covariances = np.stack([COVARIANCE, 4.0 * COVARIANCE])
+    record = replace(keyframes(START + 7, T_MAP_CAMERA, ELSEWHERE), covariances=covariances)
+    stamp, stamps, read = decode_keyframe_covariances(encode_keyframe_covariances(TYPES, record))
+    assert stamp == START + 7
+    assert np.array_equal(stamps, record.stamps)
+    assert np.array_equal(read, covariances)
+    with pytest.raises(MalformedMessageError, match="covariances of keyframes"):
+        decode_keyframe_covariances(encode_rows(TYPES, 1, "map", np.zeros(2, [("x", "<f4")])))
+
+
+def test_a_corrected_map_is_as_sure_as_its_keyframes(graph: Any) -> None:
+    bench = CorrectedBench(graph)
+    publisher = graph.publisher(PointCloud2, "keyframe_covariances")
+    graph.connect(publisher)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    topic = bench.node.resolve_topic_name("keyframe_covariances")
+    heard = bench.node.health._streams[topic]
+    for stamp, place, factor in ((1, T_MAP_CAMERA, 1.0), (2, ELSEWHERE, 9.0)):
+        record = keyframes(START + stamp * SECOND, place)
+        known = replace(record, covariances=factor * COVARIANCE[None])
+        publisher.publish(encode_keyframe_covariances(TYPES, known))
+        graph.spin_until(lambda n=stamp: heard.count == n, "covariances")
+        bench.tell(record)
+    bench.wait_for_correction()
+    (scan,) = bench.node._keeper._corrected.store
+    assert np.allclose(scan.covariance, 9.0 * COVARIANCE, rtol=1e-6, atol=1e-12)
 
 
 def test_scans_follow_and_listeners_forget_the_ghost(graph: Any) -> None:

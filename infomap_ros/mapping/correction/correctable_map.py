@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera, check_transform
+from infomap_ros.geometry import PinholeCamera, check_transform, float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.correction.keyframe_covariances import KeyframeCovariances
 from infomap_ros.mapping.correction.pose_corrections import PoseCorrections
 from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
@@ -41,7 +43,8 @@ class CorrectableMap:
         base = voxel_map if kept.memory and voxel_map.known_voxels else None
         self.store = ScanStore(voxel_map.config, kept, base)
         self._config = config or ReintegrationConfig()
-        self._corrections = PoseCorrections()
+        self._corrections, self._covariances = PoseCorrections(), KeyframeCovariances()
+        self._came: dict[int, FloatArray | None] = {}  # covariances of poses as they came
         self._work: Reintegration | None = None
 
     @property
@@ -73,22 +76,37 @@ class CorrectableMap:
         report = self.store.integrate(self.voxel_map, stamp, *arguments)
         if self.store.config.memory:
             self._corrections.add(stamp, check_transform(T_map_sensor))
+            given = None if pose_covariance is None else float_array(pose_covariance, "covariance")
+            self._came[stamp] = given
         self._freeze()
         return report
 
-    def hear(self, as_of: int, stamps: ArrayLike, transforms: ArrayLike) -> None:
+    def hear(
+        self,
+        as_of: int,
+        stamps: ArrayLike,
+        transforms: ArrayLike,
+        covariances: ArrayLike | None = None,
+    ) -> None:
         """Hear of corrected poses; see `PoseCorrections.hear`.
 
+        Args:
+            as_of: the moment whose image was used last for them [ns].
+            stamps: of the keyframes, shape (K,) [ns].
+            transforms: T_map_sensor, shape (K, 4, 4).
+            covariances: of the poses, shape (K, 6, 6); scans keep theirs where not given.
+
         Raises:
-            InvalidInputError: a pose is none, or the stamps do not fit.
+            InvalidInputError: a pose or a covariance is none, or the stamps do not fit.
         """
+        if covariances is not None:
+            self._covariances.hear(as_of, stamps, transforms, covariances)
         self._corrections.hear(as_of, stamps, transforms)
 
     def begin_correction(self) -> bool:
         """Begin to correct the map where scans belong elsewhere by now; whether there are any."""
         if self._work is None:
-            poses = self._corrections.poses
-            moved = moved_scans(self.store, poses, self.voxel_map, self._config)
+            moved = moved_scans(self.store, self._poses(), self.voxel_map, self._config)
             if moved:
                 self._work = Reintegration(self.voxel_map, self.store, moved)
         return self._work is not None
@@ -125,7 +143,16 @@ class CorrectableMap:
                 report = self.correct_more()
         return report
 
+    def _poses(self) -> dict[int, tuple[FloatArray, FloatArray | None]]:
+        """Where the scans belong by now, and how well that is known, by stamp."""
+        known = self._covariances
+        return {
+            stamp: (pose, known.of_scan(stamp, pose, self._came.get(stamp)))
+            for stamp, (pose, _) in self._corrections.poses.items()
+        }
+
     def _freeze(self) -> None:
         """Give up scans beyond the memory, but not while the map is being corrected."""
         if self._work is None and self.store.freeze_excess():
             self._corrections.keep_only(scan.stamp for scan in self.store)
+            self._came = {scan.stamp: self._came.get(scan.stamp) for scan in self.store}

@@ -1,4 +1,4 @@
-"""The choice among candidates, again with others or with more patience where there is none."""
+"""The choice among candidates, again with others, and by missing surface where there is none."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from infomap_ros.exploration.surface_completion import SurfaceCompletion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.reaching import WholeBodyReach
@@ -15,15 +16,16 @@ from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.localisation_error import LocalisationError
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
-from infomap_ros.views.options import InformationSource
 from infomap_ros.views.situation import Situation
+from infomap_ros.views.view_information import ExpectedInformation
 
 
 class ViewChoice:
     """Chooses a view that can be reached and is worth its cost.
 
     Where none of the views that were tried can be reached, they are remembered and others are
-    drawn. Where none is worth its cost although more is asked for, less is taken for worth it.
+    drawn. Where none is worth its cost although more is asked for, views are sought that close the
+    holes of the mapped surface.
 
     Args:
         config: of choice and memory.
@@ -37,18 +39,19 @@ class ViewChoice:
     def __init__(
         self,
         config: ViewPlannerConfig,
-        information: InformationSource,
+        information: ExpectedInformation,
         localisation_error: LocalisationError | None = None,
     ) -> None:
         self._rounds = config.rounds
         self.memory = GoalMemory(config.memory)
-        choices = [config.choice]
-        if config.thorough < 1.0:
-            choices.append(_modest(config.choice, config.thorough))
+        self._completion = SurfaceCompletion(information.config, config.vain.patience)
         self._choices = [
-            NextBestView(choice, config.strategy, information, localisation_error)
-            for choice in choices
+            NextBestView(config.choice, config.strategy, information, localisation_error)
         ]
+        if config.thorough < 1.0:
+            close = _of_surface(config.choice, config.thorough)
+            completion = self._completion
+            self._choices.append(NextBestView(close, completion, completion, localisation_error))
 
     def select(
         self,
@@ -66,7 +69,7 @@ class ViewChoice:
             robot: asked for ways to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            thorough: where no view is worth its cost, take less for worth it.
+            thorough: where no view is worth its cost, look for missing surface.
 
         Returns:
             The last decision of those that were made, with the only view that was chosen.
@@ -88,7 +91,9 @@ class ViewChoice:
     ) -> Iterator[ViewDecision]:
         """One decision after the other, each knowing what could not be reached before."""
         voxel_map = situation.voxel_map
-        for choice in self._choices[: None if thorough else 1]:
+        for index, choice in enumerate(self._choices[: None if thorough else 1]):
+            if index == 1 and not self._completion.prepare(situation):
+                return
             for _ in range(self._rounds):
                 yield choice.select(
                     situation,
@@ -121,11 +126,16 @@ class _Attempts:
         return result
 
 
-def _modest(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
-    """A choice for which the way, and what a view must tell at least, count by a share."""
+def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
+    """A choice by missing surface, for which way and least information count by a share.
+
+    Looks in vain are counted voxel by voxel there, so that views are not compared for them.
+    """
     rating, selection = config.rating, config.selection
     return replace(
         config,
-        rating=replace(rating, distance_weight=share * rating.distance_weight),
+        rating=replace(
+            rating, distance_weight=share * rating.distance_weight, repetition_weight=0.0
+        ),
         selection=replace(selection, least_information=share * selection.least_information),
     )

@@ -52,6 +52,11 @@ class ExpectedInformation:
         self._quick_config = replace(self._config, ray_spacing=spacing)
         self._full_views: dict[tuple[VoxelMapConfig, PinholeCamera, float, bool], float] = {}
 
+    @property
+    def config(self) -> InformationConfig:
+        """Rays and sensor."""
+        return self._config
+
     def quick(
         self, situation: Situation, positions: FloatArray, rotations: FloatArray
     ) -> FloatArray:

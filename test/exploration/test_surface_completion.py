@@ -1,0 +1,155 @@
+"""Holes in a floor: where they are found, and what views are expected to show of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.exploration.missing_surface import missing_surface
+from infomap_ros.exploration.surface_completion import SurfaceCompletion
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.voxels.keys import pack
+from infomap_ros.mapping.voxels.voxel_states import (
+    VoxelStates,
+    information_of,
+    put_states,
+    unknown_states,
+)
+from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.orientations import look_rotations
+from infomap_ros.views.rays import checked_poses
+from infomap_ros.views.situation import RegionOfTask, Situation
+
+REGION = np.array([(-1.2, -1.2, -0.3), (1.2, 1.2, 1.0)])
+INSIDE = (0.0, 0.0, 0.5)
+# A hole of 4 x 4 voxels; what is next to a surface voxel is as good as mapped.
+HOLE = np.indices((4, 4, 1), np.int32).reshape(3, -1).T + np.int32((6, -2, -1))
+MISSING = {(7, -1, -1), (7, 0, -1), (8, -1, -1), (8, 0, -1)}
+CAMERA = PinholeCamera(160, 120, 110.0, 110.0, 79.5, 59.5)
+
+
+@pytest.fixture
+def floor() -> VoxelMap:
+    """Even ground in the voxels below z = 0, known with the air above it."""
+    indices = np.indices((60, 60, 27), np.int32).reshape(3, -1).T + np.int32((-30, -30, -1))
+    voxel_map = VoxelMap()
+    put_voxels(voxel_map, indices, indices[:, 2] < 0)
+    return voxel_map
+
+
+def put_voxels(voxel_map: VoxelMap, indices: np.ndarray, is_surface: np.ndarray) -> None:
+    """Surface in the middle of some voxels, with normals along z; the others are free."""
+    size = voxel_map.config.voxel_size
+    covariances = np.tile(np.diag((0.02, 0.02, 0.001)) ** 2, (len(indices), 1, 1))
+    gaussians = information_of(indices, is_surface, (indices + 0.5) * size, covariances, size)
+    quanta = np.where(is_surface, 20, -20).astype(np.int32)
+    known = np.ones(len(indices), bool)
+    put_states(voxel_map._storage, VoxelStates(indices, known, quanta, gaussians))
+
+
+def with_hole(voxel_map: VoxelMap) -> VoxelMap:
+    put_states(voxel_map._storage, unknown_states(HOLE))
+    return voxel_map
+
+
+def view_from(position: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
+    way = np.subtract(at, position)
+    pose = np.eye(4)
+    azimuth, elevation = np.arctan2(way[1], way[0]), np.arctan2(way[2], np.hypot(*way[:2]))
+    pose[:3, :3] = look_rotations(np.array([azimuth]), np.array([elevation]))[0]
+    pose[:3, 3] = position
+    return checked_poses(pose)[0]
+
+
+def situation_of(voxel_map: VoxelMap, pose: np.ndarray) -> Situation:
+    return Situation(voxel_map, CAMERA, 3.0, pose, region=RegionOfTask(*map(tuple, REGION)))
+
+
+def prepared(voxel_map: VoxelMap, patience: float = 10.0) -> tuple[SurfaceCompletion, Situation]:
+    """With the camera turned away from the hole."""
+    completion = SurfaceCompletion(InformationConfig(), patience)
+    situation = situation_of(voxel_map, view_from((-0.5, 0.0, 0.6), (-1.5, 0.0, 0.3)))
+    completion.prepare(situation)
+    return completion, situation
+
+
+def test_whole_floor_lacks_nothing(floor):
+    assert len(missing_surface(floor, REGION, INSIDE)) == 0
+
+
+def test_hole_is_found_voxel_by_voxel(floor):
+    missing = missing_surface(with_hole(floor), REGION, INSIDE)
+    assert sorted(map(tuple, missing.voxels)) == sorted(MISSING)
+    np.testing.assert_allclose(missing.normals, np.tile((0.0, 0.0, 1.0), (4, 1)), atol=1e-6)
+
+
+def test_where_free_space_was_seen_the_surface_ends(floor):
+    put_voxels(floor, HOLE, np.zeros(len(HOLE), bool))
+    assert len(missing_surface(floor, REGION, INSIDE)) == 0
+
+
+def test_occupied_voxels_without_a_surface_of_their_own_are_missing(floor):
+    occupied = unknown_states(HOLE)
+    occupied.known[:], occupied.quanta[:] = True, 20
+    put_states(floor._storage, occupied)
+    found = missing_surface(floor, REGION, INSIDE)
+    assert sorted(map(tuple, found.voxels)) == sorted(MISSING)
+
+
+def test_view_from_above_shows_the_hole_and_others_do_not(floor):
+    completion, situation = prepared(with_hole(floor))
+    views = np.stack(
+        [
+            view_from((0.0, 0.0, 0.6), (0.4, 0.0, 0.0)),
+            view_from((0.0, 0.0, 0.6), (-0.4, 0.0, 0.0)),  # it is behind
+            view_from((-1.1, 0.0, 0.1), (0.4, 0.0, 0.0)),  # too flat
+        ]
+    )
+    shown = completion.exact(situation, views)
+    assert 1.0 < shown[0] < len(MISSING)
+    np.testing.assert_array_equal(shown[1:], 0.0)
+
+
+def test_a_wall_hides_the_hole(floor):
+    with_hole(floor)
+    wall = np.indices((1, 60, 14), np.int32).reshape(3, -1).T + np.int32((2, -30, 0))
+    put_voxels(floor, wall, np.ones(len(wall), bool))
+    completion, situation = prepared(floor)
+    view = view_from((-0.3, 0.0, 0.6), (0.4, 0.0, 0.0))
+    gains = completion.gains(situation, view[None])[0]
+    assert not np.isin(gains.keys, keys_of(HOLE)).any()
+
+
+def keys_of(voxels: np.ndarray) -> np.ndarray:
+    return np.array([pack(*map(int, voxel)) for voxel in voxels])
+
+
+def test_views_count_the_voxels_that_they_show(floor):
+    rng = np.random.default_rng(5)
+    completion, situation = prepared(with_hole(floor))
+    at = np.column_stack([rng.uniform(-0.5, 1.0, (20, 2)), rng.uniform(0.3, 1.0, 20)])
+    views = np.stack([view_from(tuple(p), (0.3, 0.1, 0.0)) for p in at])
+    quick = completion.quick(situation, views[:, :3, 3], views[:, None, :3, :3])[:, 0]
+    sums = [gains.total for gains in completion.gains(situation, views)]
+    assert (quick > 0.0).sum() > 5
+    np.testing.assert_allclose(quick, sums)
+
+
+def test_proposed_views_show_the_hole(floor):
+    completion, situation = prepared(with_hole(floor))
+
+    class Everywhere:
+        def in_box(self, points):
+            return points, np.ones(len(points), bool)
+
+    views = completion.propose(situation, Everywhere(), np.random.default_rng(1))
+    assert (completion.exact(situation, views) > 0.0).mean() > 0.8
+
+
+def test_what_is_looked_at_in_vain_is_given_up(floor):
+    completion, _ = prepared(with_hole(floor), patience=1.5)
+    situation = situation_of(floor, view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0)))
+    left = [completion.prepare(situation) for _ in range(6)]
+    assert left[0] == len(MISSING) and left[-1] == 0
+    assert left == sorted(left, reverse=True)

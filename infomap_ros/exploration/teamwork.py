@@ -30,6 +30,7 @@ from infomap_ros.views.situation import Teammate
 
 _MOST_WAYPOINTS = 60
 _LONGEST_STATE = 80
+_MOVED, _TURNED = 0.01, 0.01  # a place [m] or angle [rad] that differs by more is another one
 _Result = TypeVar("_Result")
 
 
@@ -58,12 +59,13 @@ class Presence:
 
 @dataclass(frozen=True, eq=False)
 class _Claim:
-    """A goal view, the way to it, and what was known of the others' claims."""
+    """A goal view, the way to it, what was known of the others' claims, and when it was told."""
 
     number: int
     goal: FloatArray | None = None
     way: FloatArray | None = None
     heard: tuple[tuple[int, int], ...] = ()
+    told: int | None = None
 
 
 class Teamwork:
@@ -91,6 +93,7 @@ class Teamwork:
         self._session, self._version, self._key = session, version, key
         self._board = AgentBoard(robot, session, self.config, team)
         self._claim = _Claim(version)
+        self._still: Presence | None = None
         self._lock = threading.Lock()
 
     def hear(self, text: str, now: float) -> Agent | None:
@@ -109,12 +112,15 @@ class Teamwork:
         radius, bottom, top = body_extent(me.robot, me.state.joints)
         with self._lock:
             self._version = next_version(self._version)
-            claim, state = self._claim, me.state
+            claim, state = self._current_claim(me.stamp), me.state
+            if self._still is None or _has_moved(self._still, me):
+                self._still = me
             agent = Agent(
                 self.robot,
                 self._session,
                 self._version,
                 me.stamp,
+                self._still.stamp,
                 state.T_map_base,
                 state.T_map_camera,
                 state.pose_covariance,
@@ -130,6 +136,7 @@ class Teamwork:
                 bottom,
                 top,
                 me.description,
+                me.robot.base_frame,
             )
         return agent_to_text(agent, self._key)
 
@@ -153,6 +160,15 @@ class Teamwork:
             if self._claim.goal is not None:
                 self._version = next_version(self._version)
                 self._claim = _Claim(self._version)
+
+    def _current_claim(self, stamp: int) -> _Claim:
+        """The claim, without its goal where that was told for the first time too long ago."""
+        claim = self._claim
+        told = stamp if claim.told is None else claim.told
+        if claim.goal is not None and stamp - told > self.config.goal_time * 1e9:
+            claim = _Claim(self._version)
+        self._claim = replace(claim, told=told)
+        return self._claim
 
     @property
     def goal(self) -> FloatArray | None:
@@ -213,3 +229,15 @@ class Teamwork:
     def _ask(self, question: Callable[[], _Result]) -> _Result:
         with self._lock:
             return question()
+
+
+def _has_moved(before: Presence, now: Presence) -> bool:
+    """Whether a robot is another, stands elsewhere or otherwise; also where the clock went back."""
+    if now.robot is not before.robot or now.stamp < before.stamp:
+        return True
+    first, second = before.state, now.state
+    change = np.linalg.inv(first.T_map_base) @ second.T_map_base
+    turn = np.linalg.norm(change[:3, :3] - np.eye(3)) / np.sqrt(2.0)
+    joints = [abs(q - first.joints.get(name, np.inf)) for name, q in second.joints.items()]
+    moved = np.linalg.norm(change[:3, 3]) > _MOVED or turn > _TURNED
+    return bool(moved or max(joints, default=0.0) > _TURNED)

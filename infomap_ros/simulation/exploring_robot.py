@@ -10,7 +10,8 @@ import numpy as np
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.loop import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
-from infomap_ros.geometry import invert_transform
+from infomap_ros.exploration.team_bodies import TeamBodies
+from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -73,6 +74,7 @@ class SimulatedRobot:
         voxel_map: receives what is seen.
         config: how views are taken.
         on_scan: called with each scan that was fused.
+        teammates: whose bodies are cut from scans.
 
     Attributes:
         poses: where it has its pose from.
@@ -85,6 +87,7 @@ class SimulatedRobot:
         voxel_map: VoxelMap,
         config: ExploringRobotConfig | None = None,
         on_scan: Callable[[PosedScan], None] = lambda _: None,
+        teammates: TeamBodies | None = None,
     ) -> None:
         self._simulator, self._robot = simulator, robot
         self._config = config = config or ExploringRobotConfig()
@@ -97,6 +100,7 @@ class SimulatedRobot:
             store = ScanStoreConfig(memory=0.0)
         self._map = CorrectableMap(voxel_map, store, config.correction)
         self._on_scan, self._has_begun = on_scan, False
+        self._teammates = teammates
 
     def state(self) -> RobotState:
         """Where it is, as localisation and joint encoders measure it."""
@@ -176,7 +180,7 @@ class SimulatedRobot:
         return dict(zip(record.names, map(float, record.positions), strict=True))
 
     def _fuse(self, scan: PosedScan) -> None:
-        """One scan into the map, without the robot's own body.
+        """One scan into the map, without the robot's own body and those of its teammates.
 
         The map takes pose errors of scans to be independent. Where the n scans of a view share one,
         each gets n times its covariance C: together they have C + R / n then, R of the ranges.
@@ -186,6 +190,9 @@ class SimulatedRobot:
         points = cloud.organised_points
         body = self._robot.solids_in(self._robot.camera_frame, self._joints())
         on_body = body_mask(points, cloud.covariance_triangles, body, self._config.body)
+        if self._teammates is not None:
+            at_scan = PoseRecord(scan.stamp, "map", pose.transform, pose.covariance)
+            on_body |= self._teammates.mask(points, cloud.covariance_triangles, at_scan)
         points = np.where(on_body[..., None], np.float32(np.nan), points)
         self._map.integrate(
             scan.stamp,

@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.membership import Membership
 from infomap_ros.team.versions import is_newer
 
@@ -26,10 +26,10 @@ class AgentBoard:
         self,
         robot: int,
         session: int | None,
-        config: AgentsConfig | None = None,
+        config: AgentBoardConfig | None = None,
         team: Collection[int] = (),
     ) -> None:
-        self.config = config or AgentsConfig()
+        self.config = config or AgentBoardConfig()
         self._robot, self._listens = robot, session is None
         self._membership = Membership(robot, session, team, self.config.silence)
         self._agents: dict[int, Agent] = {}

@@ -24,9 +24,9 @@ from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 
 _FORMAT = 1
 _LONGEST = 65_536
-_WHOLE = ("robot", "session", "version", "stamp", "claim")
+_WHOLE = ("robot", "session", "version", "stamp", "since", "claim")
 _REAL = ("max_range", "radius", "bottom", "top")
-_TEXT = ("state", "description")
+_TEXT = ("state", "description", "base_frame")
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _NAMES = frozenset(
     {"infomap_agent", "base", "camera", "goal", "covariance", "lens", "way", "joints", "heard"}

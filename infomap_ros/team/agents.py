@@ -11,6 +11,7 @@ smaller id holds; no clocks are compared.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -24,6 +25,7 @@ from infomap_ros.team.versions import is_newer
 
 _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
+_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _FARTHEST, _LARGEST = 1e6, 100.0  # [m]
 
 
@@ -36,6 +38,7 @@ class Agent:
         session: number that it draws when it starts.
         version: of this message, see `team.versions`.
         stamp: time of pose and joints [ns].
+        since: time since when, as far as it knows, it has not moved [ns].
         T_map_base: pose of its base, shape (4, 4).
         T_map_camera: pose of its left optical frame, shape (4, 4).
         covariance: of that pose, shape (6, 6), convention of `geometry.transforms`; None if
@@ -53,6 +56,7 @@ class Agent:
         bottom: lowest point of its body in its base frame [m].
         top: highest point of its body in its base frame [m].
         description: full name of the topic of its robot_description; empty without one.
+        base_frame: link whose pose `T_map_base` is; the root link where empty.
 
     Raises:
         InvalidInputError: something is impossible; names it.
@@ -62,6 +66,7 @@ class Agent:
     session: int
     version: int
     stamp: int
+    since: int
     T_map_base: FloatArray
     T_map_camera: FloatArray
     covariance: FloatArray | None
@@ -77,6 +82,7 @@ class Agent:
     bottom: float = -0.1
     top: float = 1.0
     description: str = ""
+    base_frame: str = ""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -117,6 +123,7 @@ def _check_numbers(agent: Agent) -> None:
         ("session", agent.session, 0, MAX_SESSION),
         ("version", agent.version, 1, MAX_VERSION),
         ("stamp", agent.stamp, 0, 2**63 - 1),
+        ("since", agent.since, 0, agent.stamp),
         ("claim", agent.claim, 0, MAX_VERSION),
         ("max_range", agent.max_range, 1e-3, _FARTHEST),
         ("radius", agent.radius, 0.0, _LARGEST),
@@ -135,8 +142,14 @@ def _check_numbers(agent: Agent) -> None:
 
 
 def _check_words(agent: Agent) -> None:
-    words = (("state", agent.state, _LONGEST_STATE), ("description", agent.description, 255))
+    words = (
+        ("state", agent.state, _LONGEST_STATE),
+        ("base_frame", agent.base_frame, _LONGEST_NAME),
+    )
     names = (("joint", name, _LONGEST_NAME) for name in agent.joints)
+    topic = agent.description
+    if topic and (len(topic) > _LONGEST_NAME or not _TOPIC.fullmatch(topic) or "__" in topic):
+        raise InvalidInputError("agent description", f"'{topic[:40]}' is not the name of a topic")
     for name, text, longest in (*words, *names):
         if len(text) > longest or not (text.isprintable() or not text):
             raise InvalidInputError(f"agent {name}", f"'{text[:40]}' is too long or not printable")

@@ -8,16 +8,13 @@ from infomap_ros.geometry.config import check_config, parameter
 
 
 @dataclass(frozen=True)
-class AgentsConfig:
-    """How robots hear of each other.
+class AgentBoardConfig:
+    """For how long what a teammate has told counts.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    period: float = parameter(
-        0.2, "Time between two messages about this robot.", unit="s", low=0.01, high=60.0
-    )
     silence: float = parameter(
         5.0,
         "What a teammate was heading for no longer counts when it was not heard for so long.",
@@ -31,6 +28,26 @@ class AgentsConfig:
         unit="s",
         low=0.1,
         high=86400.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class AgentsConfig(AgentBoardConfig):
+    """How a robot tells of itself, and what it makes of what the others tell.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    period: float = parameter(
+        0.2,
+        "Time between two messages about this robot, in time of the data.",
+        unit="s",
+        low=0.01,
+        high=60.0,
     )
     settling: float = parameter(
         0.3,
@@ -48,6 +65,13 @@ class AgentsConfig:
         low=0.0,
         high=3600.0,
     )
+    goal_time: float = parameter(
+        300.0,
+        "A goal that was claimed longer ago is given up, in time of the data.",
+        unit="s",
+        low=1.0,
+        high=86400.0,
+    )
     clearance: float = parameter(
         0.3,
         "Distance that is kept between the bodies, and to the places where teammates are going.",
@@ -55,6 +79,3 @@ class AgentsConfig:
         low=0.0,
         high=10.0,
     )
-
-    def __post_init__(self) -> None:
-        check_config(self)

@@ -332,6 +332,34 @@ def test_strangers_do_not_count(robot: RobotModel) -> None:
     assert closed.present(0.0) == ()
 
 
+def test_it_tells_since_when_it_has_stood_still(robot: RobotModel) -> None:
+    _, one, mate = scripted(robot, Script(robot))
+    here, there = mate.state, standing(robot, 3.0, 0.02)
+    waving = RobotState(
+        here.T_map_base,
+        here.T_map_camera,
+        here.pose_covariance,
+        {**here.joints, "arm_pan_joint": 0.1},
+    )
+    since = []
+    for stamp, state in ((10, here), (20, here), (30, there), (40, waving), (50, waving)):
+        text = mate.team.tell(Presence(stamp, state, robot, CAMERA, 2.5))
+        agent = one.team.hear(text, 0.0)
+        assert agent is not None
+        since.append(agent.since)
+    assert since == [10, 10, 30, 40, 40]
+
+
+def test_a_goal_that_is_never_reached_is_given_up(robot: RobotModel) -> None:
+    _, _, mate = scripted(robot, Script(robot))
+    mate.team.claim(pose_at(2.0, 0.0), np.zeros((1, 3)), {})
+    held = []
+    for seconds in (100, 399, 401, 500):
+        mate.team.tell(Presence(seconds * 10**9, mate.state, robot, CAMERA, 2.5))
+        held.append(mate.team.goal is not None)
+    assert held == [True, True, False, False]
+
+
 def test_a_teammate_is_told_as_it_is(robot: RobotModel) -> None:
     air, one, mate = scripted(robot, Script(robot))
     claims(mate, 2.0)

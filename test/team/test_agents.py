@@ -14,7 +14,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transfor
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agent_text import agent_from_text, agent_to_text
 from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from infomap_ros.team.membership import BACKWARDS, NOT_LISTED, TWO_OF_A_NAME
 
@@ -37,8 +37,9 @@ def agent(robot: int = 3, version: int = 100, session: int = 7, **fields: Any) -
         "claim": 4,
         "heard": {1: 9},
         "description": "/rover3/robot_description",
+        "base_frame": "base_link",
     }
-    return Agent(robot, session, version, 12_345_678_901, **(given | fields))
+    return Agent(robot, session, version, 12_345_678_901, 12_000_000_000, **(given | fields))
 
 
 def test_a_text_says_all_of_it() -> None:
@@ -46,8 +47,18 @@ def test_a_text_says_all_of_it() -> None:
     read = agent_from_text(agent_to_text(told))
     for name in ("T_map_base", "T_map_camera", "covariance", "goal", "way"):
         np.testing.assert_allclose(getattr(read, name), getattr(told, name), atol=1e-12)
-    same = ["robot", "session", "version", "stamp", "camera", "max_range", "state", "joints"]
-    same += ["claim", "heard", "radius", "bottom", "top", "description"]
+    same = [
+        "robot",
+        "session",
+        "version",
+        "stamp",
+        "since",
+        "camera",
+        "max_range",
+        "state",
+        "joints",
+    ]
+    same += ["claim", "heard", "radius", "bottom", "top", "description", "base_frame"]
     assert {n: getattr(read, n) for n in same} == {n: getattr(told, n) for n in same}
 
 
@@ -64,6 +75,7 @@ def test_what_is_not_known_is_not_made_up() -> None:
         ("robot", 70_000, "agent robot: 70000"),
         ("robot", 1.5, "not a whole number"),
         ("version", 0, "agent version"),
+        ("since", 12_345_678_902, "agent since"),
         ("base", [0, 0, 0, 0, 0, 0, 2], "norm 2"),
         ("base", [1e9, 0, 0, 0, 0, 0, 1], "is at"),
         ("goal", [0, 0, 0], "3 numbers, expected 7"),
@@ -78,6 +90,8 @@ def test_what_is_not_known_is_not_made_up() -> None:
         ("heard", {"x": 3}, "invalid literal"),
         ("state", "a\u0000b", "not printable"),
         ("description", 3, "not a text"),
+        ("description", "/a b", "not the name of a topic"),
+        ("description", "relative", "not the name of a topic"),
         ("top", -50.0, "agent top"),
     ],
 )
@@ -132,7 +146,7 @@ def test_the_newest_word_of_each_counts_in_whatever_order_it_comes() -> None:
 
 
 def test_the_silent_lose_their_goals_first_and_are_forgotten_then() -> None:
-    board = AgentBoard(0, 1, AgentsConfig(silence=5.0, memory=60.0))
+    board = AgentBoard(0, 1, AgentBoardConfig(silence=5.0, memory=60.0))
     board.hear(agent(2), 10.0)
     assert board.age(2, 14.0) == 4.0
     for now, goals, bodies in ((15.0, 1, 1), (15.1, 0, 1), (70.0, 0, 1), (70.1, 0, 0)):

@@ -27,7 +27,8 @@ from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.motion_prior import MotionPrior, free_motion
-from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.filter.records import FilterUpdate
+from infomap_ros.localization.known_map import KnownMap
 from infomap_ros.localization.localisation import Choice, Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery
@@ -41,7 +42,7 @@ __all__ = ["Localisation", "Localizer"]
 _ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]
 
 
-class Localizer:
+class Localizer(KnownMap):
     """Follows a camera and says when it cannot.
 
     Args:
@@ -66,8 +67,8 @@ class Localizer:
         self._begin_at = np.eye(4) if T_map_camera is None else check_transform(T_map_camera)
         given = np.zeros((6, 6)) if covariance is None else covariance
         self._begin_covariance = check_covariance(given, 6)
-        self._filter = FiducialFilter(camera, self.config.filter)
-        self._scene = SceneFiducials(camera, self.config, self._filter)
+        pose_filter = FiducialFilter(camera, self.config.filter)
+        super().__init__(pose_filter, SceneFiducials(camera, self.config, pose_filter))
         self._watch = TargetWatch(detector, self.config)
         self._recovery = Recovery(camera, self.config, self._filter, self._scene)
         self.reset()
@@ -124,17 +125,16 @@ class Localizer:
         self._state = "coasting" if bool(state["was_known"]) else "lost"
         self._is_resumed = True
 
-    def keyframes(self) -> KeptPoses:
-        """The kept poses as they are known now."""
-        return self._filter.kept_poses()
+    def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+        """Put the map's frame elsewhere; see `KnownMap.move_map`.
 
-    def forget_keyframes(self) -> None:
-        """Forget the kept poses, as when the clock that they were stamped by is no more."""
-        self._filter.forget_poses(self._filter.kept_poses().stamps)
-
-    def fiducials(self) -> Fiducials:
-        """The scene's fiducials as they are known now."""
-        return self._filter.fiducials()
+        Raises:
+            InvalidInputError: as there, or the map's frame is that of the target.
+        """
+        if self._watch.exists:
+            raise InvalidInputError("T_new_old", "the map is the target's, which stays")
+        super().move_map(T_new_old, covariance)
+        self._keyframe, self._recalled = T_new_old @ self._keyframe, T_new_old @ self._recalled
 
     def locate(
         self,

@@ -218,6 +218,11 @@ class SceneFiducials:
         self._seen_from.update(dict.fromkeys(added.tolist(), self._filter.pose[0][:3, 3].copy()))
         return len(added)
 
+    def move(self, T_new_old: FloatArray) -> None:
+        """The map's frame was put elsewhere, shape (4, 4)."""
+        turn, shift = T_new_old[:3, :3], T_new_old[:3, 3]
+        self._seen_from = {name: turn @ at + shift for name, at in self._seen_from.items()}
+
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it knows beside the filter, as arrays for a file."""
         places = list(self._seen_from.values())

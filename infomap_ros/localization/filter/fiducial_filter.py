@@ -26,6 +26,7 @@ from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, 
 from infomap_ros.localization.filter.invariant_state import InvariantState
 from infomap_ros.localization.filter.lie import skews
 from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.moved_state import move_state
 from infomap_ros.localization.filter.pose_errors import (
     invariant_difference,
     invariant_from_pose,
@@ -228,6 +229,10 @@ class FiducialFilter:
     def forget_poses(self, stamps: ArrayLike) -> None:
         """Keep the poses of these stamps no longer; others are ignored."""
         self._state.remove_kept(np.isin(self._state.stamps, np.asarray(stamps, np.int64)))
+
+    def move(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+        """Put the map's frame elsewhere; see `moved_state.move_state`."""
+        move_state(self._state, T_new_old, covariance)
 
     def fiducials(self) -> Fiducials:
         """The fiducials as they are known now."""

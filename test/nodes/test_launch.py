@@ -223,7 +223,8 @@ def test_a_member_of_a_team_shares_the_topics_of_the_team(
     check_settings(nodes)
     fusion = nodes["map_fusion"]
     shared = dict(fusion.remappings)
-    assert shared["map_updates"] == shared["team/map_updates"] == "/team/map_updates"
+    assert "map_updates" not in shared
+    assert shared["team/map_updates"] == "/team/map_updates"
     assert shared["team/agents"] == "/team/agents"
     settings = settings_of(fusion)
     assert (settings["robot_id"], settings["team"], settings["team_key"]) == (2, [1, 2], "key")

@@ -19,7 +19,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_keeper import MapKeeper
-from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.keyframes import (
     KeyframePoses,

@@ -21,6 +21,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
+from infomap_ros.exploration.team_bodies import TeamBodiesConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -39,11 +40,14 @@ from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.robot_body import RobotBodyConfig
 from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.scan_gate import Scan, ScanGate, ScanGateConfig
+from infomap_ros.nodes.scan_gate import Scan, ScanGate
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.team_bodies import TeamBodyConfig
 from infomap_ros.nodes.team_radio import TeamRadioConfig
 from infomap_ros.nodes.update_stream import UpdateStreamConfig
 from infomap_ros.team import TeamConfig
 
+from infomap_ros.team.agents_config import AgentBoardConfig
 _REPEAT_PERIOD = 0.1  # [s]
 
 
@@ -94,6 +98,9 @@ class MapFusionNode(MonitoredNode):
         (RobotBodyConfig, ""),
         (BodyFilterConfig, "body."),
         (JointBufferConfig, "joints."),
+        (TeamBodyConfig, ""),
+        (TeamBodiesConfig, "teammates."),
+        (AgentBoardConfig, "agents."),
         (MemoryConfig, ""),
     )
 

@@ -19,7 +19,7 @@ from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_outputs import MapOutputs
 from infomap_ros.nodes.map_warm_up import warm_up
-from infomap_ros.nodes.robot_body import without_body
+from infomap_ros.nodes.robot_body import without_bodies
 from infomap_ros.nodes.scan_gate import Scan
 from infomap_ros.nodes.team_map import TeamMap
 from infomap_ros.nodes.update_stream import UpdateStream
@@ -94,7 +94,8 @@ class MapKeeper:
         Raises:
             InfomapError: the scan cannot be used; the map is as before.
         """
-        cloud = without_body(decode_point_cloud(scan.message), scan.body, self._body_filter)
+        bodies = scan.body, scan.teammates, self._body_filter
+        cloud = without_bodies(decode_point_cloud(scan.message), *bodies)
         camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
         pose = scan.pose
         covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance

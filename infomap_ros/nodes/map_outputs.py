@@ -15,7 +15,7 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
 from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
 from infomap_ros.replay.messages import encode_cloud_fields, encode_occupancy_grid
 
 

@@ -13,7 +13,7 @@ from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot_body import without_body
+from infomap_ros.nodes.robot_body import without_bodies
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.stereo import DepthCameraSensor
 from infomap_ros.team import MapReplica, MapUpdate
@@ -31,7 +31,7 @@ def warm_up(threads: int) -> None:
         RclpyMessageTypes(), PointCloudRecord(0, "warm_up", points, covariances)
     )
     cloud = decode_point_cloud(message)
-    without_body(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], BodyFilterConfig())
+    without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     # Voxels so small that all tables grow.
     trial = VoxelMap(VoxelMapConfig(voxel_size=0.01, max_range=2.0, threads=threads))
     trial.track_changes(True)

@@ -4,6 +4,9 @@ Callbacks only receive. The worker thread owns replica and planner: it applies m
 order in which they come and plans when it is asked to, which takes a second or two. It publishes
 its plan under its own name (``next_best_view/base_path``), never where a robot listens: a plan
 must not move anything.
+
+On team/agents it tells the team where this robot is and which view it is heading for, and hears so
+of the others: it leaves to them what they are about to see, and keeps clear of them.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
@@ -36,8 +40,12 @@ from infomap_ros.nodes.plan_warm_up import warm_up
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.search_plans import SearchPlans
+from infomap_ros.nodes.team_agents import TeamAgents
 from infomap_ros.nodes.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
+from infomap_ros.team.agents_config import AgentsConfig
+
+_AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
 
 class NextBestViewNode(MonitoredNode):
@@ -53,6 +61,7 @@ class NextBestViewNode(MonitoredNode):
         (TargetSearchConfig, "search."),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
+        (AgentsConfig, "agents."),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -64,7 +73,8 @@ class NextBestViewNode(MonitoredNode):
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
         self._outputs = PlanOutputs(self)
         self._news = ExplorationNews()
-        self._planner: ViewPlanner | None = None
+        self._planner: TeamPlanner | None = None
+        self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1)
         self._map = MapListener(self, self._worker)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
@@ -77,6 +87,9 @@ class NextBestViewNode(MonitoredNode):
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)
+        self._agents.doing = message.message
+        if message.message.startswith(_AT_REST):
+            self._agents.team.give_up()
         failed = self._news.failed_view
         if failed is not None and self._news.failures > before.failures:
             self._worker.submit_always(partial(self._note_failure, self._news))
@@ -89,10 +102,14 @@ class NextBestViewNode(MonitoredNode):
         """Choose the next view and publish it; the answer holds the choice as text.
 
         Raises:
-            InfomapError: something that is needed has not arrived.
+            InfomapError: something that is needed has not arrived, or teammates are at all that is
+                left: another call may have an answer.
         """
         planner, voxel_map, state = self._ready()
-        around = Surrounding(self._interests.current(), T_map_start=self._news.home_pose)
+        news = self._news
+        around = Surrounding(
+            self._interests.current(), T_map_start=news.home_pose, past_views=news.looks
+        )
         return self._publish(planner.choose(voxel_map, state, around))
 
     def _plan_home(self) -> str:
@@ -112,7 +129,7 @@ class NextBestViewNode(MonitoredNode):
         self.get_logger().info(choice.reason)
         return choice_to_text(choice)
 
-    def _ready(self) -> tuple[ViewPlanner, VoxelMap, RobotState]:
+    def _ready(self) -> tuple[TeamPlanner, VoxelMap, RobotState]:
         """What a plan needs.
 
         Raises:
@@ -120,10 +137,11 @@ class NextBestViewNode(MonitoredNode):
         """
         voxel_map = self._map.voxel_map()
         robot, state = self._tracker.robot, self._tracker.state()
-        if self._planner is None or self._planner.robot is not robot:
+        if self._planner is None or self._planner.planner.robot is not robot:
             rig = rig_from_calibrations(*self._tracker.calibrations)
             task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
-            self._planner = ViewPlanner(robot, rig, task, config)
+            alone = ViewPlanner(robot, rig, task, config)
+            self._planner = TeamPlanner(alone, self._agents.team, self._agents.announce)
         return self._planner, voxel_map, state
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from infomap_ros.exploration.team_bodies import BodyInScan, on_bodies
 from infomap_ros.geometry import PlacedSolid, PointCloudRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
@@ -46,6 +47,9 @@ class RobotBody:
     Args:
         node: has the configurations of body and joint buffer.
         on_news: called when more is known of the body than before.
+
+    Attributes:
+        newest_stamp: of the last joint state [ns].
     """
 
     def __init__(self, node: MonitoredNode, on_news: Callable[[], None]) -> None:
@@ -53,6 +57,7 @@ class RobotBody:
         config = node.config(JointBufferConfig)
         self._joints = JumpingBuffer(lambda: JointBuffer(config), round(config.max_gap * 1e9))
         self._robot: RobotModel | None = None
+        self.newest_stamp = 0
         self._log = node.get_logger()
         self._reading = node.config(RobotBodyConfig).robot
         if node.config(RobotBodyConfig).remove_body:
@@ -100,23 +105,30 @@ class RobotBody:
         self._log.info(f"removing the body of robot '{self._robot.name}' from clouds")
 
     def _on_joints(self, message: JointState) -> None:
-        self._joints.add(decode_joint_state(message))
+        record = decode_joint_state(message)
+        self._joints.add(record)
+        self.newest_stamp = record.stamp
         self._on_news()
 
 
-def without_body(
-    cloud: PointCloudRecord, body: Sequence[PlacedSolid], config: BodyFilterConfig
+def without_bodies(
+    cloud: PointCloudRecord,
+    body: Sequence[PlacedSolid],
+    teammates: Sequence[BodyInScan],
+    config: BodyFilterConfig,
 ) -> PointCloudRecord:
-    """The cloud without the points that may lie on the body: they become NaN.
+    """The cloud without the points that may lie on a robot: they become NaN.
 
     Args:
-        cloud: in the frame in which the body is placed.
-        body: its solids.
+        cloud: in the frame in which the bodies are placed.
+        body: the robot's own solids.
+        teammates: bodies of the others.
         config: how far they are grown.
     """
-    if not body:
+    if not body and not teammates:
         return cloud
     on_body = body_mask(cloud.points, cloud.covariances, body, config)
+    on_body |= on_bodies(cloud.points, cloud.covariances, teammates, config)
     if not on_body.any():
         return cloud
     points = cloud.points.copy()

@@ -86,6 +86,7 @@ class RobotTracker:
         self._description = ""
         self._robot: RobotModel | None = None
         self._carried: CarriedPose | None = None
+        self._odometry = -1
         self._log = node.get_logger()
         node.listen(
             PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
@@ -127,14 +128,26 @@ class RobotTracker:
         Raises:
             PoseUnavailableError: pose, joints or description have not arrived.
         """
+        return self.stamped_state()[1]
+
+    def newest_stamp(self) -> int | None:
+        """Stamp of the newest camera_pose or odometry [ns]; None before the first pose."""
+        with self._news:
+            return max(self._poses[-1].stamp, self._odometry) if self._poses else None
+
+    def stamped_state(self) -> tuple[int, RobotState]:
+        """As `state`, with its stamp [ns].
+
+        Raises:
+            PoseUnavailableError: pose, joints or description have not arrived.
+        """
         robot = self.robot
         with self._news:
             pose, joints = self._newest()
         covariance = self._assumed.covariance() if pose.covariance is None else pose.covariance
         T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
-        return RobotState(
-            pose.transform @ invert_transform(T_base_camera), pose.transform, covariance, joints
-        )
+        T_map_base = pose.transform @ invert_transform(T_base_camera)
+        return pose.stamp, RobotState(T_map_base, pose.transform, covariance, joints)
 
     def state_in_odometry(self) -> RobotState:
         """Where odometry has the robot, in its own frame: for a robot that is not located yet.
@@ -243,7 +256,9 @@ class RobotTracker:
     def _on_odometry(self, message: Odometry) -> None:
         with self._news:
             if self._carried is not None:
-                self._carried.add_odometry(decode_odometry(message))
+                record = decode_odometry(message)
+                self._carried.add_odometry(record)
+                self._odometry = record.stamp
 
     def _on_description(self, message: String) -> None:
         with self._news:

@@ -1,4 +1,4 @@
-"""Clouds wait here until the pose of the camera and the place of the robot's body are known.
+"""Clouds wait here until the places of camera, robot and teammates at their stamps are known.
 
 When the clock jumps back (a bag that loops), clouds from before the jump still get the poses from
 before it, and those after it never do. What still waits when the clouds have jumped is dropped.
@@ -14,38 +14,21 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
+from infomap_ros.exploration.team_bodies import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.clock_jumps import JumpingBuffer
 from infomap_ros.nodes.robot_body import RobotBody
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.team_bodies import TeamBodyListener
 from infomap_ros.replay.messages import POINT_CLOUD, decode_pose_with_covariance
 from infomap_ros.replay.messages.fields import MessageFields
 
 _NO_POSE = "no pose at the stamp"
 _REASONS = {"time went backwards": "time went backwards"}
-
-
-@dataclass(frozen=True)
-class ScanGateConfig:
-    """Which frames clouds and poses must have.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
-    camera_frame: str = parameter(
-        "",
-        "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
-        "Empty: that of the first cloud.",
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +39,13 @@ class Scan:
         message: the cloud, not yet decoded.
         pose: of the camera at its stamp.
         body: the robot's solids in the frame of the cloud at its stamp.
+        teammates: their bodies there.
     """
 
     message: PointCloud2
     pose: PoseRecord
     body: Sequence[PlacedSolid]
+    teammates: Sequence[BodyInScan] = ()
 
 
 class ScanGate:
@@ -90,6 +75,8 @@ class ScanGate:
             self._pose_at, waiting, lambda _, why: node.drop(_REASONS.get(why, _NO_POSE), why)
         )
         self._body = RobotBody(node, on_news=self._let_through)
+        self._teammates = TeamBodyListener(node, self._map_frame, self._let_through)
+        self._pose_stamp = 0
         node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
         pose_type = PoseWithCovarianceStamped
         node.listen(pose_type, "camera_pose", self._on_pose, qos.sensor_data(depth=50))
@@ -99,6 +86,7 @@ class ScanGate:
         if pose.frame_id != self._map_frame:
             raise FrameError(f"pose in frame '{pose.frame_id}', the map is '{self._map_frame}'")
         self._poses.add(pose)
+        self._pose_stamp = pose.stamp
         self._let_through()
 
     def _on_cloud(self, message: PointCloud2) -> None:
@@ -122,9 +110,12 @@ class ScanGate:
         self._on_clock_jump()
 
     def _pose_at(self, stamp: int) -> PoseRecord:
-        """The camera's pose, once the place of the body is known too."""
+        """The camera's pose, once the places of the body and of teammates' are known too."""
         self._body.check_known_at(stamp)
-        return self._poses.at(stamp)
+        pose = self._poses.at(stamp)
+        newest = max(self._newest, self._pose_stamp, self._body.newest_stamp)
+        self._teammates.check_known_at(stamp, newest)
+        return pose
 
     def _let_through(self) -> None:
         for message, pose in self._waiting.take():
@@ -132,4 +123,4 @@ class ScanGate:
 
     def _complete(self, message: PointCloud2, pose: PoseRecord) -> None:
         body = self._body.solids_in(self._camera_frame, pose.stamp)
-        self._on_scan(Scan(message, pose, body))
+        self._on_scan(Scan(message, pose, body, self._teammates.bodies_in(pose)))

@@ -19,7 +19,7 @@ from infomap_ros.errors import FrameError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.team_exchange import TeamExchange
 from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.nodes.worker import Worker

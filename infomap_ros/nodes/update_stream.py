@@ -27,7 +27,7 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import without_evidence
 from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.scan_gate import ScanGateConfig
+from infomap_ros.nodes.scan_gate_config import ScanGateConfig
 from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import (
     MAX_MESSAGE_BYTES,

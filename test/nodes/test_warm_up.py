@@ -27,7 +27,7 @@ from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.map_contents import voxel_map_rows
 from infomap_ros.nodes.map_warm_up import warm_up
 from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot_body import without_body
+from infomap_ros.nodes.robot_body import without_bodies
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
@@ -42,7 +42,7 @@ for step in range(3):
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (240, 320, 3, 3))
     record = PointCloudRecord(0, "camera", points, covariances)
     cloud = decode_point_cloud(encode_point_cloud(RclpyMessageTypes(), record))
-    cloud = without_body(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], BodyFilterConfig())
+    cloud = without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     pose = np.eye(4)
     pose[0, 3] = step
     found = fit_pinhole_camera(cloud.points)

@@ -1,0 +1,193 @@
+"""team/agents over DDS: what a robot tells of itself, who is refused, and who is cut from scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from infomap_ros.geometry import PinholeCamera, TextRecord, make_transform
+from infomap_ros.nodes import qos
+from infomap_ros.replay.messages import encode_text
+from infomap_ros.replay.messages.agents import decode_agent_texts, encode_agent
+from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agents import Agent
+from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
+from infomap_ros.team.membership import NOT_LISTED
+
+from .test_map_fusion import SECOND, START, TYPES, Bench, as_replica, cloud, expected_map, pose
+from .test_next_best_view import Stage, status
+
+CAMERA = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
+SECRET = b"a secret that only the team has"
+BOX = (
+    '<robot name="box"><link name="base_link"><collision><geometry><box size="0.6 0.6 0.6"/>'
+    "</geometry></collision></link></robot>"
+)
+
+
+def mate(robot: int = 2, version: int = 1, stamp: int = START, **fields: Any) -> Agent:
+    base = make_transform(np.eye(3), fields.pop("place", (2.3, 0.0, 1.0)))
+    given: dict[str, Any] = {
+        "radius": 0.43, "bottom": -0.3, "top": 0.3, "base_frame": "base_link",
+    }  # fmt: skip
+    covariance = 1e-8 * np.eye(6)
+    numbers = robot, 1, version, stamp, stamp
+    return Agent(*numbers, base, base, covariance, CAMERA, 4.0, **(given | fields))
+
+
+def message(agent: Agent, key: TeamKey | None = None, frame: str = "map") -> Any:
+    return encode_agent(TYPES, frame, agent, agent_to_text(agent, key), 5.0)
+
+
+def told(messages: list[Any], key: TeamKey | None = None) -> list[Agent]:
+    return [agent_from_text(text, key) for m in messages for _, text in decode_agent_texts(m)]
+
+
+def test_a_robot_tells_where_it_is_and_what_it_is_heading_for(graph: Any) -> None:
+    said = graph.collect(MarkerArray, "team/agents")
+    stage = Stage(graph, robot_id=6)
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    stage.status.publish(status())
+    first = len(said)
+    graph.spin_until(lambda: len(said) > first, "a message")
+    here = told(said)[-1]
+    assert (here.robot, here.goal, here.max_range) == (6, None, 4.0)
+    np.testing.assert_allclose(here.T_map_camera, stage.rover.T_map_camera(), atol=1e-9)
+    np.testing.assert_allclose(here.T_map_base, stage.rover.base, atol=1e-9)
+    assert dict(here.joints) == pytest.approx(stage.rover.joints)
+    assert here.description == graph.tester.resolve_topic_name("robot_description")
+    assert here.stamp % 50_000_000 == 0 and here.covariance is not None
+
+    choice = stage.plan()
+    assert choice.pose is not None
+    claimed = [agent for agent in told(said) if agent.goal is not None]
+    np.testing.assert_allclose(claimed[-1].goal, choice.pose, atol=1e-6)
+    assert claimed[-1].claim > here.claim
+    stage.status.publish(DiagnosticStatus(**{**as_fields(status()), "message": "ended: done"}))
+    graph.spin_until(lambda: told(said)[-1].goal is None, "the goal given up")
+    assert told(said)[-1].state == "ended: done"
+
+
+def as_fields(message: DiagnosticStatus) -> dict[str, Any]:
+    return {name: getattr(message, name) for name in message.get_fields_and_field_types()}
+
+
+def test_a_plan_leaves_to_a_teammate_what_it_heads_for(graph: Any) -> None:
+    stage = Stage(graph)
+    agents = graph.publisher(MarkerArray, "team/agents")
+    graph.connect(agents)
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    alone = stage.plan()
+    assert alone.pose is not None
+    goal = mate(place=(9.0, 9.0, 0.0), goal=alone.pose, claim=1)
+    agents.publish(message(goal))
+    health = stage.node.health
+    graph.spin_until(lambda: health.values().get("teammates") == "2", "the teammate")
+    agents.publish(message(replace(goal, version=2)))
+    choice = stage.plan()
+    assert choice.pose is None or np.linalg.norm(choice.pose[:3, 3] - alone.pose[:3, 3]) > 0.5
+    assert any("teammate" in reason for reason in choice.explanation["rejections"])
+
+
+def test_strangers_and_nonsense_are_refused_and_counted(graph: Any, tmp_path: Path) -> None:
+    (tmp_path / "key").write_bytes(SECRET)
+    stage = Stage(graph, team=[0, 2], team_key=str(tmp_path / "key"))
+    agents, key = graph.publisher(MarkerArray, "team/agents"), TeamKey(SECRET)
+    graph.connect(agents)
+    agents.publish(message(mate()))
+    stage.wait_for_drops(NOT_AUTHENTIC, 1)
+    agents.publish(message(mate(9), key))
+    stage.wait_for_drops(NOT_LISTED, 1)
+    agents.publish(message(mate(), key, frame="odom"))
+    stage.wait_for_drops("wrong frame", 1)
+    broken = message(mate(), key)
+    content = '{"infomap_agent":1}'
+    broken.markers[0].text = f"{content}\n{key.code_of_text(content)}"
+    agents.publish(broken)
+    stage.wait_for_drops("invalid data", 1)
+    assert stage.node._agents.team.present(0.0) == ()
+    agents.publish(message(mate(), key))
+    health = stage.node.health
+    graph.spin_until(lambda: health.values().get("teammates") == "2", "the teammate")
+
+
+class Wall:
+    """map_fusion before a wall at 2 m, in which the front of a teammate, a box, hides."""
+
+    def __init__(self, graph: Any, **parameters: Any) -> None:
+        self.bench = Bench(graph, **parameters)
+        self.agents = graph.publisher(MarkerArray, "team/agents")
+        topic = graph.tester.resolve_topic_name("mate/robot_description")
+        self.description = graph.tester.create_publisher(String, topic, qos.latched())
+        self.description.publish(encode_text(TYPES, TextRecord(0, "", BOX)))
+        self.topic, self.graph = topic, graph
+        graph.connect(self.agents)
+
+    def tell(self, milliseconds: int, version: int, **fields: Any) -> None:
+        stamp = START + milliseconds * 1_000_000
+        self.agents.publish(message(mate(2, version, stamp, description=self.topic, **fields)))
+
+    def wait_until_described(self) -> None:
+        bodies = self.bench.node._gate._teammates._bodies
+        self.graph.spin_until(lambda: bodies.is_described(2), "the description")
+
+    def in_box(self) -> list[Any]:
+        """Occupied voxels of the wall that belong to the box's front, and the others'."""
+        low, high = np.array([1.9, -0.29, 0.71]), np.array([2.2, 0.29, 1.29])
+        known = as_replica(self.bench.node._keeper._map)
+        occupied = [index for index, (odds, _) in known.items() if odds > 0]
+        centres = (np.array(occupied).reshape(-1, 3) + 0.5) * 0.1
+        inside = ((centres > low) & (centres < high)).all(axis=1)
+        return [int(inside.sum()), int((~inside).sum())]
+
+
+def test_a_teammate_is_cut_from_a_scan_that_waits_for_its_place(graph: Any) -> None:
+    wall = Wall(graph)
+    wall.tell(-100, 1)
+    wall.wait_until_described()
+    wall.bench.send(pose(), cloud())
+    health, topic = wall.bench.node.health, graph.tester.resolve_topic_name("points2")
+    graph.spin_until(lambda: health.values()[f"{topic} count"] == "1", "the cloud")
+    wall.bench.send(pose(START + 1000))
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.01)
+    assert health.results() == 0, "it waits"
+    wall.tell(100, 2)
+    wall.bench.wait_for_results(1)
+    inside, others = wall.in_box()
+    assert inside == 0
+    whole = expected_map(cloud())
+    assert others > 0.75 * len(whole.gaussians()[0])
+
+
+def test_before_it_was_heard_it_was_mapped(graph: Any) -> None:
+    wall = Wall(graph)
+    wall.bench.send(pose(), cloud())
+    wall.bench.wait_for_results(1)
+    assert wall.in_box()[0] > 20
+
+
+def test_the_wait_ends_and_a_larger_body_is_cut(graph: Any) -> None:
+    wall = Wall(graph)
+    wall.tell(-100, 1)
+    wall.wait_until_described()
+    wall.bench.send(pose(), cloud(), pose(START + SECOND))
+    wall.bench.wait_for_results(1)
+    inside, others = wall.in_box()
+    assert inside == 0 and others > 50
+    assert "2 (place not sure)" in wall.bench.node.health.values()["teammates in scans"]
+
+
+def test_what_robots_tell_of_themselves_need_not_count(graph: Any) -> None:
+    bench = Bench(graph, remove_teammates=False)
+    agents = graph.tester.resolve_topic_name("team/agents")
+    assert graph.tester.count_subscribers(agents) == 0
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)

@@ -44,6 +44,9 @@ def rover(
             help="names or dotted paths of classes, with commas; the study's own if empty"
         ),
     ] = "",
+    raster_views: Annotated[
+        int, typer.Option(help="views of the strategy raster")
+    ] = RoverStudyConfig.raster_views,
     jobs: Jobs = 0,
     is_quick: Quick = False,
     draw_only: DrawOnly = False,
@@ -56,7 +59,7 @@ def rover(
 
     sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
     with refusals():
-        config = RoverStudyConfig(worlds=worlds, seed=seed)
+        config = RoverStudyConfig(worlds=worlds, seed=seed, raster_views=raster_views)
         config = quick(config) if is_quick else config
         if strategies:
             config = replace(config, strategies=tuple(strategies.split(",")))

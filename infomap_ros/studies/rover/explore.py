@@ -128,8 +128,9 @@ class RoverExploration:
         distance: way of the base until then [m].
         seconds: time of the processor since the start [s].
         cameras: where the views were taken from, shape (K, 4, 4), ``T_map_camera``.
-        first_seen: number of the view after which each point of the true surface was first mapped,
-            shape (N,); 0 where never.
+        surface: points of the true surface that reachable views can see, shape (N, 3) [m].
+        first_seen: number of the view after which each of them was first mapped, shape (N,); 0
+            where never.
         contacts: that should not be.
         ended: why it ended.
     """
@@ -138,6 +139,7 @@ class RoverExploration:
     distance: FloatArray
     seconds: FloatArray
     cameras: FloatArray
+    surface: NDArray[np.float32]
     first_seen: NDArray[np.int16]
     contacts: int
     ended: str
@@ -152,7 +154,6 @@ class _Watcher:
 
     def __init__(self) -> None:
         self.run: ExplorationRun | None = None
-        self.surface: VisibleSurface | None = None
         self.rows: list[tuple[float, float, float]] = []
         self.cameras: list[FloatArray] = []
         self._start = process_time()
@@ -163,7 +164,7 @@ class _Watcher:
 
     def note(self, entry: Mapping[str, Any]) -> None:
         """Take an entry of the run log."""
-        if entry["kind"] != "progress" or self.run is None or self.surface is None:
+        if entry["kind"] != "progress" or self.run is None:
             return
         if entry["views"] <= len(self.rows):  # the last choice led nowhere: nothing new was seen
             return
@@ -191,6 +192,8 @@ def _explore(task: RoverTask) -> RoverExploration:
         finally:
             run.close()
     points, distance, seconds = np.array(watcher.rows).T
-    cameras = np.array(watcher.cameras)
+    cameras, surface = np.array(watcher.cameras), watcher.surface.points.astype(np.float32)
     ended = f"{ending.reason.value}: {ending.detail}"
-    return RoverExploration(points, distance, seconds, cameras, watcher.first_seen, contacts, ended)
+    return RoverExploration(
+        points, distance, seconds, cameras, surface, watcher.first_seen, contacts, ended
+    )

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.visible_surface import visible_surface
 from infomap_ros.studies.common.figure_style import band_note, draw_band, save, style_of
 from infomap_ros.studies.rover.explore import RoverExploration, RoverTask
 from infomap_ros.studies.rover.rover_study import (
@@ -57,26 +55,23 @@ def _label(axes: Any, name: str, config: RoverStudyConfig) -> None:
     axes.grid(alpha=0.3)
 
 
-def draw_regions(results: Results, config: RoverStudyConfig, path: Path) -> None:
+def draw_regions(results: Results, path: Path) -> None:
     """Fig. 18: what is mapped of the first world, from above, and the places of the views."""
     first = next(iter(results)).seed
     shown = [(task, result) for task, result in results.items() if task.seed == first]
-    world = make_world(config.rover.world, first, size=config.rover.size)
-    reach = shown[0][0].options().planner.max_range
-    points = visible_surface(world, reach, config.rover.surface).points
     figure = Figure(figsize=(3.6 * len(shown), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (task, result) in zip(panels, shown, strict=True):
-        _draw_region(axes, task, result, points)
+        _draw_region(axes, task, result)
     panels[0].set_ylabel("y [m]")
     save(figure, path)
 
 
-def _draw_region(axes: Any, task: RoverTask, result: RoverExploration, points: FloatArray) -> None:
+def _draw_region(axes: Any, task: RoverTask, result: RoverExploration) -> None:
     mapped = result.first_seen > 0
     for chosen, colour in ((~mapped, _UNMAPPED), (mapped, _MAPPED)):
-        _dots(axes, points[chosen], colour)
+        _dots(axes, result.surface[chosen], colour)
     cameras = result.cameras[:, :3, 3]
     axes.plot(cameras[:, 0], cameras[:, 1], "-", color=_VIEWS, linewidth=0.6)
     axes.plot(cameras[:, 0], cameras[:, 1], "o", color=_VIEWS, markersize=3)
@@ -86,7 +81,7 @@ def _draw_region(axes: Any, task: RoverTask, result: RoverExploration, points: F
     axes.set_aspect("equal")
 
 
-def _dots(axes: Any, points: FloatArray, colour: str) -> None:
+def _dots(axes: Any, points: NDArray[np.float32], colour: str) -> None:
     axes.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=0.8, rasterized=True)
 
 
@@ -96,5 +91,5 @@ def all_figures(results: Results, config: RoverStudyConfig, out: Path) -> Sequen
         return ()
     paths = out / "rover_curves", out / "rover_regions"
     draw_curves(results, config, paths[0])
-    draw_regions(results, config, paths[1])
+    draw_regions(results, paths[1])
     return paths

@@ -10,10 +10,12 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.scans.traversal import unpack_all
+from infomap_ros.views import look_ahead_kernels
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
+from infomap_ros.views.situation import Situation
 from infomap_ros.views.strategy import Scores
-from infomap_ros.views.surroundings import IntArray
+from infomap_ros.views.surroundings import IntArray, Surroundings
 from infomap_ros.views.terms import Distance
 
 
@@ -25,7 +27,7 @@ class LookAheadConfig:
         ConfigError: a value is out of its range.
     """
 
-    depth: int = parameter(3, "Number of views of a sequence.", low=1, high=10)
+    depth: int = parameter(3, "Number of views of a sequence.", low=1, high=30)
     views: int = parameter(
         14, "The best so many views, unlike each other, may be part of one.", low=1, high=200
     )
@@ -68,130 +70,87 @@ class LookAhead:
 
     def __init__(self, config: LookAheadConfig | None = None) -> None:
         self.config = config or LookAheadConfig()
+        self._planned = np.empty((0, 4, 4))
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """The rest of the last sequence, so that it goes on unless a better one is found."""
+        return self._planned
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Worth of the best sequence that starts with each view [full views, discounted].
 
-        In the first ranking: the ratings, views that are like a better one after all others.
+        In the first ranking: of the view alone; views that are like a better one come last.
         """
-        if not options.fine:
-            return Scores(self._apart(options, ratings.ratings))
-        near = np.exp(-self._way(ratings.terms["distance"]) / self.config.patience)
+        way = ratings.terms["distance"] + self.config.cost_of_view
+        near = np.exp(-way / self.config.patience)
         alone = np.where(ratings.ratings > 0.0, ratings.ratings * near, ratings.ratings)
-        order = np.argsort(-self._apart(options, ratings.ratings), kind="stable")
-        chosen = np.sort(order[: self.config.views])
-        return _Search(self.config, options, ratings, alone, chosen).run()
+        apart = self._apart(options, alone)
+        if not options.fine:
+            return Scores(apart)
+        order = np.argsort(-apart, kind="stable")
+        scores = self._search(options, ratings, alone, np.sort(order[: self.config.views]))
+        best = int(scores.values.argmax()) if len(options) else -1
+        self._planned = options.poses[list(scores.plans.get(best, ()))]
+        return scores
 
-    def _way(self, distances: FloatArray) -> FloatArray:
-        return distances + self.config.cost_of_view
-
-    def _apart(self, options: Options, ratings: FloatArray) -> FloatArray:
-        """The ratings, lowered by their range for views that are like a better one."""
-        positions, axes = options.positions, options.poses[:, :3, 2]
-        values, spread = ratings.copy(), float(np.ptp(ratings)) + 1.0 if len(ratings) else 0.0
-        open_views = np.ones(len(ratings), np.bool_)
-        least_cosine = math.cos(self.config.unlike_angle)
-        for best in np.argsort(-ratings, kind="stable"):
-            if not open_views[best]:
-                continue
-            near = np.linalg.norm(positions - positions[best], axis=1) < self.config.unlike_distance
-            alike = open_views & near & (axes @ axes[best] > least_cosine)
-            open_views[alike] = False
-            alike[best] = False
-            values[alike] -= spread
+    def _apart(self, options: Options, worth: FloatArray) -> FloatArray:
+        """The worths, lowered by their range for views that are like a better one."""
+        values, config = worth.copy(), self.config
+        spread = float(np.ptp(worth)) + 1.0 if len(worth) else 0.0
+        look_ahead_kernels.lower_alike(
+            np.argsort(-worth, kind="stable"),
+            np.ascontiguousarray(options.positions),
+            np.ascontiguousarray(options.poses[:, :3, 2]),
+            config.unlike_distance,
+            math.cos(config.unlike_angle),
+            spread,
+            values,
+        )
         return values
 
-
-class _Search:
-    """A beam search over sequences of a few views."""
-
-    def __init__(
-        self,
-        config: LookAheadConfig,
-        options: Options,
-        ratings: Ratings,
-        alone: FloatArray,
-        chosen: IntArray,
-    ) -> None:
-        self._config, self._chosen, self._alone = config, chosen, alone
-        self._worth = ratings.config.information_weight * ratings.shares[chosen]
-        self._cost = ratings.config.distance_weight
-        self._safe = 1.0 - ratings.terms["risk"][chosen]
-        self._ratings = ratings.ratings[chosen]
-        self._first = ratings.terms["distance"][chosen]
-        self._between = distances_between(options, ratings, chosen)
-        self._places, self._gains, self._size = shared_voxels(options, chosen)
-
-    def run(self) -> Scores:
+    def _search(
+        self, options: Options, ratings: Ratings, alone: FloatArray, chosen: IntArray
+    ) -> Scores:
         """Worth of every view, and the followers of those that were looked into."""
-        values, plans = self._alone.copy(), {}
-        beam = [self._start(view) for view in range(len(self._chosen))]
-        for sequence in beam:
-            values[self._chosen[sequence.views[0]]] = sequence.worth
-        for _ in range(self._config.depth - 1):
-            beam = [longer for sequence in beam for longer in self._longer(sequence)]
-            beam = sorted(beam, key=lambda sequence: -sequence.worth)[: self._config.beam]
-            for sequence in beam:
-                first, *others = (int(self._chosen[view]) for view in sequence.views)
-                if sequence.worth > values[first]:
-                    values[first], plans[first] = sequence.worth, tuple(others)
-        return Scores(values, plans)
-
-    def _start(self, view: int) -> _Sequence:
-        way = float(self._first[view]) + self._config.cost_of_view
-        rating = float(self._ratings[view])
-        return _Sequence((view,), rating * self._discount(way, rating), way)
-
-    def _longer(self, sequence: _Sequence) -> list[_Sequence]:
-        """The sequence continued with every other view."""
-        told = np.zeros(self._size)
-        for view in sequence.views:
-            places = self._places[view]
-            told[places] = np.maximum(told[places], self._gains[view])
-        last, found = sequence.views[-1], []
-        for view in range(len(self._chosen)):
-            if view in sequence.views:
-                continue
-            gains, step = self._gains[view], float(self._between[last, view])
-            news = np.maximum(gains - told[self._places[view]], 0.0).sum()
-            share = float(news) / max(float(gains.sum()), 1e-12)
-            rating = float(self._worth[view] * share - self._cost * step) * float(self._safe[view])
-            way = sequence.way + step + self._config.cost_of_view
-            worth = sequence.worth + rating * self._discount(way, rating)
-            found.append(_Sequence((*sequence.views, view), worth, way))
-        return found
-
-    def _discount(self, way: float, rating: float) -> float:
-        """Of gains; what costs more than it brings is not made better by coming late."""
-        return math.exp(-way / self._config.patience) if rating > 0.0 else 1.0
-
-
-@dataclass(frozen=True)
-class _Sequence:
-    views: tuple[int, ...]
-    worth: float
-    way: float
+        config, values = self.config, alone.copy()
+        costs = look_ahead_kernels.Costs(
+            ratings.config.information_weight * ratings.shares[chosen],
+            1.0 - ratings.terms["risk"][chosen],
+            ratings.ratings[chosen],
+            ratings.terms["distance"][chosen],
+            distances_between(options, ratings, chosen),
+            float(ratings.config.distance_weight),
+            float(config.cost_of_view),
+            float(config.patience),
+        )
+        found = np.empty(len(chosen))
+        followers = np.empty((len(chosen), config.depth - 1), np.int64)
+        look_ahead_kernels.best_sequences(
+            sharing_of(options, chosen), costs, config.depth, config.beam, found, followers
+        )
+        values[chosen] = found
+        plans = {
+            int(first): tuple(int(chosen[view]) for view in others if view >= 0)
+            for first, others in zip(chosen, followers, strict=True)
+        }
+        return Scores(values, {first: others for first, others in plans.items() if others})
 
 
 def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
     """Distance of eq. (10) from each of the chosen views to each, shape (K, K)."""
     config, poses = ratings.config, options.poses[chosen]
     distance = Distance(config.position_weights, config.rotation_weights)
-    rows = []
-    for pose in poses:
-        lengths = options.surroundings.path_lengths_from(pose[:3, 3], poses[:, :3, 3])
-        rows.append(distance.between(pose, poses, lengths))
+    spots, at = np.unique(poses[:, :3, 3], axis=0, return_inverse=True)
+    lengths = [options.surroundings.path_lengths_from(spot, poses[:, :3, 3]) for spot in spots]
+    pairs = zip(poses, np.ravel(at), strict=True)
+    rows = [distance.between(pose, poses, lengths[spot]) for pose, spot in pairs]
     return np.array(rows).reshape(len(poses), len(poses))
 
 
-def shared_voxels(
-    options: Options, chosen: IntArray
-) -> tuple[list[IntArray], list[FloatArray], int]:
-    """What voxels each view informs: their places in an array, and by how much.
-
-    Returns:
-        Places (K,) and gains (K,) per view, weighted by wishes, and the size of the array.
-    """
+def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing:
+    """What voxels each of the chosen views, (K,), informs, weighted by wishes."""
     gains = options.source.gains(options.situation, options.poses[chosen])
     keys, places = np.unique(
         np.concatenate([gain.keys for gain in gains] or [np.empty(0, np.int64)]),
@@ -201,6 +160,16 @@ def shared_voxels(
     unpack_all(keys, len(keys), indices)
     centres = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
     wishes = options.wishes.of(options.surroundings, centres).prod(axis=1)
-    parts = np.split(np.ravel(places), np.cumsum([len(gain.keys) for gain in gains])[:-1])
-    weighted = [gain.gains * wishes[part] for gain, part in zip(gains, parts, strict=True)]
-    return parts, weighted, len(keys)
+    places = np.ravel(places).astype(np.int64)
+    values = np.concatenate([gain.gains for gain in gains] or [np.empty(0)]) * wishes[places]
+    starts = np.cumsum([0, *(len(gain.keys) for gain in gains)])
+    return look_ahead_kernels.Sharing(starts, places, values, len(keys))
+
+
+def shared_voxels(
+    options: Options, chosen: IntArray
+) -> tuple[list[IntArray], list[FloatArray], int]:
+    """The same as lists: places (K,) and gains (K,) per view, and the size of the array."""
+    sharing = sharing_of(options, chosen)
+    ends = sharing.starts[1:-1]
+    return np.split(sharing.places, ends), np.split(sharing.gains, ends), sharing.size

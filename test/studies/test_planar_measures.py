@@ -9,13 +9,12 @@ import pytest
 from scipy import stats
 
 from infomap_ros.studies.baselines.tour import open_tour, tour_length
+from infomap_ros.studies.common.bands import band, curve_band
 from infomap_ros.studies.planar.measures import (
     area_under_coverage,
-    band,
-    curve_band,
     distance_to,
     fraction_at,
-    savings,
+    saving,
 )
 from infomap_ros.studies.planar.planar_study import Row, compare
 
@@ -68,10 +67,28 @@ def test_comparison_is_paired_over_worlds() -> None:
         row("d", "own", 10.0, 10.0),  # alone in its world
     ]
     found = compare(rows, "own", "other")
-    assert found.saved.mean == pytest.approx((0.2 + 0.25) / 2.0)
-    assert (found.saved.count, found.bounds, found.failed) == (2, 1, 1)
+    assert found.saved.mean == pytest.approx((0.2 + 0.25 - 0.8) / 3.0)
+    assert (found.saved.count, found.at_least, found.at_most, found.unknown) == (3, 1, 1, 0)
     assert found.area.mean == pytest.approx((0.1 + 0.3 - 0.1) / 3.0)
-    np.testing.assert_allclose(savings(np.array([80.0]), np.array([100.0])), [0.2])
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "share", "kind"),
+    [
+        ((80.0, 80.0), (100.0, 100.0), 0.2, "exact"),
+        ((80.0, 80.0), (np.inf, 160.0), 0.5, "at least"),
+        ((80.0, 80.0), (np.inf, 60.0), np.nan, "unknown"),  # it may have needed 61 m, or 1000 m
+        ((np.inf, 150.0), (100.0, 100.0), -0.5, "at most"),
+        ((np.inf, 50.0), (100.0, 100.0), 0.0, "at most"),  # to give up early is no merit
+        ((np.inf, 50.0), (np.inf, 100.0), np.nan, "unknown"),
+    ],
+)
+def test_ways_that_do_not_arrive_are_bounds(
+    own: tuple[float, float], other: tuple[float, float], share: float, kind: str
+) -> None:
+    found = saving(own, other)
+    assert found.kind == kind
+    assert found.share == pytest.approx(share, nan_ok=True)
 
 
 def test_tours_are_nearly_the_shortest() -> None:

@@ -19,9 +19,15 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, explore
 from infomap_ros.studies.planar.generators import make_world
-from infomap_ros.studies.planar.planar_study import BASELINES, PlanarStudyConfig, quick, tasks_of
+from infomap_ros.studies.planar.planar_study import (
+    BASELINES,
+    PlanarStudyConfig,
+    complete,
+    quick,
+    tasks_of,
+)
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
-from infomap_ros.studies.planar.tasks import run_tasks
+from infomap_ros.studies.planar.tasks import Record, run_tasks
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
 
@@ -67,6 +73,29 @@ def test_same_seed_same_exploration(world: PlanarWorld) -> None:
     np.testing.assert_array_equal(first.views, again.views)
     other = explore(world, "look_ahead", replace(SHORT, seed=1))
     assert not np.array_equal(first.views, other.views)
+
+
+@pytest.mark.parametrize(
+    ("scans", "fraction", "distance", "end"),
+    [
+        (3, 0.95, 0.0, "enough is mapped"),
+        (5, 0.5, 9.0, ""),  # not far enough
+        (4, 0.5, 11.0, ""),  # too few scans
+        (5, 0.5, 11.0, "the figures are full"),
+        (8, 0.5, 9.0, "all scans are taken"),
+    ],
+)
+def test_explorations_end(scans: int, fraction: float, distance: float, end: str) -> None:
+    config = ExplorationConfig(scans=8, enough=0.9, least_scans=5, least_way=10.0)
+    assert config.end(scans, fraction, distance) == end
+
+
+def test_only_worlds_that_all_have_explored_are_compared() -> None:
+    config = PlanarStudyConfig(worlds=1, strategies=("random", "raster"))
+    nothing = Exploration(*[np.zeros(1)] * 5, ended="")
+    records = [Record(task, nothing) for task in tasks_of(config)]
+    assert complete(records) == records
+    assert complete(records[:5]) == records[:4]
 
 
 def test_results_are_kept_and_not_computed_again(tmp_path: Path) -> None:

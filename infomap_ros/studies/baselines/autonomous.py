@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import turned_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of
+from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.studies.baselines.tree import Tree, grow_tree
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
@@ -63,7 +63,7 @@ class AutonomousExploration:
         return Scores(scores_of(options, places, self._values, ratings.ratings))
 
     def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> None:
-        told = np.where(places >= 0, ratings.shares[places], 0.0)
+        told = told_by(options, ratings, places)
         turns = told.reshape(-1, _TURNS)
         best_turn, gains = turns.argmax(axis=1), turns.max(axis=1)
         local, reach = len(self._tree.places), options.situation.max_range

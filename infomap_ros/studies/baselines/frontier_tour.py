@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import Frontier, find_frontiers, level_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of
+from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.studies.baselines.tour import open_tour
 from infomap_ros.views import sight_kernels
 from infomap_ros.views.options import Options
@@ -63,7 +63,7 @@ class FrontierTour:
 
     def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
         """Values of the proposed views, shape (N,); views taken in vain are left out."""
-        useful = (places >= 0) & (ratings.shares[places] > _NOTHING)
+        useful = told_by(options, ratings, places) > _NOTHING
         lengths = np.where(useful, options.path_lengths[places], np.inf)
         values = -1e6 - np.minimum(lengths, 1e6)
         usable = np.isfinite(lengths)

@@ -10,7 +10,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import find_frontiers, turned_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of
+from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
 from infomap_ros.views.situation import Situation
@@ -48,7 +48,7 @@ class NearestFrontier:
         Views that tell nothing, or were taken in vain, come last.
         """
         places = places_of(options, self._proposed)
-        told = ratings.shares[places]
+        told = told_by(options, ratings, places)
         lengths = np.where(told > _NOTHING, options.path_lengths[places], np.inf)
         values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * told
         return Scores(scores_of(options, places, values, ratings.ratings))

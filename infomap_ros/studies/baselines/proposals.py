@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.options import Options
+from infomap_ros.views.rating import Ratings
 
 _BELOW = -1e9  # of views that a strategy did not propose
+_SAME_TURN = 0.05  # [rad]
 
 
 def places_of(options: Options, poses: FloatArray) -> NDArray[np.int64]:
@@ -18,6 +20,26 @@ def places_of(options: Options, poses: FloatArray) -> NDArray[np.int64]:
     }
     rows = np.ascontiguousarray(poses, dtype=np.float64)
     return np.array([known.get(pose.tobytes(), -1) for pose in rows], np.int64)
+
+
+def told_by(options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
+    """What proposed views are expected to tell, shape (N,) [full views].
+
+    0 for views that a test ruled out, and for views that were taken before: one look makes all in
+    sight certain, so that what is still expected of them never comes.
+
+    Args:
+        options: all views.
+        ratings: of these.
+        places: of the proposed views, shape (N,), see `places_of`.
+    """
+    told = np.where(places >= 0, ratings.shares[places], 0.0)
+    poses, near = options.poses[places], 0.5 * options.surroundings.voxel_size
+    for past in options.situation.past_views:
+        same = np.linalg.norm(poses[:, :3, 3] - past[:3, 3], axis=1) < near
+        same &= poses[:, :3, 2] @ past[:3, 2] > np.cos(_SAME_TURN)
+        told[same] = 0.0
+    return np.asarray(told)
 
 
 def scores_of(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import level_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of
+from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.studies.baselines.tree import Tree, grow_tree
 from infomap_ros.views.options import Options
 from infomap_ros.views.rating import Ratings
@@ -63,7 +63,7 @@ class ViewTree:
 
     def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> None:
         tree, found = self._tree, places >= 0
-        told = np.where(found, ratings.shares[places], 0.0)
+        told = told_by(options, ratings, places)
         told *= np.exp(-_DECAY * tree.lengths / options.situation.max_range)
         gains = np.zeros(len(told))
         for node in range(len(told)):

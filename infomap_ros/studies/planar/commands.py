@@ -23,10 +23,12 @@ from infomap_ros.studies.common.command_line import (
     refusals,
     workers,
 )
+from infomap_ros.studies.common.tables import write_rows
 from infomap_ros.studies.planar import report
 from infomap_ros.studies.planar.planar_study import (
     PlanarStudyConfig,
     TeamStudyConfig,
+    complete,
     quick,
     tasks_of,
     team_tasks,
@@ -72,8 +74,11 @@ def planar(
         with progress_bar("explorations", len(tasks)) as advance:
             records = run_tasks(tasks, out / "runs", workers(jobs), advance, compute=not draw_only)
     rows = report.rows_of(records, config)
-    report.write_csv(rows, out / "planar.csv")
+    write_rows(rows, out / "planar.csv")
     report.write_curves(records, out / "planar_curves.csv")
+    if len(records) < len(tasks):
+        records = complete(records)
+        rows = report.rows_of(records, config)
     report.draw_figures(records, config, out)
     tables = report.overview(rows, config) + "\n" + report.comparisons(rows, config)
     finish("planar", tables, report.summary(rows, time.monotonic() - start), out)

@@ -26,6 +26,11 @@ from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.strategy import Strategy
 
+_INFORMATION = InformationConfig(
+    ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4
+)  # at most half a voxel of 1 m between rays at 15 m
+_DRAWS = 5  # of candidates, before an exploration ends
+
 
 @dataclass(frozen=True)
 class ExplorationConfig:
@@ -39,11 +44,32 @@ class ExplorationConfig:
     enough: float = parameter(
         1.0, "The exploration ends when this share of the world is mapped.", low=0.0, high=1.0
     )
+    least_scans: int = parameter(
+        100_000,
+        "It also ends when so many scans are taken and the sensor has moved `least_way`.",
+        low=2,
+        high=100_000,
+    )
+    least_way: float = parameter(0.0, "See `least_scans`.", unit="m", low=0.0, high=1e9)
     seed: int = parameter(0, "Of the candidates.", low=0)
     sensor: SensorConfig = field(default_factory=SensorConfig)
 
     def __post_init__(self) -> None:
         check_config(self)
+
+    def end(self, scans: int, fraction: float, distance: float) -> str:
+        """Why an exploration ends that has taken so many scans; "" if it goes on.
+
+        Args:
+            scans: taken.
+            fraction: mapped.
+            distance: moved [m].
+        """
+        if fraction >= self.enough:
+            return "enough is mapped"
+        if scans >= self.least_scans and distance >= self.least_way:
+            return "the figures are full"
+        return "all scans are taken" if scans >= self.scans else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +83,7 @@ class Exploration:
             does not count; 0 for the first.
         corners: of the way flown, shape (N, 2) [m].
         views: place [m] and azimuth [rad] of each scan, shape (K, 3).
-        ended: why it ended: all scans are taken, enough is mapped, or what the choice says.
+        ended: why it ended: see `ExplorationConfig.end`, or what the choice says.
     """
 
     fraction: FloatArray
@@ -77,6 +103,7 @@ class PlanarExplorer:
         strategy: name of a strategy, dotted path of a class, or a strategy.
         choice: configuration of the choice; that of the studies by default.
         start: where it begins, shape (2,) [m]; the world's start by default.
+        metric: what counts as information, one of `views.METRICS`.
     """
 
     def __init__(
@@ -86,6 +113,7 @@ class PlanarExplorer:
         strategy: str | Strategy,
         choice: NextBestViewConfig | None = None,
         start: FloatArray | None = None,
+        metric: str = "expected_entropy_reduction",
     ) -> None:
         self.world, self.config = world, config
         self.map = VoxelMap(config.sensor.map_config(world.cell))
@@ -94,9 +122,7 @@ class PlanarExplorer:
             world.cell,
             strategy=strategy if isinstance(strategy, str) else "",
         )
-        information = ExpectedInformation(
-            config=InformationConfig(min_range=0.0, range_noise=0.0, pixel_angle=1e-4), threads=1
-        )
+        information = ExpectedInformation(metric, _INFORMATION, threads=1)
         self._thresholds = settings.surroundings.thresholds
         self._choice = NextBestView(settings, strategy, information)
         self._rng = np.random.default_rng(config.seed)
@@ -137,13 +163,16 @@ class PlanarExplorer:
         )
 
     def move(self, situation: Situation) -> tuple[FloatArray | None, str]:
-        """Choose the next view and fly there.
+        """Choose the next view and fly there; candidates are drawn again where none will do.
 
         Returns:
             Corners of the way, shape (N, 3) [m]; None where there is no view, and why.
         """
         flight = FreeFlight(situation.voxel_map, self.pose, situation.heights, self._thresholds)
-        decision = self._choice.select(situation, flight, self._rng)
+        for _ in range(_DRAWS):
+            decision = self._choice.select(situation, flight, self._rng)
+            if decision.chosen is not None:
+                break
         if decision.chosen is None or decision.reach is None:
             return None, decision.reason
         self.pose = decision.chosen.pose
@@ -158,6 +187,7 @@ def explore(
     config: ExplorationConfig | None = None,
     choice: NextBestViewConfig | None = None,
     progress: Callable[[int], None] | None = None,
+    metric: str = "expected_entropy_reduction",
 ) -> Exploration:
     """Explore a world with one sensor.
 
@@ -167,20 +197,19 @@ def explore(
         config: sensor, number of scans, seed.
         choice: configuration of the choice; that of the studies by default.
         progress: called with the number of scans taken.
+        metric: what counts as information, one of `views.METRICS`.
     """
     settings = config or ExplorationConfig()
-    sensor = PlanarExplorer(world, settings, strategy, choice)
+    sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric)
     rows: list[tuple[float, float, float]] = []
-    way, ended, seconds = [sensor.pose[None, :3, 3]], "all scans are taken", 0.0
-    while True:
+    way, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
+    while not ended:
         sensor.look()
         rows.append((world.fraction_mapped(sensor.map), sensor.distance, seconds))
         if progress is not None:
             progress(len(rows))
-        if rows[-1][0] >= settings.enough:
-            ended = "enough is mapped"
-            break
-        if len(rows) == settings.scans:
+        ended = settings.end(len(rows), *rows[-1][:2])
+        if ended:
             break
         start = process_time()
         corners, reason = sensor.move(sensor.situation(sensor.map))

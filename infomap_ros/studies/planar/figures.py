@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.figure_style import band_note as band_note
 from infomap_ros.studies.common.figure_style import draw_band, save, style_of
 from infomap_ros.studies.planar.measures import fraction_at
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan

@@ -1,16 +1,12 @@
-"""Figures of an exploration, and their means over worlds with confidence bands."""
+"""Figures of an exploration: what is mapped over the way, and what one saves against another."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from infomap_ros.geometry.transforms import FloatArray
-
-CONFIDENCE = 0.95
-"""Of all bands."""
 
 
 def fraction_at(distance: FloatArray, fraction: FloatArray, at: FloatArray) -> FloatArray:
@@ -42,45 +38,35 @@ def distance_to(distance: FloatArray, fraction: FloatArray, share: float) -> flo
 
 
 @dataclass(frozen=True)
-class Band:
-    """A mean over worlds with the half width of its confidence band.
+class Saving:
+    """Share of the way that one exploration saves against another, to the same fraction mapped.
 
     Attributes:
-        mean: over the worlds.
-        half: by Student's t; NaN for a single world.
-        count: of worlds.
+        share: 1 - way / other way; negative where the other one moved less.
+        kind: "exact"; "at least", where the other never got so far, so that its whole way counts
+            and the true one is longer; "at most", where the own never did; "unknown" (and NaN)
+            where neither did, or the other one ended before it had moved as far as the own.
     """
 
-    mean: float
-    half: float
-    count: int
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3g} ± {self.half:.2g}" if self.count > 1 else f"{self.mean:.3g}"
+    share: float
+    kind: str
 
 
-def band(values: FloatArray) -> Band:
-    """Mean of one value per world, shape (n,), with its band; NaN where there is none."""
-    count = len(values)
-    if count < 2:
-        return Band(float(values[0]) if count else float("nan"), float("nan"), count)
-    quantile = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
-    return Band(float(values.mean()), quantile * float(stats.sem(values)), count)
+def saving(own: tuple[float, float], other: tuple[float, float]) -> Saving:
+    """Compare ways to a fraction mapped, of which either may be censored.
 
+    Args:
+        own: way to the fraction, inf if it was not reached, and way until the end [m].
+        other: the same of the other exploration.
 
-def curve_band(curves: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and half width of the band of curves, shape (worlds, N) -> (N,) each.
-
-    The half width is 0 for a single world.
+    Returns:
+        What is saved. Not to arrive never counts in one's favour: "at most" is at most 0.
     """
-    count = len(curves)
-    mean = curves.mean(axis=0)
-    if count < 2:
-        return mean, np.zeros_like(mean)
-    quantile = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
-    return mean, np.asarray(quantile * stats.sem(curves, axis=0))
-
-
-def savings(own: FloatArray, others: FloatArray) -> FloatArray:
-    """Share of the distance that one strategy saves against another, per world, shape (n,)."""
-    return np.asarray(1.0 - own / others)
+    arrived, came = np.isfinite(own[0]), np.isfinite(other[0])
+    if arrived and came:
+        return Saving(1.0 - own[0] / max(other[0], 1e-9), "exact")
+    if arrived and other[1] >= own[0]:
+        return Saving(1.0 - own[0] / max(other[1], 1e-9), "at least")
+    if came:
+        return Saving(min(1.0 - own[1] / max(other[0], 1e-9), 0.0), "at most")
+    return Saving(float("nan"), "unknown")

@@ -13,16 +13,12 @@ import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.studies.common.bands import Band, band
 from infomap_ros.studies.planar.explore import ExplorationConfig
-from infomap_ros.studies.planar.measures import (
-    Band,
-    area_under_coverage,
-    band,
-    distance_to,
-    savings,
-)
+from infomap_ros.studies.planar.measures import area_under_coverage, distance_to, saving
 from infomap_ros.studies.planar.sensor import SensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
+from infomap_ros.studies.planar.world import BoolArray
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""
@@ -37,6 +33,7 @@ BASELINES = (
 """What the package's strategies are compared with, by dotted path."""
 
 OWN = ("largest_information", "look_ahead", "view_tour")
+"""The package's own strategies, which all others are compared with."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +48,14 @@ class PlanarStudyConfig:
     worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
     seed: int = parameter(0, "Of the first world of each kind.", low=0)
     strategies: tuple[str, ...] = parameter(
-        (*PAPER, "look_ahead", "view_tour", *BASELINES),
+        (*PAPER, "look_ahead", *BASELINES),
         "Names of strategies, or dotted paths of classes.",
     )
     scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
     most_scans: int = parameter(
-        300,
-        "So many scans the strategies that are compared by the distance to `share` may take; the "
-        "other four of the paper stop after `scans`.",
+        600,
+        "So many scans may be taken on the way to `share`. Four of the paper's strategies stop "
+        "where the figures end, after `scans` and `reach`.",
         low=2,
         high=10_000,
     )
@@ -109,8 +106,10 @@ def tasks_of(config: PlanarStudyConfig, floor_plans: Sequence[Path] = ()) -> lis
 def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
     stops = strategy in PAPER and strategy not in OWN
     exploration = ExplorationConfig(
-        scans=config.scans if stops else config.most_scans,
+        scans=config.most_scans,
         enough=config.share,
+        least_scans=config.scans if stops else config.most_scans,
+        least_way=config.reach if stops else 0.0,
         seed=world.seed,
         sensor=config.sensor,
     )
@@ -129,7 +128,7 @@ class TeamStudyConfig:
     worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
     seed: int = parameter(0, "Of the first world of each kind.", low=0)
     strategies: tuple[str, ...] = parameter(
-        (*PAPER, "look_ahead", "view_tour"), "Names of strategies, or dotted paths of classes."
+        (*PAPER, "look_ahead"), "Names of strategies, or dotted paths of classes."
     )
     sensors: int = parameter(2, "That explore together.", low=2, high=32)
     scans: int = parameter(40, "Scans of all sensors together.", low=2, high=10_000)
@@ -172,9 +171,9 @@ class Row:
         kind: of the world.
         strategy: label.
         scans: taken.
-        fraction: mapped after the scans of the figures.
+        fraction: mapped after the scans of the figures, or `share` where that came before.
         fraction_end: mapped at the end.
-        area: mean fraction mapped over the first `reach` metres.
+        area: mean fraction mapped over the first `reach` metres, no more than `share` counted.
         distance: moved until the end [m].
         distance_to_share: moved until `share` was mapped [m]; inf where it never was.
         seconds: of the choice of a view, mean time of the processor [s].
@@ -198,15 +197,15 @@ def row_of(record: Record, config: PlanarStudyConfig) -> Row:
     """Figures of one record."""
     task, result = record.task, record.result
     last = min(config.scans, len(result.fraction)) - 1
-    chosen = result.seconds[1:]
+    capped, chosen = np.minimum(result.fraction, config.share), result.seconds[1:]
     return Row(
         str(task.world),
         task.world.kind,
         task.label,
         len(result.fraction),
-        float(result.fraction[last]),
+        float(min(result.fraction[last], config.share)),
         float(result.fraction[-1]),
-        area_under_coverage(result.distance[: last + 1], result.fraction[: last + 1], config.reach),
+        area_under_coverage(result.distance, capped, config.reach),
         float(result.distance[-1]),
         distance_to(result.distance, result.fraction, config.share),
         float(chosen.mean()) if len(chosen) else 0.0,
@@ -223,10 +222,10 @@ class Comparison:
         own: label.
         other: label.
         area: difference of the areas under the coverage curve.
-        saved: share of the distance to `share` that is saved.
-        bounds: worlds in which the other did not get so far; its whole way counts there, so that
-            what is saved is at least this.
-        failed: worlds in which the own strategy did not get so far; they do not count in `saved`.
+        saved: share of the way to `share` that is saved; see `measures.saving`.
+        at_least: worlds of `saved` where the other did not get so far: a lower bound is counted.
+        at_most: worlds of `saved` where the own did not get so far: an upper bound is counted.
+        unknown: worlds without a bound, which do not count in `saved`.
     """
 
     kind: str
@@ -234,8 +233,9 @@ class Comparison:
     other: str
     area: Band
     saved: Band
-    bounds: int
-    failed: int
+    at_least: int
+    at_most: int
+    unknown: int
 
 
 def compare(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> Comparison:
@@ -246,16 +246,31 @@ def compare(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> Com
             by_world.setdefault(row.world, {})[row.strategy] = row
     pairs = [(w[own], w[other]) for w in by_world.values() if own in w and other in w]
     areas = np.array([mine.area - theirs.area for mine, theirs in pairs])
-    arrived = [(a, b) for a, b in pairs if np.isfinite(a.distance_to_share)]
-    mine = np.array([a.distance_to_share for a, _ in arrived])
-    theirs = np.array([_way(b) for _, b in arrived])
-    bounds = sum(not np.isfinite(b.distance_to_share) for _, b in arrived)
-    saved = band(savings(mine, theirs)) if len(mine) else band(np.empty(0))
-    return Comparison(kind, own, other, band(areas), saved, bounds, len(pairs) - len(arrived))
+    found = [saving(_ways(mine), _ways(theirs)) for mine, theirs in pairs]
+    saved = np.array([one.share for one in found if one.kind != "unknown"])
+    kinds = [one.kind for one in found]
+    counts = (kinds.count(name) for name in ("at least", "at most", "unknown"))
+    return Comparison(kind, own, other, band(areas), band(saved), *counts)
 
 
-def _way(row: Row) -> float:
-    return row.distance_to_share if np.isfinite(row.distance_to_share) else row.distance
+def _ways(row: Row) -> tuple[float, float]:
+    return row.distance_to_share, row.distance
+
+
+def least_ways(rows: Sequence[Row], strategy: str) -> tuple[FloatArray, BoolArray]:
+    """Way to `share` in each world, at least, (n,) [m], and whether it was reached, (n,)."""
+    ways = values_of(rows, strategy, "distance_to_share")
+    arrived = np.isfinite(ways)
+    return np.where(arrived, ways, values_of(rows, strategy, "distance")), arrived
+
+
+def complete(records: Sequence[Record]) -> list[Record]:
+    """The records of the worlds that all strategies have explored, for paired tables."""
+    strategies = {record.task.label for record in records}
+    explored: dict[str, set[str]] = {}
+    for record in records:
+        explored.setdefault(str(record.task.world), set()).add(record.task.label)
+    return [record for record in records if explored[str(record.task.world)] == strategies]
 
 
 def kinds_in(rows: Sequence[Row]) -> list[str]:

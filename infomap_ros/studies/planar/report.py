@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.studies.planar.figures import Axis, band_note, draw_curves, draw_ways
-from infomap_ros.studies.planar.measures import CONFIDENCE, Band, band
+from infomap_ros.studies.common.bands import CONFIDENCE, Band, band
+from infomap_ros.studies.common.figure_style import band_note
+from infomap_ros.studies.common.tables import markdown, write_lines
+from infomap_ros.studies.planar.figures import Axis, draw_curves, draw_ways
 from infomap_ros.studies.planar.planar_study import (
     OWN,
+    Comparison,
     PlanarStudyConfig,
     Row,
     compare,
     kinds_in,
+    least_ways,
     row_of,
     values_of,
 )
@@ -28,73 +30,86 @@ def rows_of(records: Sequence[Record], config: PlanarStudyConfig) -> list[Row]:
     return [row_of(record, config) for record in records]
 
 
-def write_csv(rows: Sequence[object], path: Path) -> None:
-    """Write dataclass objects, one per line."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        if rows:
-            names = [field.name for field in dataclasses.fields(rows[0])]  # type: ignore[arg-type]
-            writer.writerow(names)
-            writer.writerows([_text(getattr(row, name)) for name in names] for row in rows)
-
-
 def write_curves(records: Sequence[Record], path: Path) -> None:
     """Write fraction, distance and time of every scan, one line each."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["world", "strategy", "scan", "fraction", "distance_m", "seconds"])
-        for record in records:
-            result = record.result
-            columns = zip(result.fraction, result.distance, result.seconds, strict=True)
-            for scan, (fraction, distance, seconds) in enumerate(columns, 1):
-                numbers = f"{fraction:.5f}", f"{distance:.2f}", f"{seconds:.4f}"
-                writer.writerow([str(record.task.world), record.task.label, scan, *numbers])
+    names = ["world", "strategy", "scan", "fraction", "distance_m", "seconds"]
+    write_lines(names, (line for record in records for line in _lines(record)), path)
 
 
-def _text(value: object) -> object:
-    return f"{value:.5g}" if isinstance(value, float) else value
+def _lines(record: Record) -> Iterator[list[object]]:
+    result = record.result
+    columns = zip(result.fraction, result.distance, result.seconds, strict=True)
+    for scan, values in enumerate(columns, 1):
+        yield [str(record.task.world), record.task.label, scan, *map(float, values)]
 
 
 def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
     """Means by strategy as a Markdown table."""
-    percent = f"{100 * CONFIDENCE:.0f} %"
-    lines = [
-        f"| strategy | worlds | mapped after {config.scans} scans [%] | area under coverage per "
-        f"distance, {config.reach:g} m [%] | distance to {100 * config.share:g} % [m] "
-        "| not reached in | choice of a view, processor time [s] |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+    names = (
+        "strategy",
+        "worlds",
+        f"mapped after {config.scans} scans [%]",
+        f"area under coverage per distance, {config.reach:g} m [%]",
+        f"distance to {100 * config.share:g} % [m]",
+        "not reached in",
+        "scans",
+        "choice of a view, mean and longest processor time [ms]",
+    )
+    lines = [_overview_line(rows, name) for name in dict.fromkeys(row.strategy for row in rows)]
+    note = (
+        f"Mean ± half width of the {100 * CONFIDENCE:.0f} % band over worlds. Where a strategy did "
+        "not get so far, all its way counts, so that the distance is at least the number given.\n"
+    )
+    return markdown(names, lines) + "\n" + note
+
+
+def _overview_line(rows: Sequence[Row], name: str) -> list[str]:
+    ways, arrived = least_ways(rows, name)
+    mean, most = values_of(rows, name, "seconds"), values_of(rows, name, "seconds_most")
+    return [
+        name,
+        str(len(ways)),
+        _percent(band(values_of(rows, name, "fraction"))),
+        _percent(band(values_of(rows, name, "area"))),
+        ("" if arrived.all() else "at least ") + band(ways).text(),
+        str(np.count_nonzero(~arrived)),
+        f"{values_of(rows, name, 'scans').mean():.0f}",
+        f"{1000 * mean.mean():.0f}, {1000 * most.max():.0f}",
     ]
-    for name in dict.fromkeys(row.strategy for row in rows):
-        ways = values_of(rows, name, "distance_to_share")
-        found = np.isfinite(ways)
-        seconds = values_of(rows, name, "seconds")
-        lines.append(
-            f"| {name} | {len(ways)} | {_percent(band(values_of(rows, name, 'fraction')))} "
-            f"| {_percent(band(values_of(rows, name, 'area')))} "
-            f"| {_metres(band(ways[found]))} | {np.count_nonzero(~found)} | {seconds.mean():.2f} |"
-        )
-    return "\n".join(lines) + f"\n\nMean ± half width of the {percent} band over worlds.\n"
 
 
 def comparisons(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
     """The package's strategies against all others, by kind of world, as a Markdown table."""
-    lines = [
-        f"| strategy | against | worlds | difference of the area [%] | saved on the way to "
-        f"{100 * config.share:g} % [%] |",
-        "| --- | --- | --- | --- | --- |",
+    names = (
+        "strategy",
+        "against",
+        "worlds",
+        "difference of the area [%]",
+        f"saved on the way to {100 * config.share:g} % [%]",
+        "worlds with a bound only",
+    )
+    strategies = list(dict.fromkeys(row.strategy for row in rows))
+    found = [
+        compare(rows, own, other, kind)
+        for own in OWN
+        if own in strategies
+        for other in strategies
+        if other != own
+        for kind in ("all", *kinds_in(rows))
     ]
-    names = list(dict.fromkeys(row.strategy for row in rows))
-    for own in (name for name in OWN if name in names):
-        for other in (name for name in names if name != own):
-            for kind in ("all", *kinds_in(rows)):
-                found = compare(rows, own, other, kind)
-                note = f" (at least, in {found.bounds})" if found.bounds else ""
-                note += f", {found.failed} not reached" if found.failed else ""
-                lines.append(
-                    f"| {own} | {other} | {kind}, {found.area.count} | {_percent(found.area)} "
-                    f"| {_percent(found.saved)}{note} |"
-                )
-    return "\n".join(lines) + "\n"
+    return markdown(names, map(_comparison_line, found))
+
+
+def _comparison_line(found: Comparison) -> list[str]:
+    bounds = {"at least": found.at_least, "at most": found.at_most, "unknown": found.unknown}
+    return [
+        found.own,
+        found.other,
+        f"{found.kind}, {found.area.count}",
+        _percent(found.area),
+        _percent(found.saved),
+        ", ".join(f"{count} {name}" for name, count in bounds.items() if count),
+    ]
 
 
 def summary(rows: Sequence[Row], seconds: float) -> dict[str, float | str]:
@@ -106,10 +121,9 @@ def summary(rows: Sequence[Row], seconds: float) -> dict[str, float | str]:
         for value in ("fraction", "area", "seconds"):
             mean = float(values_of(rows, name, value).mean())
             figures[f"{name}.{value}"] = round(mean, 4)
-        ways = values_of(rows, name, "distance_to_share")
-        if np.isfinite(ways).any():
-            mean = float(ways[np.isfinite(ways)].mean())
-            figures[f"{name}.distance_to_share"] = round(mean, 1)
+        ways, arrived = least_ways(rows, name)
+        key = "distance_to_share" if arrived.all() else "distance_to_share_at_least"
+        figures[f"{name}.{key}"] = round(float(ways.mean()), 1)
     for own in (name for name in OWN if name in names):
         for other in (name for name in names if name != own):
             found = compare(rows, own, other)
@@ -139,16 +153,14 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
 
 def team_overview(records: Sequence[Record], scans: int) -> str:
     """Fraction and distance of each strategy after all scans, as a Markdown table."""
-    lines = [
-        f"| strategy | worlds | mapped after {scans} scans [%] | distance moved [m] |",
-        "| --- | --- | --- | --- |",
-    ]
+    names = ("strategy", "worlds", f"mapped after {scans} scans [%]", "distance moved [m]")
+    lines = []
     for name in dict.fromkeys(record.task.label for record in records):
         own = [record.result for record in records if record.task.label == name]
         mapped = band(np.array([result.fraction[-1] for result in own]))
         moved = band(np.array([result.distance[-1] for result in own]))
-        lines.append(f"| {name} | {len(own)} | {_percent(mapped)} | {_metres(moved)} |")
-    return "\n".join(lines) + "\n"
+        lines.append([name, len(own), _percent(mapped), moved.text()])
+    return markdown(names, lines)
 
 
 def draw_team_figures(records: Sequence[Record], scans: int, out: Path) -> None:
@@ -161,15 +173,4 @@ def draw_team_figures(records: Sequence[Record], scans: int, out: Path) -> None:
 
 
 def _percent(found: Band) -> str:
-    return _band(found, 100.0, 1)
-
-
-def _metres(found: Band) -> str:
-    return _band(found, 1.0, 0)
-
-
-def _band(found: Band, factor: float, digits: int) -> str:
-    if not found.count:
-        return "-"
-    mean = f"{factor * found.mean:.{digits}f}"
-    return mean if found.count < 2 else f"{mean} ± {factor * found.half:.{digits}f}"
+    return found.text(100.0, 1)

@@ -12,6 +12,7 @@ from infomap_ros.views.survey import SurroundingsConfig
 from infomap_ros.views.view_tour import ViewTourConfig
 
 _RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a way of one range costs [full views]
+_REFINED = 80  # views whose information is evaluated exactly
 
 
 def planar_choice(
@@ -48,10 +49,13 @@ def planar_choice(
             localisation_weight=0.0,
             teammate_sigma=0.1 * max_range,
         ),
-        selection=SelectionConfig(least_rating=-1e6),
+        selection=SelectionConfig(least_rating=-1e6, refined=_REFINED),
         look_ahead=LookAheadConfig(
-            patience=2.0 * max_range,
-            cost_of_view=0.2 * max_range,
+            depth=8,
+            views=_REFINED,
+            beam=8,
+            patience=max_range,
+            cost_of_view=max_range / 30.0,
             unlike_distance=0.15 * max_range,
         ),
         view_tour=ViewTourConfig(patience=6.0 * max_range, cost_of_view=0.05 * max_range),

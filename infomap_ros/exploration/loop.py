@@ -157,7 +157,9 @@ class Exploration:
     def _choose(self) -> Choice:
         """Select the next view, and write down what there is to know about the choice."""
         self._enter("choosing")
-        choice = self._planner.choose(self._robot.state())
+        state = self._robot.state()
+        self.mission.note_look(state.T_map_camera)
+        choice = self._planner.choose(state)
         self.progress, self.last_reason = choice.progress, choice.reason
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)

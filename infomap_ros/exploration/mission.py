@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +14,11 @@ import numpy as np
 from infomap_ros.errors import InvalidInputError, MissionFileError
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.transforms import (
+    FloatArray,
+    quaternion_from_transform,
+    transform_from_quaternion,
+)
 
 
 @dataclass
@@ -26,6 +32,7 @@ class Mission:
         home_base: base pose at the start (x, y, yaw) [m, rad]; empty before the start.
         home_joints: joint positions at the start [rad or m].
         home_pose: ``T_map_base`` at the start, shape (4, 4); empty where not known.
+        looks: camera poses of the views, (x, y, z) [m, map] and quaternion (x, y, z, w) each.
     """
 
     views: int = 0
@@ -34,6 +41,13 @@ class Mission:
     home_base: list[float] = field(default_factory=list)
     home_joints: dict[str, float] = field(default_factory=dict)
     home_pose: list[list[float]] = field(default_factory=list)
+    looks: list[list[float]] = field(default_factory=list)
+
+    def note_look(self, T_map_camera: FloatArray) -> None:
+        """Keep the pose of the view just taken, shape (4, 4), where it is not kept yet."""
+        if len(self.looks) < self.views:
+            numbers = (*T_map_camera[:3, 3], *quaternion_from_transform(T_map_camera))
+            self.looks.append([round(float(number), 6) for number in numbers])
 
     def save(self, path: Path) -> None:
         """Write the account, atomically.
@@ -59,7 +73,9 @@ class Mission:
                 [float(number) for number in content["home_base"]],
                 {str(name): float(q) for name, q in content["home_joints"].items()},
                 _pose_rows(content.get("home_pose", [])),
+                [[float(number) for number in look] for look in content.get("looks", [])],
             )
+            look_poses(mission.looks)
         except (
             OSError,
             ValueError,
@@ -81,6 +97,18 @@ class Mission:
         if len(mission.home_base) not in (0, 3):
             raise MissionFileError(f"mission file {path}: home_base is not (x, y, yaw)")
         return mission
+
+
+def look_poses(looks: Sequence[Sequence[float]]) -> FloatArray:
+    """Camera poses of `Mission.looks`, shape (V, 4, 4).
+
+    Raises:
+        InvalidInputError: one is no pose.
+        ValueError: one has not seven numbers.
+    """
+    numbers = np.reshape(np.asarray(looks, dtype=np.float64), (len(looks), 7))
+    poses = [transform_from_quaternion(look[3:], look[:3]) for look in numbers]
+    return np.reshape(np.array(poses, dtype=np.float64), (len(looks), 4, 4))
 
 
 def _pose_rows(rows: object) -> list[list[float]]:

@@ -44,7 +44,7 @@ class SurfaceCompletion:
     Args:
         sensor: what the camera tells from afar.
         patience: a voxel that is still missing after so many looks from next to it, squarely, is
-            given up; a look from afar or askance counts less.
+            given up; a look from afar or askance counts the square of what it was to show.
     """
 
     unit = "voxels of missing surface"
@@ -53,6 +53,7 @@ class SurfaceCompletion:
     def __init__(self, sensor: InformationConfig, patience: float) -> None:
         self._sensor, self._patience = sensor, patience
         self._looks: dict[int, float] = {}
+        self._noted = 0  # so many of the views taken have been counted
         self._missing = MissingSurface(
             np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty((0, 3))
         )
@@ -60,15 +61,16 @@ class SurfaceCompletion:
     def prepare(self, situation: Situation) -> int:
         """Find what is missing; returns how much of it is not given up.
 
-        What is in sight of where the camera is now was looked at in vain.
+        What the views that were taken have in sight was looked at in vain.
         """
         region = np.stack([situation.region.low, situation.region.high])
         missing = missing_surface(situation.voxel_map, region, situation.position)
         keys = _keys(missing)
         self._missing = missing
-        (seen,) = self._in_view(situation, situation.T_map_camera[None])
-        for key, weight in zip(keys[seen > 0.0], seen[seen > 0.0], strict=True):
-            self._looks[int(key)] = self._looks.get(int(key), 0.0) + float(weight)
+        for seen in self._in_view(situation, situation.past_views[self._noted :]):
+            for at in np.flatnonzero(seen):
+                self._looks[int(keys[at])] = self._looks.get(int(keys[at]), 0.0) + seen[at] ** 2
+        self._noted = len(situation.past_views)
         rest = np.array([self._looks.get(int(key), 0.0) < self._patience for key in keys], np.bool_)
         self._missing = MissingSurface(
             missing.voxels[rest], missing.places[rest], missing.normals[rest]

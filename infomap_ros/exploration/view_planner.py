@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from infomap_ros.views.view_information import ExpectedInformation
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
+_SAME = 0.02  # [m] between a view that was taken and where the camera still is
+
 
 @dataclass(frozen=True, eq=False)
 class Surrounding:
@@ -43,12 +45,15 @@ class Surrounding:
         obstacles: what must not be touched and the map does not show, such as their bodies.
         T_map_start: pose of the base where the mission began, shape (4, 4); that of the first
             choice where not given.
+        past_views: ``T_map_camera`` of the views of the mission, shape (V, 4, 4): what they left
+            unknown is not looked for again by a planner that was not there.
     """
 
     interests: Sequence[Interest] = ()
     teammates: Sequence[Teammate] = ()
     obstacles: Sequence[Obstacle] = ()
     T_map_start: FloatArray | None = None
+    past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
 
 
 class ViewPlanner:
@@ -85,6 +90,7 @@ class ViewPlanner:
         self._sent: Route | None = None
         self._failures: list[tuple[FloatArray, str]] = []
         self._past: list[FloatArray] = []
+        self._noted = 0  # so many of which are known for what they promised in vain
 
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
@@ -97,7 +103,7 @@ class ViewPlanner:
             around: interests and teammates.
         """
         around = around or Surrounding()
-        self._take_note(voxel_map, state, around.T_map_start)
+        self._take_note(voxel_map, state, around)
         progress = self._progress(voxel_map, state)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
@@ -117,9 +123,11 @@ class ViewPlanner:
         return self._choice.select(situation, robot, self._rng, self._goal, thorough=thorough)
 
     def _without_vain_looks(self, situation: Situation) -> Situation:
-        """Note what the view just taken promised in vain, and expect it no more."""
-        (left,) = self._information.gains(situation, situation.T_map_camera[None])
-        self._vain.note(left.keys, situation.voxel_map, situation.position, situation.max_range)
+        """Note what the views taken since the last choice promised in vain; expect it no more."""
+        views = situation.past_views[self._noted :]
+        self._noted = len(situation.past_views)
+        for view, left in zip(views, self._information.gains(situation, views), strict=True):
+            self._vain.note(left.keys, situation.voxel_map, view[:3, 3], situation.max_range)
         return replace(situation, promising=self._vain.without_them(situation.voxel_map))
 
     def way_home(
@@ -167,13 +175,14 @@ class ViewPlanner:
         claimed = claimed_gains(self._information, situation)
         return float(shares_left(self._information, situation, pose[None], claimed)[0])
 
-    def _take_note(
-        self, voxel_map: VoxelMap, state: RobotState, T_map_start: FloatArray | None
-    ) -> None:
+    def _take_note(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> None:
         """Remember where views were taken, and which ones could not be."""
+        if not self._past:
+            gaps = np.linalg.norm(around.past_views[:, :3, 3] - state.T_map_camera[:3, 3], axis=1)
+            self._past.extend(around.past_views[gaps > _SAME])
         self._past.append(state.T_map_camera)
         if self._start is None and self.config.start_clearance > 0.0:
-            first = state.T_map_base if T_map_start is None else T_map_start
+            first = state.T_map_base if around.T_map_start is None else around.T_map_start
             self._start = ClearStart(first, self.config.start_clearance)
         for pose, reason in self._failures:
             self._choice.memory.remember(pose, reason, voxel_map)

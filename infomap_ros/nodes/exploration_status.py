@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.exploration.loop import Exploration
+from infomap_ros.exploration.mission import look_poses
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -31,6 +32,7 @@ class ExplorationNews:
         failed_view: ``T_map_camera`` of the last view that could not be reached, shape (4, 4).
         failure: why.
         failures: number of views that could not be reached so far.
+        looks: ``T_map_camera`` of the views taken so far, shape (V, 4, 4).
     """
 
     views: int = 0
@@ -40,6 +42,7 @@ class ExplorationNews:
     failed_view: FloatArray | None = None
     failure: str = ""
     failures: int = 0
+    looks: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
 
 
 def status_message(
@@ -55,6 +58,7 @@ def status_message(
         "home base": json.dumps(mission.home_base),
         "home joints": json.dumps(mission.home_joints),
         "home pose": json.dumps(mission.home_pose),
+        "looks": json.dumps(mission.looks),
     }
     if progress is not None:
         figures |= {
@@ -91,8 +95,11 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
         if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
             raise ValueError("home is not a finite pose")
         views, failures = int(values["views"]), int(values["failures"])
-        failure = values.get("failure", "")
-        return ExplorationNews(views, home, joints, pose, view, failure, failures)
+        failure, looks = (
+            values.get("failure", ""),
+            look_poses(json.loads(values.get("looks", "[]"))),
+        )
+        return ExplorationNews(views, home, joints, pose, view, failure, failures, looks)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error
 

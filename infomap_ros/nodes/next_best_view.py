@@ -106,7 +106,10 @@ class NextBestViewNode(MonitoredNode):
                 left: another call may have an answer.
         """
         planner, voxel_map, state = self._ready()
-        around = Surrounding(self._interests.current(), T_map_start=self._news.home_pose)
+        news = self._news
+        around = Surrounding(
+            self._interests.current(), T_map_start=news.home_pose, past_views=news.looks
+        )
         return self._publish(planner.choose(voxel_map, state, around))
 
     def _plan_home(self) -> str:

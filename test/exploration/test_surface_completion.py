@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,7 +151,11 @@ def test_proposed_views_show_the_hole(floor):
 
 def test_what_is_looked_at_in_vain_is_given_up(floor):
     completion, _ = prepared(with_hole(floor), patience=1.5)
-    situation = situation_of(floor, view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0)))
-    left = [completion.prepare(situation) for _ in range(6)]
+    view = view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0))
+    situation = situation_of(floor, view)
+    left = [
+        completion.prepare(replace(situation, past_views=np.tile(view, (count, 1, 1))))
+        for count in range(10)
+    ]
     assert left[0] == len(MISSING) and left[-1] == 0
     assert left == sorted(left, reverse=True)

@@ -9,7 +9,7 @@ import pytest
 
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
@@ -49,14 +49,14 @@ def box_of_voxels(known_from: int, sigma: float) -> VoxelMap:
 
     Args:
         known_from: index of the first known voxel along x; the box begins at -30.
-        sigma: of the ground [m].
+        sigma: of the ground, upright [m].
     """
     voxel_map = VoxelMap()
     size, first = voxel_map.config.voxel_size, np.int32((known_from, -30, -1))
     indices = np.indices((30 - known_from, 60, 27), np.int32).reshape(3, -1).T + first
     quanta = np.where(indices[:, 2] < 0, 20, -20).astype(np.int32)
     ground = indices[:, 2] == -1
-    covariances = np.tile(sigma**2 * np.eye(3), (len(indices), 1, 1))
+    covariances = np.tile(np.diag((0.02, 0.02, sigma)) ** 2, (len(indices), 1, 1))
     gaussians = information_of(indices, ground, (indices + 0.5) * size, covariances, size)
     known = np.ones(len(indices), bool)
     put_states(voxel_map._storage, VoxelStates(indices, known, quanta, gaussians))
@@ -139,3 +139,17 @@ def test_a_view_that_failed_is_not_chosen_at_once(robot, half_known):
     planner.failed(first.pose, "a wheel turned in place")
     second = planner.choose(half_known, standing(robot))
     assert any("a wheel turned" in reason for reason in second.explanation["rejections"])
+
+
+def test_a_planner_that_begins_anew_knows_what_views_have_told_in_vain(robot, half_known):
+    """Unknown space that the past views had in sight is not promised again."""
+    state = standing(robot)
+    fresh = planner_of(robot).choose(half_known, state)
+    assert fresh.pose is not None
+    looks = np.tile(fresh.pose, (10, 1, 1))
+    around = Surrounding(past_views=looks)
+    again = planner_of(robot).choose(half_known, state, around)
+    expected, known = (
+        choice.explanation.get("terms", {}).get("information", 0.0) for choice in (fresh, again)
+    )
+    assert known < 0.5 * expected

@@ -101,6 +101,8 @@ def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
     news = read_status(stage.said[-1])
     assert news.views == 3
     assert news.home_base == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert len(news.looks) == 3
+    assert news.looks[-1, 0, 3] - news.looks[0, 0, 3] == pytest.approx(2.0, abs=0.1)
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "run.jsonl").read_text().splitlines()]
     assert kinds[0] == "start" and kinds[-1] == "end"
     assert json.loads((tmp_path / "mission.json").read_text())["views"] == 3

@@ -5,9 +5,10 @@ tags near the start. `--set robot.pose_source=simulator` gives it the true pose 
 Coverage is measured against the true surface that can be seen from reachable views, errors of poses
 and map against the truth in the target's frame. One JSON line per world, then a table; `--le` adds
 what was predicted of the localisation error, and what came of it. Takes minutes per world; `--jobs`
-runs several at once.
+runs several at once. With `--out` what is there is not run again, so that a series can be broken
+off and go on, and a command with `--table` shows what there is.
 
-    python benchmarks/exploration_worlds.py --worlds mars office cave --seeds 4 --jobs 2
+    python benchmarks/exploration_worlds.py --worlds mars office cave --seeds 4 --jobs 2 --out DIR
 """
 
 from __future__ import annotations
@@ -24,9 +25,23 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.replay.settings import with_settings
 from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.visible_surface import map_errors, surface_coverage, visible_surface
+
+ROW_FILE = "row.json"
+
+
+def kept_or_new(name: str, seed: int, out: Path, settings: list[str]) -> dict[str, Any]:
+    """The figures of a world that was explored before, else those of exploring it now."""
+    kept = out / f"{name}_{seed}" / ROW_FILE
+    if kept.is_file():
+        row: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
+        return row
+    row = explore(name, seed, out, settings) | {"settings": settings}
+    write_json(kept, row)
+    return row
 
 
 def explore(name: str, seed: int, out: Path, settings: list[str]) -> dict[str, Any]:
@@ -94,6 +109,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=None, help="keep maps, logs and reports here")
+    parser.add_argument("--table", action="store_true", help="run nothing, show what is kept")
     parser.add_argument("--le", action="store_true", help="compare predicted errors with real ones")
     parser.add_argument("--set", action="append", default=[], dest="settings")
     options = parser.parse_args()
@@ -103,9 +119,11 @@ def main() -> int:
         for seed in range(options.first, options.first + options.seeds)
         for name in options.worlds
     ]
+    if options.table:
+        tasks = [task for task in tasks if (out / "{}_{}".format(*task) / ROW_FILE).is_file()]
     rows = []
     with ProcessPoolExecutor(options.jobs) as pool:
-        jobs = [pool.submit(explore, *task, out, options.settings) for task in tasks]
+        jobs = [pool.submit(kept_or_new, *task, out, options.settings) for task in tasks]
         for job in jobs:
             rows.append(job.result())
             print(json.dumps(rows[-1]), flush=True)

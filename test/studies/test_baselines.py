@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
-from infomap_ros.studies.baselines.frontiers import find_frontiers, frontier_cells
+from infomap_ros.studies.baselines.frontiers import find_frontiers, frontier_cells, level_views
 from infomap_ros.studies.baselines.nearest_frontier import NearestFrontier
+from infomap_ros.studies.baselines.proposals import told_by
 from infomap_ros.studies.baselines.tree import grow_tree
 from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.views import Situation
+from infomap_ros.views.options import Options
+from infomap_ros.views.rating import Ratings
 from infomap_ros.views.surroundings import Surroundings
 from infomap_ros.views.survey import survey
 
@@ -95,3 +101,16 @@ def test_nearest_frontier_goes_to_the_nearest(seen) -> None:
     gone = np.linalg.norm(np.array(centres) - other.pose[:3, 3], axis=1)
     assert gone.min() < 1e-6
     assert ways[gone.argmin()] <= np.sort(ways)[min(1, len(ways) - 1)]  # the nearest of use
+
+
+def test_views_that_were_taken_tell_nothing_more() -> None:
+    """Whatever the rays promise: they leak past corners of obstacles that a scan does not."""
+    azimuths, places = np.array([0.0, 0.02, 0.3, 0.0]), np.zeros((4, 3))
+    places[3] = (2.0, 0.0, 0.0)
+    poses = level_views(places, azimuths)
+    size = SimpleNamespace(voxel_size=CELL)
+    past = SimpleNamespace(past_views=poses[:1])
+    options = cast("Options", SimpleNamespace(poses=poses, situation=past, surroundings=size))
+    ratings = cast("Ratings", SimpleNamespace(shares=np.array([0.1, 0.2, 0.3, 0.4])))
+    told = told_by(options, ratings, np.array([3, 2, 1, 0, -1]))
+    np.testing.assert_array_equal(told, [0.4, 0.3, 0.0, 0.0, 0.0])

@@ -187,22 +187,34 @@ def worth(
     return total
 
 
+@pytest.mark.parametrize("depth", [3, 4])
 def test_look_ahead_finds_the_best_sequence_of_all(
-    seen: Situation, rng: np.random.Generator
+    seen: Situation, rng: np.random.Generator, depth: int
 ) -> None:
-    config = LookAheadConfig(depth=3, views=6, beam=1000, unlike_distance=0.0)
+    config = LookAheadConfig(depth=depth, views=6, beam=1000, unlike_distance=0.0)
     for _ in range(4):
         places = np.sort(rng.uniform(1.0, 4.8, 6)).round(3)
         gains = {float(x): {**voxels(40, int(rng.integers(60)))} for x in places}
         options, ratings, scores = ahead(seen, gains, config)
         expected = np.full(6, -np.inf)
-        for length in (1, 2, 3):
+        for length in range(1, depth + 1):
             for order in itertools.permutations(range(6), length):
                 value = worth(config, options, ratings, list(gains.values()), order)
                 expected[order[0]] = max(expected[order[0]], value)
         best = int(expected.argmax())
         assert scores.values.argmax() == best
         assert scores.values[best] == pytest.approx(expected[best], rel=0.1)
+
+
+def test_look_ahead_goes_on_with_its_plan(seen: Situation) -> None:
+    poses = [facing(0.0, (x, 2.0, 1.2)) for x in (2.5, 4.5)]
+    source = Prescribed({2.5: voxels(25), 4.5: voxels(60, 100)})
+    strategy = LookAhead(LookAheadConfig(depth=2, patience=4.0))
+    options = options_of(seen, poses, [25.0, 60.0], full=100.0, source=source)
+    surroundings, rng = options.surroundings, options.rng
+    assert not len(strategy.propose(seen, surroundings, rng))
+    score(strategy, options)
+    np.testing.assert_array_equal(strategy.propose(seen, surroundings, rng), poses[1:])
 
 
 def test_small_gain_on_the_way_is_taken_first(seen: Situation) -> None:

@@ -21,7 +21,7 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-bag test lint types bench lock clean
+.PHONY: help setup demo demo-team demo-bag test lint types bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## list the commands
@@ -32,6 +32,9 @@ setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels,
 
 demo: $(READY) $(STAMPS)/rendering  ## a simulated rover explores a rough world, results in out/demo
 	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
+
+demo-team: $(READY) $(STAMPS)/rendering  ## two rovers map one world together, results in out/demo-team
+	@$(BIN)/python -m infomap_ros.nodes.demo_team --out out/demo-team
 
 demo-bag: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo-bag
 	@$(BIN)/python -m infomap_ros.nodes.bag_demo --out out/demo-bag

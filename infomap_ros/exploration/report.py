@@ -128,7 +128,8 @@ def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
     note += f"; what lies above {above.cut:.2f} m is left out" if above.cut is not None else ""
     keys = _KEYS if run is not None else ""
     keys += f'<li><i class="key ramp"></i>{note.replace("-", MINUS)}</li>'
-    return f'<div class="above">{plan(above, run)}<ul class="keys">{keys}</ul></div>'
+    drawn = plan(above) if run is None else plan(above, run)
+    return f'<div class="above">{drawn}<ul class="keys">{keys}</ul></div>'
 
 
 def _above(voxel_map: VoxelMap) -> MapImage | None:

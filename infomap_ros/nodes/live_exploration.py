@@ -24,6 +24,61 @@ _MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 Parameters = Mapping[str, object]
 
 
+def robot_parameters(
+    out: Path, namespace: str = "/", *, localised: bool = True
+) -> dict[str, dict[str, object]]:
+    """Parameters of the nodes of one simulated robot that explores, by node name.
+
+    It keeps map, mission, localisation and its place in files, and goes on from them.
+
+    Args:
+        out: folder of its files, an absolute path.
+        namespace: of the robot.
+        localised: by fiducial_localization; else the simulator tells the camera's pose.
+    """
+
+    def reliable(*topics: str) -> dict[str, str]:
+        return reliable_inputs(topics, namespace)
+
+    updates = reliable("map_updates", "camera_pose", "joint_states")
+    nodes: dict[str, dict[str, object]] = {
+        "simulator": {
+            "pace": 0.0,
+            "image_rate": IMAGE_RATE,
+            "state_file": out / ROBOT_FILE,
+            "resume": True,
+            "publish_camera_pose": not localised,
+        },
+        "fiducial_localization": {
+            "rectify": True,
+            "motion": "odometry",
+            "state_file": out / LOCALISATION_FILE,
+            "resume": True,
+            **simulated_localisation(),
+            **reliable(*_IMAGES, "odom", "joint_states"),
+        },
+        "stereo_range": {"rectify": True, **reliable(*_IMAGES)},
+        "map_fusion": {
+            "map_file": out / MAP_FILE,
+            "resume": True,
+            "autosave_period": _AUTOSAVE,
+            "waiting.max_wait": _MAX_WAIT,
+            **reliable("points2", "camera_pose", "joint_states"),
+        },
+        "next_best_view": {**updates},
+        "explorer": {
+            "autostart": True,
+            "resume": True,
+            "mission_file": out / MISSION_FILE,
+            "log_file": out / LOG_FILE,
+            **updates,
+        },
+    }
+    if not localised:
+        del nodes["fiducial_localization"]
+    return nodes
+
+
 class LiveExploration(LiveGraph):
     """A simulated robot that explores, every node a process of its own.
 
@@ -49,42 +104,7 @@ class LiveExploration(LiveGraph):
         out = out.absolute()
         self.figures: dict[str, str] = {}
         self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
-        updates = reliable_inputs(("map_updates", "camera_pose", "joint_states"))
-        chain = reliable_inputs(("points2", "camera_pose", "joint_states"))
-        robot = {
-            "state_file": out / ROBOT_FILE,
-            "resume": True,
-            "publish_camera_pose": not localised,
-        }
-        own: dict[str, dict[str, object]] = {
-            "simulator": {"pace": 0.0, "image_rate": IMAGE_RATE, **robot},
-            "fiducial_localization": {
-                "rectify": True,
-                "motion": "odometry",
-                "state_file": out / LOCALISATION_FILE,
-                "resume": True,
-                **simulated_localisation(),
-                **reliable_inputs((*_IMAGES, "odom", "joint_states")),
-            },
-            "stereo_range": {"rectify": True, **reliable_inputs(_IMAGES)},
-            "map_fusion": {
-                "map_file": self.map_file,
-                "resume": True,
-                "autosave_period": _AUTOSAVE,
-                "waiting.max_wait": _MAX_WAIT,
-                **chain,
-            },
-            "next_best_view": {**updates},
-            "explorer": {
-                "autostart": True,
-                "resume": True,
-                "mission_file": out / MISSION_FILE,
-                "log_file": self.log_file,
-                **updates,
-            },
-        }
-        if not localised:
-            del own["fiducial_localization"]
+        own = robot_parameters(out, localised=localised)
         given = parameters or {}
         self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
 

@@ -102,21 +102,30 @@ class LiveGraph:
         """
         end = time.monotonic() + timeout
         while not condition():
-            self._processes.check(may_end=self.may_end)
+            self.check()
             if time.monotonic() > end:
                 complaints = "; ".join(f"{n}: {text}" for n, text in self.state.complaints.items())
                 raise ProcessError(f"waited {timeout:.0f} s in vain for {what}. {complaints}")
             self._executor.spin_once(timeout_sec=0.1)
             tick()
 
-    def spin_for(self, seconds: float) -> None:
+    def check(self) -> None:
+        """Make sure that all processes live.
+
+        Raises:
+            ProcessError: one has ended, and may not.
+        """
+        self._processes.check(may_end=self.may_end)
+
+    def spin_for(self, seconds: float, tick: Callable[[], None] = lambda: None) -> None:
         """Watch the run for some time.
 
         Raises:
             ProcessError: a process failed.
         """
         end = time.monotonic() + seconds
-        self.spin_until(lambda: time.monotonic() >= end, "the time to pass", seconds + 60.0)
+        over = seconds + 60.0
+        self.spin_until(lambda: time.monotonic() >= end, "the time to pass", over, tick)
 
     def call(self, service: str, timeout: float = 60.0) -> str:
         """Call a Trigger service, for example ``map_fusion/save``; returns its answer.

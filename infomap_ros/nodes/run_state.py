@@ -13,7 +13,7 @@ class RunState:
     """What is known of a run so far.
 
     Attributes:
-        figures: last diagnostic values of each node by node name.
+        figures: last diagnostic values of each node by node name, after the namespace if any.
         complaints: last diagnostic message of each node that was not ``ok``.
         updates: arrival of the last map update of each stamp [s, monotonic] by stamp [ns].
         images: arrival of each left image, likewise.
@@ -41,7 +41,7 @@ class RunState:
 
     def add(self, status: DiagnosticStatus) -> None:
         """Take what a node says of itself."""
-        node = status.hardware_id.rpartition("/")[2]
+        node = status.hardware_id.strip("/")
         before = self.count(node)
         self.figures[node] = {pair.key: pair.value for pair in status.values}
         if self.count(node) > before:

@@ -34,15 +34,22 @@ class _Sheet:
         return round(float(x), 1), round(float(y), 1)
 
 
-def plan(image: MapImage, run: RecordedRun | None) -> str:
-    """Draw the map from above with the paths of base and camera and the chosen views."""
+def plan(image: MapImage, *runs: RecordedRun) -> str:
+    """Draw the map from above with the paths of base and camera and the chosen views.
+
+    Args:
+        image: the map.
+        runs: of the robots; the paths of all but the first are dashed.
+    """
     low = image.low
     high = low + np.array(image.pixels.shape[1::-1]) * image.cell
-    sheet = _Sheet(*_box(low, high, run))
+    sheet = _Sheet(*_box(low, high, runs))
     parts = [_picture(sheet, image, low, high), *_axes(sheet)]
-    if run is not None:
-        parts += [_path(sheet, motion) for motion in run.of(Motion) if len(motion.path) > 1]
-        parts += [_view(sheet, place, step) for place, step in enumerate(run.steps)]
+    for index, run in enumerate(runs):
+        kind = " dashed" if index else ""
+        parts += [_path(sheet, motion, kind) for motion in run.of(Motion) if len(motion.path) > 1]
+    steps = [step for run in runs for step in run.steps]
+    parts += [_view(sheet, place, step) for place, step in enumerate(steps)]
     return (
         f'<svg class="plan" viewBox="0 0 {sheet.width:.0f} {sheet.height:.0f}" role="img" '
         f'preserveAspectRatio="xMinYMin" aria-label="The map and the run from above">'
@@ -50,10 +57,10 @@ def plan(image: MapImage, run: RecordedRun | None) -> str:
     )
 
 
-def _box(low: FloatArray, high: FloatArray, run: RecordedRun | None) -> tuple[FloatArray, ...]:
+def _box(low: FloatArray, high: FloatArray, runs: Sequence[RecordedRun]) -> tuple[FloatArray, ...]:
     """The map and all that is drawn over it."""
-    motions = () if run is None else run.of(Motion)
-    steps = () if run is None else run.steps
+    motions = [motion for run in runs for motion in run.of(Motion)]
+    steps = [step for run in runs for step in run.steps]
     points = [motion.path[:, :2] for motion in motions]
     points += [s.decision.pose[None, :2, 3] for s in steps if s.decision.pose is not None]
     every = np.concatenate([low[None], high[None], *points])
@@ -96,8 +103,9 @@ def _axes(sheet: _Sheet) -> list[str]:
     return parts
 
 
-def _path(sheet: _Sheet, motion: Motion) -> str:
+def _path(sheet: _Sheet, motion: Motion, kind: str) -> str:
     who = "base" if motion.action in BASE_ACTIONS else "camera"
+    who += kind
     trace = " ".join(f"{x},{y}" for x, y in map(sheet.place, motion.path))
     return f'<polyline class="halo" points="{trace}"/><polyline class="{who}" points="{trace}"/>'
 

@@ -1,0 +1,59 @@
+"""The demo of a team, without its twelve processes: what they are told, and the map of all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.nodes import demo_team
+from infomap_ros.nodes.demo_team import sum_of_maps
+from infomap_ros.nodes.live_team import LiveTeam
+
+
+def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> None:
+    given = {"simulator": {"world": "cave"}, "next_best_view": {"threads": 1}}
+    team = LiveTeam(tmp_path, (1.0, 0.0, 0.0), given, robots=3, loss=0.2)
+
+    nodes = [team._parameters[name] for name in team.names]
+    assert team.names == ("rover1", "rover2", "rover3")
+    assert [robot["map_fusion"]["robot_id"] for robot in nodes] == [1, 2, 3]
+    assert {robot["next_best_view"]["team_map.simulated_loss"] for robot in nodes} == {0.2}
+    assert [robot["simulator"]["publish_clock"] for robot in nodes] == [True, False, False]
+    assert nodes[1]["simulator"]["teammates"] == ["rover1", "rover3"]
+    assert nodes[1]["simulator"]["world"] == "cave"
+    places = np.array([robot["simulator"]["start"] for robot in nodes])
+    assert np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).min() > 0.9
+    assert len({str(robot["map_fusion"]["map_file"]) for robot in nodes}) == 3
+    reliable = "qos_overrides./rover2/camera_pose.subscription.reliability"
+    assert nodes[1]["map_fusion"][reliable] == "reliable"
+
+
+def test_the_map_of_all_is_the_sum_of_what_each_saw(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    maps = []
+    for number, x in enumerate((1.0, 1.5)):
+        one = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+        wall = rng.uniform((x, -0.5, -0.5), (x + 0.05, 0.5, 0.5), (500, 3))
+        one.integrate(wall, np.eye(4))
+        one.save(tmp_path / f"{number}.infomap")
+        maps.append(one)
+
+    shared = sum_of_maps([tmp_path / "0.infomap", tmp_path / "1.infomap"])
+
+    places = rng.uniform((0.0, -0.5, -0.5), (1.6, 0.5, 0.5), (2000, 3))
+    known = np.array([each.is_known(places) for each in maps])
+    np.testing.assert_array_equal(shared.is_known(places), known.any(axis=0))
+    sums = sum(np.where(k, m.log_odds(places), 0.0) for k, m in zip(known, maps, strict=True))
+    both = known.any(axis=0)
+    np.testing.assert_allclose(shared.log_odds(places)[both], sums[both], atol=0.1)
+
+
+def test_an_impossible_world_ends_with_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    arguments = ["--out", str(tmp_path / "out"), "--world", "moon"]
+    assert demo_team.main(arguments) == 1
+    assert capfd.readouterr().err.strip().startswith("infomap demo-team: world: 'moon'")

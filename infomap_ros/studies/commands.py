@@ -17,6 +17,7 @@ from rich.progress import Progress
 
 from infomap_ros.studies.localization_commands import drift, pose_consistency
 from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
+from infomap_ros.studies.metrics.commands import metrics
 from infomap_ros.studies.planar.commands import planar, two
 from infomap_ros.studies.rover.commands import rover
 
@@ -26,6 +27,7 @@ app.command("pose-consistency")(pose_consistency)
 app.command("planar")(planar)
 app.command("two")(two)
 app.command("rover")(rover)
+app.command("metrics")(metrics)
 
 
 @app.callback()

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
-from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.nodes import qos
+from infomap_ros.nodes.agents_topic import TOPIC, listen_to_agents
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_listener import MapListenerConfig
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.replay.messages.agents import decode_agent_texts, encode_agent
+from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team import draw_session, version_at
 from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.team.authentication import TeamKey
 
-TOPIC = "team/agents"
 _TICK = 0.05  # between two looks whether there is something to tell [s]
 _HEARTBEAT = 1.0  # longest time without a message, also where nothing moves [s]
 
@@ -51,7 +50,7 @@ class TeamAgents:
         self.doing = "idle"
         self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
         self._description = node.resolve_topic_name("robot_description")
-        self._publisher = node.advertise(MarkerArray, TOPIC, qos.stream(depth=50))
+        self._publisher = node.advertise(MarkerArray, "team/agents", qos.stream(depth=50))
         listen_to_agents(node, self._frame, self._hear)
         node.create_timer(_TICK, self._tell_if_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -88,21 +87,3 @@ class TeamAgents:
             return None
         camera = calibration.rectified_camera()
         return Presence(stamp, state, robot, camera, self._range, self.doing, self._description)
-
-
-def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None]) -> None:
-    """Subscribe to what robots tell of themselves.
-
-    Args:
-        node: that listens; what is refused is counted there.
-        frame: of the map.
-        hear: called with each text; its errors of the library are counted drops.
-    """
-
-    def receive(message: MarkerArray) -> None:
-        for told_in, text in decode_agent_texts(message):
-            if told_in != frame:
-                raise FrameError(f"robot told in frame '{told_in}', the map is '{frame}'")
-            hear(text)
-
-    node.listen(MarkerArray, TOPIC, receive, qos.stream(depth=50), required=False)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
@@ -78,6 +80,16 @@ class CameraFollower:
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""
         self._localizer = self._posture = self._saved = None
+
+    def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+        """Put the map's frame elsewhere; see `Localizer.move_map`.
+
+        Raises:
+            InvalidInputError: there is no map yet, it is that of a target, or that is no move.
+        """
+        if self._localizer is None:
+            raise InvalidInputError("T_new_old", "there is no map yet")
+        self._localizer.move_map(T_new_old, covariance)
 
     def lose_track(self) -> None:
         """Keep the map; where the camera is in it has to be found out."""

@@ -19,8 +19,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 
+from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
@@ -28,17 +30,20 @@ from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig, make_detector
+from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.camera_follower import CameraFollower, CameraFollowerConfig
 from infomap_ros.nodes.image_inputs import ImageInputs
 from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.localization_news import LocalizationNews
 from infomap_ros.nodes.localization_warm_up import warm_up
+from infomap_ros.nodes.map_moves import check_is_later, describe_move, listen_to_moves
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.orders import offer_order
 from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.run import run_node
 from infomap_ros.nodes.saved_localisation import SavedLocalisation
+from infomap_ros.nodes.teammate_sight import TeammateSight
 from infomap_ros.nodes.view_gate import Look, ViewGate
 from infomap_ros.nodes.view_sources import ViewSource
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
@@ -52,6 +57,7 @@ class FiducialLocalizationNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
+        (TeamTagsConfig, "team_tags."),
         (DeadReckoningConfig, "motion_noise."),
         (StereoConfig, "stereo."),
         (SparseStereoConfig, "sparse."),
@@ -71,6 +77,12 @@ class FiducialLocalizationNode(MonitoredNode):
         self.get_logger().info("kernels ready")
         self._news = LocalizationNews(self, self._follower)
         self._worker = self.start_worker(config.queue_size)
+        stays = self.config(TargetConfig).kind != "none"
+        self._teammates = TeammateSight(self, self._worker, self._move_map, stays=stays)
+        self._moved = self._seen = 0  # stamps [ns]
+        if config.follow_alignment:
+            frame = self.config(RobotTrackerConfig).map_frame
+            listen_to_moves(self, frame, self._worker, self._move_map)
         self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
         topics = self._source.image_topics, self._source.info_topics
         waiting = config.pairing_tolerance, config.queue_size
@@ -113,6 +125,23 @@ class FiducialLocalizationNode(MonitoredNode):
         framed = self._source.view(look.images, look.infos)
         result = self._follower.follow(framed.view, look.posture, look.body)
         self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
+        self._seen = result.stamp
+        self._teammates.look(framed.view, result)
+
+    def _move_map(self, told: PoseRecord) -> None:
+        """Put the map's frame where it belongs; what map_fusion has follows the keyframes.
+
+        Raises:
+            InvalidInputError: it cannot be moved, or was moved since that was found.
+        """
+        check_is_later(told, self._moved)
+        covariance = np.zeros((6, 6)) if told.covariance is None else told.covariance
+        self._follower.move_map(told.transform, covariance)
+        self._moved = self._seen
+        self._teammates.forget()
+        sentence = f"the map has moved {describe_move(told.transform)}"
+        self.health.note("last move", sentence)
+        self.get_logger().info(sentence)
 
     def _reset(self) -> str:
         self._follower.reset()

@@ -35,6 +35,7 @@ from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_corrections import MapCorrections
 from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
+from infomap_ros.nodes.map_moves import listen_to_moves
 from infomap_ros.nodes.map_outputs import MapOutputsConfig
 from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.orders import offer_order
@@ -46,8 +47,8 @@ from infomap_ros.nodes.team_bodies import TeamBodyConfig
 from infomap_ros.nodes.team_radio import TeamRadioConfig
 from infomap_ros.nodes.update_stream import UpdateStreamConfig
 from infomap_ros.team import TeamConfig
-
 from infomap_ros.team.agents_config import AgentBoardConfig
+
 _REPEAT_PERIOD = 0.1  # [s]
 
 
@@ -97,10 +98,10 @@ class MapFusionNode(MonitoredNode):
         (WaitingQueueConfig, "waiting."),
         (RobotBodyConfig, ""),
         (BodyFilterConfig, "body."),
-        (JointBufferConfig, "joints."),
         (TeamBodyConfig, ""),
         (TeamBodiesConfig, "teammates."),
         (AgentBoardConfig, "agents."),
+        (JointBufferConfig, "joints."),
         (MemoryConfig, ""),
     )
 
@@ -114,6 +115,8 @@ class MapFusionNode(MonitoredNode):
         self._telling = False
         keeper.team.listen(self._worker)
         MapCorrections(self, keeper, self._worker)
+        frame = self.config(ScanGateConfig).map_frame
+        listen_to_moves(self, frame, self._worker, keeper.move, "~/move")
         self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))

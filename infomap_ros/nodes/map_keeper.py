@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infomap_ros.errors import MapFileError
+from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organised import fit_pinhole_camera
@@ -17,6 +18,7 @@ from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.map_moves import describe_move
 from infomap_ros.nodes.map_outputs import MapOutputs
 from infomap_ros.nodes.map_warm_up import warm_up
 from infomap_ros.nodes.robot_body import without_bodies
@@ -25,6 +27,7 @@ from infomap_ros.nodes.team_map import TeamMap
 from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.replay.messages import decode_point_cloud
 from infomap_ros.replay.messages.keyframes import KeyframePoses
+from infomap_ros.team.moving import moved_map
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,17 @@ class MapKeeper:
         empty = VoxelMap(self._map.config)
         self._replace_by(empty)
         return f"forgot {count} voxels"
+
+    def move(self, told: PoseRecord) -> str:
+        """Move what is in the map, voxel by voxel, and say so; scans move no more after that.
+
+        Raises:
+            InvalidInputError: the pose is none.
+        """
+        self._replace_by(moved_map(self._map, told.transform))
+        answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
+        self._node.get_logger().info(answer)
+        return answer
 
     def _replace_by(self, other: VoxelMap) -> None:
         self._updates.replace(self._map)

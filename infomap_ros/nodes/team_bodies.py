@@ -18,9 +18,9 @@ from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes import qos
+from infomap_ros.nodes.agents_topic import listen_to_agents
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.robot_body import RobotBodyConfig
-from infomap_ros.nodes.team_agents import listen_to_agents
 from infomap_ros.nodes.update_stream import UpdateStreamConfig
 from infomap_ros.replay.messages import decode_text
 from infomap_ros.team.agent_board import AgentBoard

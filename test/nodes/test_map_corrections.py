@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import MalformedMessageError
+from infomap_ros.geometry import PoseRecord, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.replay.messages import encode_pose
 from infomap_ros.replay.messages.keyframes import (
     KeyframePoses,
     decode_keyframe_covariances,
@@ -20,6 +23,7 @@ from infomap_ros.replay.messages.keyframes import (
     encode_keyframe_poses,
 )
 from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.team.moving import moved_map
 from test.nodes.test_map_fusion import (
     CAMERA,
     COVARIANCE,
@@ -100,6 +104,17 @@ def test_a_corrected_map_is_as_sure_as_its_keyframes(graph: Any) -> None:
     bench.wait_for_correction()
     (scan,) = bench.node._keeper._corrected.store
     assert np.allclose(scan.covariance, 9.0 * COVARIANCE, rtol=1e-6, atol=1e-12)
+
+
+def test_what_is_in_a_map_is_moved_by_hand(graph: Any) -> None:
+    bench = CorrectedBench(graph)
+    publisher = graph.publisher(PoseWithCovarianceStamped, "map_fusion/move")
+    graph.connect(publisher)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    shift = make_transform(np.eye(3), (0.5, 0.0, -0.2))
+    publisher.publish(encode_pose(TYPES, PoseRecord(0, "map", shift, COVARIANCE)))
+    bench.wait_for_map(as_replica(moved_map(map_of(T_MAP_CAMERA), shift)))
 
 
 def test_scans_follow_and_listeners_forget_the_ghost(graph: Any) -> None:

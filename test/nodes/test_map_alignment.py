@@ -1,0 +1,174 @@
+"""A map is put where it belongs: by teammates whose tags are seen, or by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from visualization_msgs.msg import MarkerArray
+
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PoseRecord,
+    invert_transform,
+    perturb_transform,
+)
+from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.target.robot_tags import tag_pose
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.team_alignment import TeamTagsConfig
+from infomap_ros.nodes import qos
+from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.teammate_sight import TeammateSight
+from infomap_ros.replay.messages import decode_pose_with_covariance, encode_pose
+from infomap_ros.replay.messages.agents import encode_agent
+from infomap_ros.team.agent_text import agent_to_text
+from infomap_ros.team.agents import Agent
+from test.localization.tag_scenes import BoardView, pose_error, seen_from
+from test.nodes.test_fiducial_localization import Stage
+
+TYPES = RclpyMessageTypes()
+SECOND = 1_000_000_000
+TAG = tag_pose((-0.3, 0.0, 0.25), (-1.0, 0.0, 0.0))
+PRINT = TagBoard(TagBoardConfig(columns=1, rows=1, side=0.16, first_id=5))
+TAGS: dict[str, Any] = {
+    "team_tags__robots": [1, 2],
+    "team_tags__ids": [4, 5],
+    "team_tags__poses": [*map(float, TAG), *map(float, TAG)],
+    "team_tags__sightings": 3,
+}
+T_THEIRS_MINE = perturb_transform(np.eye(4), [4.0, 1.0, 0.0, 0.0, 0.0, 0.7])
+
+
+class SightNode(MonitoredNode):
+    """A node that looks for teammates in the views that it is given."""
+
+    CONFIGS = (
+        (TeamTagsConfig, "team_tags."),
+        (FiducialLocalizationConfig, ""),
+        (RobotTrackerConfig, ""),
+    )
+
+    def __init__(self, *, stays: bool = False, **arguments: Any) -> None:
+        super().__init__("sight", **arguments)
+        self.moves: list[PoseRecord] = []
+        self.worker = self.start_worker(10)
+        self.sight = TeammateSight(self, self.worker, self.moves.append, stays=stays)
+
+
+class Meeting:
+    """A robot that sees the tag on the back of robot 2 from some places."""
+
+    def __init__(self, graph: Any, robot_id: int, rng: np.random.Generator) -> None:
+        self.graph, self.rng = graph, rng
+        self.node = graph.add(SightNode, robot_id=robot_id, **TAGS)
+        self.agents = graph.publisher(MarkerArray, "team/agents")
+        self.told = graph.collect(PoseWithCovarianceStamped, "/rover2/map_alignment", qos.stream())
+        graph.connect(self.agents)
+        self.version = 0
+
+    def meet(self, stamp: int, T_theirs_mine: np.ndarray) -> None:
+        """See the teammate, and then hear from it where it was."""
+        T_camera_print = seen_from(PRINT, 1.1, 0.5, self.rng)
+        view = BoardView(PRINT, T_camera_print, self.rng, range_sigma=0.004)
+        view.stamp = stamp
+        board = TagBoard(TagBoardConfig(side=0.16, ids=(5,), poses=tuple(map(float, TAG))))
+        T_camera_base = T_camera_print @ PRINT.tag_poses[0] @ invert_transform(board.tag_poses[0])
+        T_map_camera = perturb_transform(np.eye(4), self.rng.normal(0.0, 1.0, 6))
+        result = Localisation(stamp, "tracking", T_map_camera, 1e-6 * np.eye(6))
+        self.node.worker.submit_always(lambda: self.node.sight.look(view, result))
+        base = T_theirs_mine @ T_map_camera @ T_camera_base
+        for at in (stamp - SECOND // 10, stamp + SECOND // 10):
+            self.version += 1
+            camera = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
+            agent = Agent(
+                2, 7, self.version, at, at, base, base, 1e-6 * np.eye(6), camera, 4.0, "looking",
+                description="/rover2/robot_description",
+            )  # fmt: skip
+            message = encode_agent(TYPES, "map", agent, agent_to_text(agent), 2.0)
+            self.agents.publish(message)
+        seen = self.node.resolve_topic_name("team/agents")
+        stream = self.node.health._streams[seen]
+        self.graph.spin_until(lambda: stream.count >= self.version, "agents")
+
+
+def check(found: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> None:
+    error = pose_error(found, truth)
+    assert np.linalg.norm(error[:3]) < 0.15
+    assert error @ np.linalg.solve(covariance, error) < 27.9
+
+
+def test_of_two_robots_the_one_with_the_larger_id_moves_its_map(
+    graph: Any, rng: np.random.Generator
+) -> None:
+    meeting = Meeting(graph, 3, rng)
+    for number in range(3):
+        meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
+    graph.spin_until(lambda: meeting.node.moves, "the move")
+    (move,) = meeting.node.moves
+    assert move.stamp == 12 * SECOND and move.covariance is not None
+    check(move.transform, move.covariance, T_THEIRS_MINE)
+    assert not meeting.told
+
+
+def test_the_other_one_tells_its_teammate(graph: Any, rng: np.random.Generator) -> None:
+    meeting = Meeting(graph, 1, rng)
+    for number in range(3):
+        meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
+    graph.spin_until(lambda: meeting.told, "the message")
+    move = decode_pose_with_covariance(meeting.told[0])
+    assert (move.frame_id, move.stamp) == ("map", 12 * SECOND)
+    assert move.covariance is not None
+    check(move.transform, move.covariance, invert_transform(T_THEIRS_MINE))
+    assert not meeting.node.moves
+
+
+def test_robots_with_one_map_move_nothing(graph: Any, rng: np.random.Generator) -> None:
+    meeting = Meeting(graph, 3, rng)
+    for number in range(5):
+        meeting.meet((10 + number) * SECOND, np.eye(4))
+    graph.spin_until(lambda: "robot 2 seen at" in meeting.node.health.values(), "a sighting")
+    assert not meeting.node.moves and not meeting.told
+
+
+def aligned(stage: Stage, stamp: int = 0) -> None:
+    topic = "map_alignment"
+    publisher = stage.graph.publisher(PoseWithCovarianceStamped, topic)
+    stage.graph.connect(publisher)
+    pose = PoseRecord(stamp, "map", T_THEIRS_MINE, 1e-4 * np.eye(6))
+    publisher.publish(encode_pose(TYPES, pose))
+
+
+def test_a_map_is_moved_by_hand_and_the_camera_goes_on_in_it(graph: Any) -> None:
+    stage = Stage(graph, follow_alignment=True)
+    before = stage.run(4)
+    aligned(stage)
+    graph.spin_until(lambda: "last move" in stage.node.health.values(), "the move")
+    after = stage.run(2, first=5)
+    assert len(after) == 2
+    for stamp in before:  # as they would be in the map where it is now
+        pose = stage.poses[stamp]
+        moved = PoseRecord(stamp, "map", T_THEIRS_MINE @ pose.transform, pose.covariance)
+        stage.poses[stamp] = moved
+    assert stage.errors(before + after).max() < 0.02
+    told = stage.poses[after[0]].covariance
+    assert told is not None and told[:3, :3].trace() > 2e-4  # the move's error is in it
+    aligned(stage, stamp=before[0])
+    graph.spin_until(lambda: "invalid data" in stage.node.health.drops(), "the refusal")
+
+
+def test_a_map_is_not_moved_by_anybody_unless_it_is_allowed(graph: Any) -> None:
+    stage = Stage(graph)
+    topic = stage.graph.tester.resolve_topic_name("map_alignment")
+    assert stage.graph.tester.count_subscribers(topic) == 0
+
+
+def test_tags_of_the_own_robot_are_not_looked_for(graph: Any) -> None:
+    node = graph.add(SightNode, robot_id=1, team_tags__robots=[1], team_tags__ids=[4],
+                     team_tags__poses=[float(number) for number in TAG])  # fmt: skip
+    topic = node.resolve_topic_name("team/agents")
+    assert node.count_subscribers(topic) == 0

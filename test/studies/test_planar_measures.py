@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from infomap_ros.studies.planar.measures import (
     fraction_at,
     saving,
 )
-from infomap_ros.studies.planar.planar_study import Row, compare
+from infomap_ros.studies.planar.planar_study import Row, compare, savings_of
+from infomap_ros.studies.planar.savings_figure import draw_savings
 
 DISTANCE = np.array([0.0, 0.0, 10.0, 30.0])
 FRACTION = np.array([0.1, 0.2, 0.5, 0.9])
@@ -70,6 +72,21 @@ def test_comparison_is_paired_over_worlds() -> None:
     assert found.saved.mean == pytest.approx((0.2 + 0.25 - 0.8) / 3.0)
     assert (found.saved.count, found.at_least, found.at_most, found.unknown) == (3, 1, 1, 0)
     assert found.area.mean == pytest.approx((0.1 + 0.3 - 0.1) / 3.0)
+
+
+def test_savings_are_drawn_with_their_bounds(tmp_path: Path) -> None:
+    ways = {"a": (80.0, 100.0), "b": (90.0, np.inf), "c": (np.inf, 50.0)}
+    rows = [
+        row(world, name, way, min(way, 95.0))
+        for world, both in ways.items()
+        for name, way in zip(("own", "other"), both, strict=True)
+    ]
+    kinds = [one.kind for one in savings_of(rows, "own", "other")]
+    assert kinds == ["exact", "at least", "at most"]
+    draw_savings(rows, "own", ["other"], 0.9, tmp_path / "saved")
+    text = (tmp_path / "saved.svg").read_text()
+    assert "at least" in text and "way saved by own" in text
+    assert (tmp_path / "saved.png").stat().st_size > 5000
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from infomap_ros.studies.planar.planar_study import (
     tasks_of,
     team_tasks,
 )
-from infomap_ros.studies.planar.tasks import run_tasks
+from infomap_ros.studies.planar.tasks import label_of, run_tasks
 
 FloorPlans = Annotated[
     Path | None, typer.Option(help="folder with ROS maps (.yaml) to explore besides")
@@ -115,7 +115,7 @@ def two(
     table = report.team_overview(records, config.scans)
     figures: dict[str, float | str] = {"seconds": round(time.monotonic() - start, 1)}
     for name in config.strategies:
-        label = name.rpartition(".")[2]
+        label = label_of(name)
         own = [record.result for record in records if record.task.label == label]
         if own:
             figures[f"{label}.fraction"] = round(float(np.mean([r.fraction[-1] for r in own])), 4)

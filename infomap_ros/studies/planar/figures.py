@@ -15,6 +15,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.figure_style import draw_band, save, style_of
 from infomap_ros.studies.planar.measures import fraction_at
+from infomap_ros.studies.planar.planar_study import OWN
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.tasks import Record
 from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
@@ -79,6 +80,8 @@ def draw_curves(
     """
     strategies = list(dict.fromkeys(record.task.label for record in records))
     styles = style_of(strategies)
+    for name in set(OWN) & set(strategies):
+        styles[name]["linewidth"] = 2.6
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.6 * columns, 3.6 * rows + 0.9), layout="constrained")
@@ -106,6 +109,8 @@ def _label(axes: Any, kind: str, axis: Axis, value: str, worlds: int) -> None:
     axes.set_ylabel("fraction mapped [-]" if value == "fraction" else "distance moved [m]")
     axes.set_xlim(0.0, axis.last)
     axes.set_ylim(bottom=0.0)
+    if value == "distance":  # bands over few worlds may reach far beyond the means
+        axes.set_ylim(top=1.3 * max(line.get_ydata().max() for line in axes.lines))
     if value == "fraction" and axes.get_ylim()[1] > 0.5:
         axes.set_ylim(0.0, 1.0)
     axes.grid(alpha=0.3)
@@ -124,7 +129,7 @@ def draw_ways(
         path: without suffix; PNG and SVG are written.
     """
     columns = 1 + len(records)
-    figure = Figure(figsize=(3.4 * columns, 3.8), layout="constrained")
+    figure = Figure(figsize=(3.1 * columns, 3.9), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False)[0]
     extent = (0.0, world.size[0], 0.0, world.size[1])

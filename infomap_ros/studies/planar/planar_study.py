@@ -15,7 +15,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.common.bands import Band, band
 from infomap_ros.studies.planar.explore import ExplorationConfig
-from infomap_ros.studies.planar.measures import area_under_coverage, distance_to, saving
+from infomap_ros.studies.planar.measures import Saving, area_under_coverage, distance_to, saving
 from infomap_ros.studies.planar.sensor import SensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray
@@ -240,17 +240,26 @@ class Comparison:
 
 def compare(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> Comparison:
     """Compare two strategies, paired over worlds."""
+    areas = [mine.area - theirs.area for mine, theirs in _pairs(rows, own, other, kind)]
+    found = savings_of(rows, own, other, kind)
+    saved = np.array([one.share for one in found if one.kind != "unknown"])
+    kinds = [one.kind for one in found]
+    counts = (kinds.count(name) for name in ("at least", "at most", "unknown"))
+    return Comparison(kind, own, other, band(np.array(areas)), band(saved), *counts)
+
+
+def savings_of(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> list[Saving]:
+    """What one strategy saves against another on the way to `share`, world by world."""
+    pairs = _pairs(rows, own, other, kind)
+    return [saving(_ways(mine), _ways(theirs)) for mine, theirs in pairs]
+
+
+def _pairs(rows: Sequence[Row], own: str, other: str, kind: str) -> list[tuple[Row, Row]]:
     by_world: dict[str, dict[str, Row]] = {}
     for row in rows:
         if kind in ("all", row.kind):
             by_world.setdefault(row.world, {})[row.strategy] = row
-    pairs = [(w[own], w[other]) for w in by_world.values() if own in w and other in w]
-    areas = np.array([mine.area - theirs.area for mine, theirs in pairs])
-    found = [saving(_ways(mine), _ways(theirs)) for mine, theirs in pairs]
-    saved = np.array([one.share for one in found if one.kind != "unknown"])
-    kinds = [one.kind for one in found]
-    counts = (kinds.count(name) for name in ("at least", "at most", "unknown"))
-    return Comparison(kind, own, other, band(areas), band(saved), *counts)
+    return [(w[own], w[other]) for w in by_world.values() if own in w and other in w]
 
 
 def _ways(row: Row) -> tuple[float, float]:

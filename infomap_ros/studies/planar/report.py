@@ -12,6 +12,7 @@ from infomap_ros.studies.common.figure_style import band_note
 from infomap_ros.studies.common.tables import markdown, write_lines
 from infomap_ros.studies.planar.figures import Axis, draw_curves, draw_ways
 from infomap_ros.studies.planar.planar_study import (
+    BASELINES,
     OWN,
     Comparison,
     PlanarStudyConfig,
@@ -22,7 +23,8 @@ from infomap_ros.studies.planar.planar_study import (
     row_of,
     values_of,
 )
-from infomap_ros.studies.planar.tasks import Record
+from infomap_ros.studies.planar.savings_figure import draw_savings
+from infomap_ros.studies.planar.tasks import Record, label_of
 
 
 def rows_of(records: Sequence[Record], config: PlanarStudyConfig) -> list[Row]:
@@ -139,16 +141,25 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
     scans, metres = Axis("scans", config.scans), Axis("distance", config.reach)
     kinds = list(dict.fromkeys(record.task.world.kind for record in records))
     note = band_note(worlds)
+    _draw_comparison(records, config, out)
     panels = [("all", scans, "fraction"), ("all", scans, "distance"), ("all", metres, "fraction")]
     draw_curves(records, panels, out / "planar_curves", f"Fig. 11 over many worlds: {note}")
     by_kind = [(kind, metres, "fraction") for kind in kinds]
     draw_curves(records, by_kind, out / "planar_by_kind", f"By kind of world: {note}")
     first = [r for r in records if str(r.task.world) == str(records[0].task.world)]
-    shown = ("random", "largest_information", "look_ahead")
+    shown = ("random", "largest_information", "look_ahead", "FrontierTour")
     chosen = [record for record in first if record.task.label in shown]
     if chosen:
         world = chosen[0].task.world.make()
         draw_ways(world, chosen, config.sensor, config.scans, out / "planar_ways")
+
+
+def _draw_comparison(records: Sequence[Record], config: PlanarStudyConfig, out: Path) -> None:
+    rows = rows_of(records, config)
+    names = list(dict.fromkeys(row.strategy for row in rows))
+    others = [name for name in names if name in map(label_of, BASELINES)]
+    if "look_ahead" in names and others:
+        draw_savings(rows, "look_ahead", others, config.share, out / "planar_saved")
 
 
 def team_overview(records: Sequence[Record], scans: int) -> str:

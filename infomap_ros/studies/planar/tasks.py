@@ -17,6 +17,11 @@ from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
 
 
+def label_of(strategy: str) -> str:
+    """Name of a strategy for tables: that of its class where it is a dotted path."""
+    return strategy.rpartition(".")[2]
+
+
 @dataclass(frozen=True)
 class WorldName:
     """What a world is made from.
@@ -63,8 +68,8 @@ class Task:
 
     @property
     def label(self) -> str:
-        """Name of the strategy for tables: that of its class where it is a dotted path."""
-        return self.strategy.rpartition(".")[2]
+        """Name of the strategy for tables."""
+        return label_of(self.strategy)
 
     @property
     def file_name(self) -> str:

@@ -48,7 +48,7 @@ def agent_to_text(agent: Agent, key: TeamKey | None = None) -> str:
         "goal": None if agent.goal is None else _numbers(agent.goal),
         "covariance": upper,
         "lens": [getattr(agent.camera, name) for name in _LENS],
-        "way": agent.way.tolist(),
+        "way": np.round(agent.way, 4).tolist(),
         "joints": {name: float(value) for name, value in agent.joints.items()},
         "heard": {str(robot): int(claim) for robot, claim in agent.heard.items()},
     }

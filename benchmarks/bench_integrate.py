@@ -28,8 +28,8 @@ import room
 
 from infomap_ros.geometry import transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.blocks import block_bytes
-from infomap_ros.mapping.voxels.gaussians import gaussian_bytes
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, block_bytes
+from infomap_ros.mapping.voxels.surface import surface_bytes
 
 os.environ["OMP_NUM_THREADS"] = "1"  # OctoMap traces rays on all cores otherwise
 try:
@@ -102,7 +102,7 @@ def memory_figures(voxel_map: VoxelMap) -> dict[str, float]:
     """Bytes per voxel of a map: occupancy and state, and Gaussians."""
     storage = voxel_map._storage
     stored = len(voxel_map.state()["gaussian_owner"])
-    gaussians = gaussian_bytes(storage.gaussians)
+    gaussians = surface_bytes(storage.gaussians, int(storage.blocks.counts[BLOCK_COUNT]))
     return {
         "known_voxels": voxel_map.known_voxels,
         "surface_voxels": voxel_map.surface_voxels,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.storage import growth_bytes
+from infomap_ros.mapping.voxels.surface import growth_bound
 from infomap_ros.mapping.voxels.voxel_states import (
     VoxelStates,
     count_block_changes,
@@ -125,7 +126,8 @@ class MapReplica:
     def _check_capacity(self, update: MapUpdate) -> None:
         blocks = int(count_block_changes(update.indices))
         surfaces = int(np.count_nonzero(update.has_gaussian))
-        growth = growth_bytes(self._map._storage, blocks, blocks, surfaces)
+        growth = growth_bytes(self._map._storage, blocks, blocks)
+        growth += growth_bound(self._map._storage.gaussians, surfaces, min(surfaces, blocks))
         growth += blocks * (BLOCK_BYTES + 40) + surfaces * (CODE_BYTES + 8)
         used, limit = self.memory_bytes(), self._map.config.memory_limit * 1e9
         if used + growth > limit:

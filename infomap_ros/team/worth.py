@@ -13,6 +13,8 @@ from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
 from infomap_ros.mapping.voxels.gaussians import find_row
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
+from infomap_ros.mapping.voxels.surface_reading import read_information
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.gaussian_code import code_tables
 
@@ -139,15 +141,15 @@ def _voxel_worth(
     bits = divergences[now + _LIMIT, (was if was != NOT_OBSERVED else 0) + _LIMIT]
     if was == NOT_OBSERVED:
         bits += 1.0
-    place = find_row(gaussians.table, gaussians.owner, slot * BLOCK_VOXELS + local)
-    if now <= 0 or place < 0:
+    information = np.empty(INFORMATION_SIZE, np.float32)
+    if now <= 0 or not read_information(gaussians, slot * BLOCK_VOXELS + local, information):
         return bits, RUN_BYTES
     code, word = np.int64(-1), np.uint64(0)
     if other >= 0:
         code = find_row(told_codes.table, told_codes.owner, other * BLOCK_VOXELS + local)
     if code >= 0:
         word = told_codes.information[code, 1]
-    change = _log_determinant(gaussians.information[place])
+    change = _log_determinant(information)
     change -= _told_log_determinant(word, size, sigmas)
     return bits + min(0.5 * abs(change), _MOST_BITS), SURFACE_BYTES
 

@@ -54,10 +54,9 @@ def evidence(voxel_map: VoxelMap) -> dict[Voxel, float]:
 
 def content(voxel_map: VoxelMap) -> dict[Voxel, tuple[float, bytes]]:
     """Evidence [quanta] and the bits of the information of every known voxel."""
-    blocks, gaussians = voxel_map._storage.blocks, voxel_map._storage.gaussians
-    count = int(gaussians.counts[0])
-    owners = [voxel_of(blocks, int(owner)) for owner in gaussians.owner[:count]]
-    information = dict(zip(owners, gaussians.information[:count], strict=True))
+    state, blocks = voxel_map.state(), voxel_map._storage.blocks
+    owners = [voxel_of(blocks, int(owner)) for owner in state["gaussian_owner"]]
+    information = dict(zip(owners, state["gaussian_information"], strict=True))
     nothing = np.zeros(9, np.float32)
     known = evidence(voxel_map)
     assert known.keys() >= {voxel for voxel, row in information.items() if row.any()}

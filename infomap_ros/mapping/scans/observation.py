@@ -39,6 +39,11 @@ _AGREEMENT = 0.7
 _LEAST_VARIANCE = 1e-18
 """A variance along the normal of no more than this is what rounding left of one [m^2]."""
 
+_LEAST_SHARE = 0.02
+"""Where a scan finds the surface in a voxel with less probability than this, the voxel learns
+nothing of it: such estimates take memory and hardly ever come to lie in their voxels. The rule asks
+the scan alone, so that scans may come in any order."""
+
 
 @njit(cache=True, nogil=True)
 def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
@@ -224,6 +229,8 @@ def observe_rows(
             if not variance > _LEAST_VARIANCE:
                 continue
             inside = _share_inside(ox * nx + oy * ny + oz * nz, nx, ny, nz, variance, size)
+            if inside < _LEAST_SHARE:
+                continue
             inverse[:] = _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
         hits[row] = int(hit_quanta * inside + 0.5)
         for i in range(6):

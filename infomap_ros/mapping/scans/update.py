@@ -20,7 +20,6 @@ from infomap_ros.mapping.voxels.block_kernels import (
     make_room,
 )
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
-from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, gaussian_row
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
 
 _ONE = np.uint64(1)
@@ -32,6 +31,7 @@ def enter_rows(
     blocks: Any,
     rows: Any,
     hits: Any,
+    information: Any,
     hit_blocks: int,
     hit_row: Any,
     hit_bits: Any,
@@ -45,10 +45,12 @@ def enter_rows(
         blocks: a `BlockArrays` with room for a block and a plane per row.
         rows: a `ScanRows`.
         hits: evidence of each row [quanta].
+        information: of each row, shape (n, 9); one that begins with 0 is none.
         hit_blocks: number of blocks that have a hit already.
         hit_row: per block the row of `hit_bits` or -1.
         hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8), unused rows zero.
-        owners: receives the voxel of each row as the Gaussians number it, int64.
+        owners: receives the voxel of each row as the Gaussians number it, int64; 0 where
+            there is neither evidence nor information.
         down: largest decrease of a voxel in this scan [quanta].
         up: largest increase of a voxel in this scan [quanta].
 
@@ -59,6 +61,9 @@ def enter_rows(
     kind, base, plane, narrow = blocks.kind, blocks.base, blocks.plane, blocks.narrow
     tracked = len(blocks.dirty) > 0
     for row in range(rows.used[0]):
+        owners[row] = 0
+        if hits[row] == 0 and information[row, 0] == 0.0:
+            continue
         x, y, z = unpack(rows.keys[row])
         key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
         if key != last_key:
@@ -83,28 +88,22 @@ def enter_rows(
 
 
 @njit(cache=True, nogil=True)
-def merge_rows_into_map(
-    blocks: Any, gaussians: Any, owners: Any, information: Any, first: int, last: int
-) -> int:
-    """Merge the observations of rows [first, last) into the Gaussians.
-
-    Returns:
-        First row that was not merged because the table is full, or `last`.
-    """
-    table, owner = gaussians.table, gaussians.owner
-    stored, counts, dirty = gaussians.information, gaussians.counts, blocks.dirty
-    tracked = len(dirty) > 0
-    for row in range(first, last):
+def mark_merged(dirty: Any, owners: Any, information: Any) -> None:
+    """Remember that voxels receive information, if changes are tracked."""
+    if len(dirty) == 0:
+        return
+    for row in range(len(owners)):
         if information[row, 0] > 0.0:
-            place = gaussian_row(table, owner, counts, owners[row], stored)
-            if place < 0:
-                return row
-            for i in range(INFORMATION_SIZE):
-                stored[place, i] += information[row, i]
-            if tracked:
-                bit = np.uint64(owners[row] & 63)
-                dirty[owners[row] >> 9, (owners[row] & 511) >> 6] |= _ONE << bit
-    return last
+            bit = np.uint64(owners[row] & 63)
+            dirty[owners[row] >> 9, (owners[row] & 511) >> 6] |= _ONE << bit
+
+
+@njit(cache=True, nogil=True)
+def block_keys(rows: Any, keys: Any) -> None:
+    """Keys of the blocks in which the rows of a scan lie."""
+    for row in range(len(keys)):
+        x, y, z = unpack(rows.keys[row])
+        keys[row] = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
 
 
 @njit(cache=True, nogil=True)

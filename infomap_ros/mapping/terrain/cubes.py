@@ -9,8 +9,10 @@ from numba import njit
 
 from infomap_ros.mapping.voxels.block_kernels import quanta_of
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, UNSEEN
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, unpack
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, unpack
 from infomap_ros.mapping.voxels.queries import is_surface, voxel_of
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
+from infomap_ros.mapping.voxels.surface_reading import read_block
 
 NEVER_SEEN, OPEN, SOLID = 0, 1, 2
 """States of a cube: no voxel known, none occupied, at least one occupied."""
@@ -128,7 +130,7 @@ def refine_heights(
 
     Args:
         blocks: a `BlockArrays`.
-        gaussians: a `GaussianArrays`.
+        gaussians: a `SurfaceArrays`.
         size: edge of a voxel [m].
         first: index of cube (0, 0, 0), shape (3,).
         ratio: voxels along the edge of a cube.
@@ -140,22 +142,26 @@ def refine_heights(
     weights, sums = np.zeros((nx, ny)), np.zeros((nx, ny))
     counts = np.zeros((nx, ny))
     work, mean = np.empty(6), np.empty(3)
-    for row in range(gaussians.counts[0]):
-        x, y, z = voxel_of(blocks, np.int64(gaussians.owner[row]))
-        i, j = x // ratio - first[0], y // ratio - first[1]
-        if not (0 <= i < nx and 0 <= j < ny) or top[i, j] < 0:
-            continue
-        below = top[i, j] - (z // ratio - first[2])
-        if not 0 <= below <= 1 or not is_surface(blocks, gaussians, row, 0.5 * size, work, mean):
-            continue
-        information = gaussians.information[row]
-        along_z = np.float64(information[5])
-        if along_z < _FLATTEST * (information[0] + information[3] + along_z):
-            continue
-        offset = min(max(information[8] / along_z, -size), size)
-        weights[i, j] += along_z
-        sums[i, j] += along_z * ((z + 0.5) * size + offset)
-        counts[i, j] += 1.0
+    voxels = np.empty(BLOCK_VOXELS, np.int64)
+    records = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    for slot in range(len(gaussians.page)):
+        for row in range(read_block(gaussians, slot, voxels, records)):
+            x, y, z = voxel_of(blocks, voxels[row])
+            i, j = x // ratio - first[0], y // ratio - first[1]
+            if not (0 <= i < nx and 0 <= j < ny) or top[i, j] < 0:
+                continue
+            below, information = top[i, j] - (z // ratio - first[2]), records[row]
+            if not 0 <= below <= 1 or not is_surface(
+                blocks, voxels[row], information, 0.5 * size, work, mean
+            ):
+                continue
+            along_z = np.float64(information[5])
+            if along_z < _FLATTEST * (information[0] + information[3] + along_z):
+                continue
+            offset = min(max(information[8] / along_z, -size), size)
+            weights[i, j] += along_z
+            sums[i, j] += along_z * ((z + 0.5) * size + offset)
+            counts[i, j] += 1.0
     for i in range(nx):
         for j in range(ny):
             if weights[i, j] > 0.0:

@@ -29,15 +29,11 @@ from infomap_ros.mapping.voxels.blocks import (
     empty_blocks,
     with_room,
 )
-from infomap_ros.mapping.voxels.gaussians import (
-    INFORMATION_SIZE,
-    GaussianArrays,
-    empty_gaussians,
-    find_gaussian,
-    with_table_room,
-)
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SurfaceArrays
+from infomap_ros.mapping.voxels.surface_reading import read_information
 
 
 def exchange_blocks(
@@ -57,7 +53,8 @@ def exchange_blocks(
     old, new = storage.blocks, other.blocks
     new_slots = _slots_of(old, new, chosen)
     blocks = _exchanged(old, new, chosen, new_slots)
-    gaussians = _chosen_gaussians(storage.gaussians, other.gaussians, chosen, new_slots)
+    surface = storage.gaussians, other.gaussians
+    gaussians = _chosen_gaussians(*surface, chosen, new_slots, len(blocks.keys))
     gone = np.zeros((len(chosen), 8), np.uint64)
     gone[: len(storage.gone)] = storage.gone
     _mark_gone(old, blocks, chosen, gone)
@@ -90,26 +87,22 @@ def _exchanged(
 
 
 def _chosen_gaussians(
-    old: GaussianArrays,
-    new: GaussianArrays,
+    old: SurfaceArrays,
+    new: SurfaceArrays,
     chosen: NDArray[np.bool_],
     new_slots: NDArray[np.int64],
-) -> GaussianArrays:
-    old_count, new_count = int(old.counts[0]), int(new.counts[0])
-    kept = ~chosen[old.owner[:old_count] // BLOCK_VOXELS]
-    owners = new.owner[:new_count].astype(np.int64)
-    slots = new_slots[owners // BLOCK_VOXELS]
+    blocks: int,
+) -> SurfaceArrays:
+    (old_voxels, old_information), (voxels, information) = records_of(old), records_of(new)
+    kept = ~chosen[old_voxels // BLOCK_VOXELS]
+    slots = new_slots[voxels // BLOCK_VOXELS]
     taken = slots >= 0
-    moved = slots[taken] * BLOCK_VOXELS + owners[taken] % BLOCK_VOXELS
-    owner = np.concatenate([old.owner[:old_count][kept], moved.astype(np.uint32)])
-    stored = [old.information[:old_count][kept], new.information[:new_count][taken]]
-    gaussians = empty_gaussians()._replace(
-        table=np.full(0, -1, np.int32),
-        owner=owner,
-        information=np.concatenate(stored),
-        counts=np.array([len(owner)], np.int64),
+    moved = slots[taken] * BLOCK_VOXELS + voxels[taken] % BLOCK_VOXELS
+    return surface_of(
+        blocks,
+        np.concatenate([old_voxels[kept], moved]),
+        np.concatenate([old_information[kept], information[taken]]),
     )
-    return with_table_room(gaussians)
 
 
 @njit(cache=True, nogil=True)
@@ -194,10 +187,11 @@ def _mark_gone(old: Any, blocks: Any, chosen: Any, gone: Any) -> None:
 @njit(cache=True, nogil=True)
 def _differ(first: Any, second: Any, voxel: int) -> bool:
     """Whether the Gaussians of a voxel are not the same bits in two maps."""
-    a, b = find_gaussian(first, voxel), find_gaussian(second, voxel)
-    if a < 0 or b < 0:
-        return bool(a >= 0 or b >= 0)
+    one, other = np.empty(INFORMATION_SIZE, np.float32), np.empty(INFORMATION_SIZE, np.float32)
+    is_one, is_other = read_information(first, voxel, one), read_information(second, voxel, other)
+    if not (is_one and is_other):
+        return is_one or is_other
     same = True
     for i in range(INFORMATION_SIZE):
-        same &= first.information[a, i] == second.information[b, i]
+        same &= one[i] == other[i]
     return not same

@@ -1,4 +1,4 @@
-"""One Gaussian per surface voxel, in information form.
+"""Gaussians in information form, and a hash table of rows of numbers by voxel.
 
 A row holds the information matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and the information vector
 [1/m] of the surface point relative to the voxel's centre, float32. Merging two estimates is a sum

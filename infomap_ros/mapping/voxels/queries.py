@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.mapping.config import NOT_OBSERVED
-from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at, quanta_of
+from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
 from infomap_ros.mapping.voxels.blocks import (
     BLOCK_COUNT,
     NARROW,
@@ -18,7 +18,7 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE,
     WIDE_UNKNOWN,
 )
-from infomap_ros.mapping.voxels.gaussians import find_row, solve_mean
+from infomap_ros.mapping.voxels.gaussians import solve_mean
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     BLOCK_SIDE,
@@ -28,6 +28,8 @@ from infomap_ros.mapping.voxels.keys import (
     pack,
     unpack,
 )
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
+from infomap_ros.mapping.voxels.surface_reading import read_block, read_information
 
 _ONE = np.uint64(1)
 
@@ -93,7 +95,9 @@ def list_known(blocks: Any, indices: Any, quanta: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def is_surface(blocks: Any, gaussians: Any, row: int, half: float, work: Any, mean: Any) -> bool:
+def is_surface(
+    blocks: Any, voxel: int, information: Any, half: float, work: Any, mean: Any
+) -> bool:
     """Whether a Gaussian describes a surface in its own voxel.
 
     It does when the voxel is more likely occupied than not and the mean lies in the voxel, with a
@@ -101,16 +105,15 @@ def is_surface(blocks: Any, gaussians: Any, row: int, half: float, work: Any, me
 
     Args:
         blocks: a `BlockArrays`.
-        gaussians: a `GaussianArrays`.
-        row: of the Gaussian.
+        voxel: block slot * 512 + local index.
+        information: of its Gaussian, shape (9,).
         half: half a voxel [m].
         work: receives the covariance, shape (6,).
         mean: receives the mean relative to the voxel's centre, shape (3,).
     """
-    owner = np.int64(gaussians.owner[row])
-    if quanta_at(blocks, owner >> 9, owner & 511)[1] <= 0:
+    if quanta_at(blocks, voxel >> 9, voxel & 511)[1] <= 0:
         return False
-    return _lies_in_voxel(gaussians.information[row], half, work, mean)
+    return _lies_in_voxel(information, half, work, mean)
 
 
 @njit(cache=True, nogil=True)
@@ -130,24 +133,21 @@ def list_surface(
     Returns:
         Number of surface voxels.
     """
-    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
-    narrow, wide = blocks.narrow, blocks.wide
-    owners, information = gaussians.owner, gaussians.information
+    voxels = np.empty(BLOCK_VOXELS, np.int64)
+    information = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
     work, mean = np.empty(6), np.empty(3)
     found = 0
-    for row in range(gaussians.counts[0]):
-        slot, local = np.int64(owners[row]) >> 9, np.int64(owners[row]) & 511
-        if quanta_of(kinds[slot], bases[slot], planes[slot], narrow, wide, local)[1] <= 0:
-            continue
-        if not _lies_in_voxel(information[row], 0.5 * size, work, mean):
-            continue
-        if found < len(indices):
-            x, y, z = voxel_of(blocks, np.int64(owners[row]))
-            indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
-            for i in range(3):
-                means[found, i] = (indices[found, i] + 0.5) * size + mean[i]
-            store_covariance(work, covariances[found])
-        found += 1
+    for slot in range(len(gaussians.page)):
+        for row in range(read_block(gaussians, slot, voxels, information)):
+            if not is_surface(blocks, voxels[row], information[row], 0.5 * size, work, mean):
+                continue
+            if found < len(indices):
+                x, y, z = voxel_of(blocks, voxels[row])
+                indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
+                for i in range(3):
+                    means[found, i] = (indices[found, i] + 0.5) * size + mean[i]
+                store_covariance(work, covariances[found])
+            found += 1
     return found
 
 
@@ -248,14 +248,14 @@ def describe_surface(
     covariances: Any,
 ) -> None:
     """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
-    table, owner, information = gaussians.table, gaussians.owner, gaussians.information
+    information = np.empty(INFORMATION_SIZE, np.float32)
     work, mean = np.empty(6), np.empty(3)
     for voxel in range(len(quanta)):
         has_gaussian[voxel] = False
         if quanta[voxel] <= 0:
             continue
-        row = find_row(table, owner, owners[voxel])
-        if row >= 0 and _lies_in_voxel(information[row], 0.5 * size, work, mean):
+        found = read_information(gaussians, owners[voxel], information)
+        if found and _lies_in_voxel(information, 0.5 * size, work, mean):
             has_gaussian[voxel] = True
             for i in range(3):
                 means[voxel, i] = (indices[voxel, i] + 0.5) * size + mean[i]

@@ -19,14 +19,10 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE_COUNT,
     BlockArrays,
 )
-from infomap_ros.mapping.voxels.gaussians import (
-    INFORMATION_SIZE,
-    GaussianArrays,
-    empty_gaussians,
-    with_table_room,
-)
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SurfaceArrays
 
 _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "block_keys": ("int64", ()),
@@ -43,9 +39,8 @@ _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
 
 def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
     """Copies of the used parts of all arrays."""
-    blocks, gaussians = storage.blocks, storage.gaussians
+    blocks, (voxels, information) = storage.blocks, records_of(storage.gaussians)
     count, narrow, wide = (int(blocks.counts[i]) for i in (BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT))
-    surface = int(gaussians.counts[0])
     return {
         "block_keys": blocks.keys[:count].copy(),
         "block_base": blocks.base[:count].copy(),
@@ -54,8 +49,8 @@ def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
         "narrow": blocks.narrow[:narrow].copy(),
         "wide": blocks.wide[:wide].copy(),
         "free_rows": blocks.free_rows[: int(blocks.counts[NARROW_FREE])].copy(),
-        "gaussian_owner": gaussians.owner[:surface].copy(),
-        "gaussian_information": gaussians.information[:surface].copy(),
+        "gaussian_owner": voxels.astype(np.uint32),
+        "gaussian_information": information,
     }
 
 
@@ -91,15 +86,9 @@ def storage_from_state(state: Mapping[str, NDArray[Any]]) -> MapStorage:
     return MapStorage(blocks, _gaussians(arrays))
 
 
-def _gaussians(arrays: Mapping[str, NDArray[Any]]) -> GaussianArrays:
-    count = len(arrays["gaussian_owner"])
-    gaussians = empty_gaussians()._replace(
-        table=np.full(0, -1, np.int32),
-        owner=arrays["gaussian_owner"],
-        information=arrays["gaussian_information"],
-        counts=np.array([count], np.int64),
-    )
-    return with_table_room(gaussians)
+def _gaussians(arrays: Mapping[str, NDArray[Any]]) -> SurfaceArrays:
+    voxels = arrays["gaussian_owner"].astype(np.int64)
+    return surface_of(len(arrays["block_keys"]), voxels, arrays["gaussian_information"])
 
 
 def _checked(state: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:

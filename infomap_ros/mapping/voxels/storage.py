@@ -12,6 +12,7 @@ from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.scans import update
 from infomap_ros.mapping.scans.scan import ScanRows
 from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.block_kernels import find_block
 from infomap_ros.mapping.voxels.blocks import (
     BLOCK_BYTES,
     BLOCK_COUNT,
@@ -23,15 +24,14 @@ from infomap_ros.mapping.voxels.blocks import (
     grown,
     with_room,
 )
-from infomap_ros.mapping.voxels.gaussians import (
-    GAUSSIAN_BYTES,
-    GaussianArrays,
-    empty_gaussians,
-    gaussian_bytes,
-    with_gaussian_room,
-    with_table_room,
-)
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.records import growth_of_surface, put_records
+from infomap_ros.mapping.voxels.surface import (
+    SurfaceArrays,
+    empty_surface,
+    growth_bound,
+    surface_bytes,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +75,13 @@ class MapStorage:
     """
 
     blocks: BlockArrays = field(default_factory=empty_blocks)
-    gaussians: GaussianArrays = field(default_factory=empty_gaussians)
+    gaussians: SurfaceArrays = field(default_factory=empty_surface)
     gone: NDArray[np.uint64] = field(default_factory=lambda: np.zeros((0, 8), np.uint64))
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""
-        return block_bytes(self.blocks) + gaussian_bytes(self.gaussians) + self.gone.nbytes
+        surface = surface_bytes(self.gaussians, int(self.blocks.counts[BLOCK_COUNT]))
+        return block_bytes(self.blocks) + surface + self.gone.nbytes
 
     def check_capacity(self, parts: list[Observations], free: FreeBlocks, limit: float) -> None:
         """Refuse a scan that could make the map larger than `limit` [bytes].
@@ -89,13 +90,15 @@ class MapStorage:
             CapacityError: it could.
         """
         rows, used = sum(len(part.hits) for part in parts), self.memory_bytes()
-        growth = growth_bytes(self, rows + len(free.bits), rows + len(free.bits), rows)
+        surface = growth_bound(self.gaussians, rows, rows)
+        growth = surface + growth_bytes(self, rows + len(free.bits), rows + len(free.bits))
         if used + growth > limit:  # the scan alone does not tell; ask the map
             counts = np.zeros(2, np.int64)
             for part in parts:
                 update.count_new_by_rows(self.blocks, part.rows, part.hits, counts)
             update.count_new_by_free(self.blocks, free.coordinates, free.bits, counts)
-            growth = growth_bytes(self, int(counts[0]), int(counts[1]), rows)
+            surface = sum(_surface_growth(self, part) for part in parts)
+            growth = surface + growth_bytes(self, int(counts[0]), int(counts[1]))
         if used + growth > limit:
             raise CapacityError(
                 f"the map holds {used / 1e9:.3g} GB and this scan could bring it to "
@@ -103,20 +106,22 @@ class MapStorage:
             )
 
 
-def growth_bytes(storage: MapStorage, blocks: int, planes: int, gaussians: int) -> int:
-    """What so many new blocks, planes and Gaussians add to the memory in use, at the most."""
-    table, surface = storage.blocks.table, storage.gaussians
+def growth_bytes(storage: MapStorage, blocks: int, planes: int) -> int:
+    """What so many new blocks and planes add to the memory in use, at the most; no Gaussians."""
+    table = storage.blocks.table
     block_count = int(storage.blocks.counts[BLOCK_COUNT]) + blocks
     table_growth = 4 * max(2 * block_count, 2 * len(table)) if 2 * block_count > len(table) else 0
-    surface_growth = 8 * (int(surface.counts[0]) + gaussians) if gaussians else 0
-    per_block = BLOCK_BYTES + (DIRTY_BYTES if len(storage.blocks.dirty) else 0)
-    return (
-        blocks * per_block
-        + planes * PLANE_BYTES
-        + gaussians * GAUSSIAN_BYTES
-        + table_growth
-        + surface_growth
-    )
+    per_block = BLOCK_BYTES + 4 + (DIRTY_BYTES if len(storage.blocks.dirty) else 0)
+    return blocks * per_block + planes * PLANE_BYTES + table_growth
+
+
+def _surface_growth(storage: MapStorage, part: Observations) -> int:
+    """What the observations of a part add to the memory of the Gaussians, at the most [bytes]."""
+    blocks = np.empty(len(part.hits), np.int64)
+    update.block_keys(part.rows, blocks)
+    keys, places = np.unique(blocks, return_inverse=True)
+    slots = np.array([find_block(storage.blocks, key) for key in keys], np.int64)
+    return growth_of_surface(storage.gaussians, slots, places, part.information)
 
 
 class ScanWriter:
@@ -138,7 +143,10 @@ class ScanWriter:
 
         def merge() -> None:
             for part, voxels in zip(parts, owners, strict=True):
-                _merge(storage, voxels, part.information)
+                update.mark_merged(blocks.dirty, voxels, part.information)
+                storage.gaussians = put_records(
+                    storage.gaussians, len(blocks.keys), voxels, part.information, adding=True
+                )
 
         def see_through() -> None:
             update.free_voxels(
@@ -164,6 +172,7 @@ class ScanWriter:
                 blocks,
                 part.rows,
                 part.hits,
+                part.information,
                 hit_blocks,
                 self._hit_row,
                 hit_bits,
@@ -173,17 +182,3 @@ class ScanWriter:
             )
             owners.append(voxels)
         return owners
-
-
-def _merge(
-    storage: MapStorage, owners: NDArray[np.int64], information: NDArray[np.float32]
-) -> None:
-    """Merge observations into the Gaussians of the voxels `owners`."""
-    count, merged = len(owners), 0
-    gaussians = with_gaussian_room(storage.gaussians, count, len(storage.blocks.keys))
-    while merged < count:
-        gaussians = with_table_room(gaussians)
-        merged = update.merge_rows_into_map(
-            storage.blocks, gaussians, owners, information, merged, count
-        )
-    storage.gaussians = gaussians

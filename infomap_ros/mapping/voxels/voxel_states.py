@@ -21,16 +21,13 @@ from infomap_ros.mapping.voxels.block_kernels import (
     widen,
 )
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN, WIDE_UNKNOWN, with_room
-from infomap_ros.mapping.voxels.gaussians import (
-    INFORMATION_SIZE,
-    find_row,
-    gaussian_row,
-    invert_symmetric,
-    with_gaussian_room,
-    with_table_room,
-)
+from infomap_ros.mapping.voxels.gaussians import invert_symmetric
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack
+from infomap_ros.mapping.voxels.records import put_records
 from infomap_ros.mapping.voxels.storage import MapStorage
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, with_pages
+from infomap_ros.mapping.voxels.surface_reading import read_information
+from infomap_ros.mapping.voxels.surface_storing import canonical
 
 
 class VoxelStates(NamedTuple):
@@ -107,13 +104,13 @@ def put_states(storage: MapStorage, states: VoxelStates) -> NDArray[np.bool_]:
     changed = np.zeros(count, np.bool_)
     rooms = count_block_changes(states.indices)
     storage.blocks = with_room(storage.blocks, rooms, rooms)
-    surfaces = int(np.count_nonzero(states.information[:, 0]))
-    blocks = len(storage.blocks.keys)
-    storage.gaussians = with_gaussian_room(storage.gaussians, surfaces, blocks)
-    done = 0
-    while done < count:
-        storage.gaussians = with_table_room(storage.gaussians)
-        done = _put_states(storage.blocks, storage.gaussians, *states, done, changed)
+    blocks, voxels = len(storage.blocks.keys), np.full(count, -1, np.int64)
+    storage.gaussians = with_pages(storage.gaussians, blocks, 0)
+    _put_states(storage.blocks, storage.gaussians, *states, changed, voxels)
+    put = voxels >= 0
+    storage.gaussians = put_records(
+        storage.gaussians, blocks, voxels[put], states.information[put], adding=False
+    )
     return changed
 
 
@@ -164,38 +161,33 @@ def _put_states(
     known: Any,
     quanta: Any,
     information: Any,
-    first: int,
     changed: Any,
-) -> int:
-    """Put the rows from `first` on; returns the row before which the table is full, or K."""
-    table, owner = gaussians.table, gaussians.owner
-    stored, counts = gaussians.information, gaussians.counts
+    voxels: Any,
+) -> None:
+    """Put the evidence; list in `voxels` those whose information is other than before."""
+    stored, new = np.empty(INFORMATION_SIZE, np.float32), np.empty(INFORMATION_SIZE, np.float32)
     kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
     narrow, wide, tracked = blocks.narrow, blocks.wide, len(blocks.dirty) > 0
     last_key, slot = np.int64(-1), np.int64(-1)
-    for row in range(first, len(quanta)):
+    for row in range(len(quanta)):
         x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
         key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
         if key != last_key:
             slot, last_key = np.int64(find_or_add_block(blocks, key)), key
         local = local_index(x, y, z)
-        voxel = slot * BLOCK_VOXELS + local
-        place = find_row(table, owner, voxel)
-        if place < 0 and information[row, 0] > 0.0:
-            place = gaussian_row(table, owner, counts, voxel, stored)
-            if place < 0:
-                return row
         was = quanta_of(kinds[slot], bases[slot], planes[slot], narrow, wide, local)
         if known[row] != was[0] or quanta[row] != was[1]:
             changed[row] = True
             _put_quanta(blocks, slot, local, known[row], quanta[row])
-        if place >= 0:
-            for i in range(INFORMATION_SIZE):
-                changed[row] |= stored[place, i] != information[row, i]
-                stored[place, i] = information[row, i]
+        new[:] = information[row]
+        canonical(new)
+        if not read_information(gaussians, slot * BLOCK_VOXELS + local, stored):
+            stored[:] = 0.0
+        for i in range(INFORMATION_SIZE):
+            if stored[i] != new[i]:
+                changed[row], voxels[row] = True, slot * BLOCK_VOXELS + local
         if tracked and changed[row]:
             mark_dirty(blocks, slot, local)
-    return len(quanta)
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,128 @@
+"""One Gaussian per voxel in which a surface may lie, in information form.
+
+The information is a matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and a vector [1/m] of the surface point
+relative to the voxel's centre. Merging two estimates is a sum (eq. 4 of Sujan and Dubowsky 2005,
+https://doi.org/10.1177/0278364905051774, in its symmetric form ``C = (C1^-1 + C2^-1)^-1``), so the
+order of measurements does not matter.
+
+A block with such voxels has a page: two bit sets that tell which of its voxels are stored, and
+where. The records of a block stand side by side in the order of its voxels, so that a voxel's is
+found by counting bits. Isotropic ones take the ten bytes of `surface_code`, others nine float32.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import CapacityError
+from infomap_ros.mapping.voxels.blocks import grown
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.surface_code import CODE_BYTES
+
+INFORMATION_SIZE = 9
+FULL_BYTES = 4 * INFORMATION_SIZE
+CHUNK = 8
+"""A block's records have room for a multiple of this."""
+
+PAGE_BYTES = 16 * 8 + 2 * 4
+MOST_CHUNKS = BLOCK_VOXELS // CHUNK
+PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS = range(5)
+"""Places in `SurfaceArrays.counts`."""
+
+_MAX_BLOCKS, _MAX_RECORDS = 2**32 // BLOCK_VOXELS, 2**27
+
+
+class SurfaceArrays(NamedTuple):
+    """The arrays of the Gaussians, as the kernels take them.
+
+    Attributes:
+        page: of each block slot, or -1, int32.
+        masks: bit sets of each page, uint64, shape (n, 16): 8 words for the voxels with a code, 8
+            for those with full information.
+        starts: first record of each page, int32, shape (n, 2): codes and full information.
+        words: of the codes, uint64.
+        tails: of the codes, uint16.
+        information: full information, shape (n, 9), float32.
+        free: first unused room of so many chunks, or -1, int64, shape (2, 65); it names the next.
+        counts: pages, codes and rows of full information in use, and how many of the latter two
+            are gaps between blocks, int64.
+    """
+
+    page: NDArray[np.int32]
+    masks: NDArray[np.uint64]
+    starts: NDArray[np.int32]
+    words: NDArray[np.uint64]
+    tails: NDArray[np.uint16]
+    information: NDArray[np.float32]
+    free: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+
+def empty_surface() -> SurfaceArrays:
+    """Arrays of a map without surface."""
+    return SurfaceArrays(
+        page=np.full(512, -1, np.int32),
+        masks=np.empty((64, 16), np.uint64),
+        starts=np.empty((64, 2), np.int32),
+        words=np.empty(1024, np.uint64),
+        tails=np.empty(1024, np.uint16),
+        information=np.empty((1024, INFORMATION_SIZE), np.float32),
+        free=np.full((2, MOST_CHUNKS + 1), -1, np.int64),
+        counts=np.zeros(5, np.int64),
+    )
+
+
+def with_pages(arrays: SurfaceArrays, blocks: int, pages: int) -> SurfaceArrays:
+    """Arrays for a map of so many block slots, with room for so many more pages.
+
+    Raises:
+        CapacityError: the map has more blocks than a voxel's number can tell.
+    """
+    if blocks > _MAX_BLOCKS:
+        raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
+    used = int(arrays.counts[PAGE_COUNT])
+    return arrays._replace(
+        page=grown(arrays.page, blocks, -1),
+        masks=grown(arrays.masks, used + pages, used=used),
+        starts=grown(arrays.starts, used + pages, used=used),
+    )
+
+
+def with_records(arrays: SurfaceArrays, more: int) -> SurfaceArrays:
+    """Arrays with room for so many more records of either kind, behind those in use.
+
+    Raises:
+        CapacityError: there are more records than can be numbered.
+    """
+    codes, full = int(arrays.counts[CODE_COUNT]), int(arrays.counts[FULL_COUNT])
+    if max(codes, full) + more > _MAX_RECORDS:
+        raise CapacityError(f"the map would need more than {_MAX_RECORDS} Gaussians")
+    return arrays._replace(
+        words=grown(arrays.words, codes + more, used=codes),
+        tails=grown(arrays.tails, codes + more, used=codes),
+        information=grown(arrays.information, full + more, used=full),
+    )
+
+
+def surface_bytes(arrays: SurfaceArrays, blocks: int) -> int:
+    """Memory in use by the Gaussians of a map of so many blocks [bytes]; unused room included."""
+    counts = arrays.counts
+    return int(
+        4 * blocks
+        + counts[PAGE_COUNT] * PAGE_BYTES
+        + counts[CODE_COUNT] * CODE_BYTES
+        + counts[FULL_COUNT] * FULL_BYTES
+        + arrays.free.nbytes
+    )
+
+
+def growth_bound(arrays: SurfaceArrays, rows: int, blocks: int) -> int:
+    """What observations of so many voxels in so many blocks add to that, at the most [bytes]."""
+    counts = arrays.counts
+    moved = min(blocks * BLOCK_VOXELS, int(counts[CODE_COUNT])) * CODE_BYTES
+    moved += min(blocks * BLOCK_VOXELS, int(counts[FULL_COUNT])) * FULL_BYTES
+    per_block = PAGE_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES)
+    return moved + rows * FULL_BYTES + blocks * per_block

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from infomap_ros.motion.whole_body import WholeBody
 _QUICK = ArmPathConfig(time_limit=0.1)
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _THERE = 1e-6  # [rad or m]
+_BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,15 +97,22 @@ class RoutePlanner:
 
     def _back_and_on(self, goal: FloatArray, direct: ArmPath) -> ArmPath:
         """Back along the trail, to the goal if that is on it, else on from one of its corners."""
-        back, chain = self.trail.back(), self.whole.chain
+        back = self.trail.back()
         on_it = np.flatnonzero(np.abs(back - goal).max(axis=1) <= _THERE)
         if len(on_it):
-            return time_path(chain, back[: on_it[0] + 1], self.config.trajectory)
+            return self._timed_back(back[: on_it[0] + 1])
         base = self.trail.T_map_base
         checker = self.near.checker_at(base)
         for row in range(1, min(len(back), _BRANCHES + 1)):
             on = plan_arm_path(checker, back[row], goal, base, _QUICK)
             if on.converged:
                 way = np.concatenate([back[:row], corners_of(on.positions)])
-                return time_path(chain, way, self.config.trajectory)
+                return self._timed_back(way)
         return direct
+
+    def _timed_back(self, way: FloatArray) -> ArmPath:
+        """Times for a way back, on which the arm may come off its corners by next to nothing."""
+        trajectory = self.config.trajectory
+        deviation = min(trajectory.corner_deviation, _BESIDE)
+        limits = replace(trajectory, corner_deviation=deviation)
+        return time_path(self.whole.chain, way, limits, lambda first, second: True)

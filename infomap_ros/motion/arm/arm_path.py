@@ -106,7 +106,7 @@ def plan_arm_path(
             chain.joint_names,
             f"no way of the arm found in {settings.time_limit:g} s; straight on: {why}",
         )
-    return time_path(chain, search.shortened(found), trajectory)
+    return time_path(chain, search.shortened(found), trajectory, search.is_free)
 
 
 def _shorter_way_round(chain: KinematicChain, start: FloatArray, goal: FloatArray) -> FloatArray:
@@ -155,6 +155,10 @@ class _Search:
                 return _joined(trees, joint)
         return None
 
+    def is_free(self, first: FloatArray, second: FloatArray) -> bool:
+        """Whether the straight way between two configurations, shape (n,), touches nothing."""
+        return first_on_way(self.space, first, second, self.checker.body.scratch()) < 0.0
+
     def shortened(self, way: FloatArray) -> FloatArray:
         """Replace parts of a way by straight lines, between random points on it."""
         for _ in range(self.config.shortcuts):
@@ -173,7 +177,7 @@ class _Search:
         between = np.concatenate([[first], way[i + 1 : j + 1], [second]])
         if self._length(np.stack([first, second])) > 0.999 * self._length(between):
             return way
-        if first_on_way(self.space, first, second, self.checker.body.scratch()) >= 0.0:
+        if not self.is_free(first, second):
             return way
         shorter = np.concatenate([way[: i + 1], [first, second], way[j + 1 :]])
         return shorter[np.append(True, np.abs(np.diff(shorter, axis=0)).max(axis=1) > 1e-9)]

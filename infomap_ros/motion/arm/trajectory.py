@@ -1,16 +1,15 @@
 """Times for a way through joint space, within limits of velocity and acceleration.
 
-The joints move together along each straight piece and stop at its ends, with the trapezoidal
-profile that is the fastest of those that start and end at rest: for a piece of direction d (the
-change of the positions), the path velocity is at most min v_j / |d_j| and its change at most
-min a_j / |d_j|.
+The joints move together along each straight piece with the trapezoidal profile that is the fastest
+between the speeds at its ends: for a piece of unit direction u the path speed is at most
+min v_j / |u_j| and its change at most min a_j / |u_j|. At a corner they stop, or pass it on a
+parabola where a collision check finds that free (`corner_blends`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.arm.corner_blends import FreeWay, StraightPieces, corner_speeds
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.route import ArmPath
 
@@ -49,6 +49,14 @@ class TrajectoryConfig:
         low=0.001,
         high=1000.0,
     )
+    corner_deviation: float = parameter(
+        0.05,
+        "How far a joint may pass beside a corner of a way so as not to stop there; the collision "
+        "check decides whether it does. 0 stops at every corner.",
+        unit="rad or m",
+        low=0.0,
+        high=1.0,
+    )
     period: float = parameter(
         0.05, "Longest time between two knots of a moving arm.", unit="s", low=0.001, high=10.0
     )
@@ -63,7 +71,10 @@ class TrajectoryConfig:
 
 
 def time_path(
-    chain: KinematicChain, waypoints: FloatArray, config: TrajectoryConfig | None = None
+    chain: KinematicChain,
+    waypoints: FloatArray,
+    config: TrajectoryConfig | None = None,
+    is_free: FreeWay | None = None,
 ) -> ArmPath:
     """Give a way times.
 
@@ -71,9 +82,12 @@ def time_path(
         chain: whose joints move.
         waypoints: corners of the way, shape (K, n) [rad or m], at least one.
         config: limits.
+        is_free: whether a straight way is free: corners that can be passed are; all are stopped at
+            without it.
 
     Returns:
-        The same way with knots so close that straight lines between them keep the limits.
+        The same way, but for its corners, with knots so close that straight lines between them keep
+        the limits.
 
     Raises:
         InvalidInputError: `waypoints` has another shape or is not finite.
@@ -84,44 +98,69 @@ def time_path(
         raise InvalidInputError("waypoints", f"shape {corners.shape}, expected (K, {len(chain)})")
     if not np.isfinite(corners).all():
         raise InvalidInputError("waypoints", "is not finite")
-    positions, times = [corners[:1]], [np.zeros(1)]
-    for first, second in pairwise(corners):
-        change = second - first
-        if np.abs(change).max(initial=0.0) <= _STILL:
-            continue
-        with np.errstate(divide="ignore"):
-            speed = float((settings.velocities(chain) / np.abs(change)).min())
-            growth = float((settings.acceleration / np.abs(change)).min())
-        seconds, shares = _profile(speed, growth, settings.period)
-        positions.append(first + shares[:, None] * change)
-        positions[-1][-1] = second
+    corners = _distinct(corners)
+    if len(corners) == 1:
+        return ArmPath(chain.joint_names, corners, np.zeros(1))
+    way = StraightPieces.of(corners, settings.velocities(chain), settings.acceleration)
+    speeds = np.zeros(len(corners))
+    if is_free is not None:
+        speeds = corner_speeds(way, settings.corner_deviation, is_free, settings.period)
+    positions, times = _timed(way, speeds, settings.period)
+    return ArmPath(chain.joint_names, positions, times)
+
+
+def _distinct(corners: FloatArray) -> FloatArray:
+    kept = [corners[0]]
+    for corner in corners[1:]:
+        if np.abs(corner - kept[-1]).max(initial=0.0) > _STILL:
+            kept.append(corner)
+    return np.array(kept)
+
+
+def _timed(way: StraightPieces, speeds: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
+    """Knots and times of a way that passes its corners at some speeds."""
+    margins = way.margins(speeds)
+    positions, times = [way.corners[:1]], [np.zeros(1)]
+    for piece, (direction, length) in enumerate(zip(way.directions, way.lengths, strict=True)):
+        begin, end = margins[piece], length - margins[piece + 1]
+        ends = float(speeds[piece]), float(speeds[piece + 1])
+        limits = float(way.speeds[piece]), float(way.growths[piece])
+        seconds, lengths = _profile(end - begin, ends, limits, period)
+        positions.append(way.corners[piece] + (begin + lengths)[:, None] * direction)
+        if margins[piece + 1] == 0.0:
+            positions[-1][-1] = way.corners[piece + 1]
         times.append(times[-1][-1] + seconds)
-    return ArmPath(chain.joint_names, np.concatenate(positions), np.concatenate(times))
+        if margins[piece + 1] > 0.0:
+            seconds, knots = way.parabola(piece + 1, ends[1], period)
+            positions.append(knots[1:])
+            times.append(times[-1][-1] + seconds[1:])
+    return np.concatenate(positions), np.concatenate(times)
 
 
-def _profile(speed: float, growth: float, period: float) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and shares of a piece, both without the start, from rest to rest.
+def _profile(
+    length: float, ends: tuple[float, float], limits: tuple[float, float], period: float
+) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and lengths of a piece, both without the start.
 
     Args:
-        speed: largest path velocity [1/s].
-        growth: its largest change [1/s^2].
+        length: of the piece.
+        ends: path speeds at its ends, which its length allows to reach from each other [1/s].
+        limits: largest path speed [1/s] and its largest change [1/s^2].
         period: longest time between two knots [s].
     """
-    speed = min(speed, math.sqrt(growth))  # a piece too short for the full speed is a triangle
-    rising, total = speed / growth, 1.0 / speed + speed / growth
-    bounds = [0.0, rising, total - rising, total]
-    steps = [max(1, math.ceil((b - a) / period - 1e-9)) for a, b in pairwise(bounds)]
-    if bounds[2] - bounds[1] < 1e-9:
-        steps[1] = 0
-    pieces = [
-        np.linspace(a, b, n + 1)[1:] for a, b, n in zip(bounds, bounds[1:], steps, strict=False)
-    ]
-    seconds = np.concatenate(pieces)
-    before, after = np.minimum(seconds, rising), np.maximum(seconds - (total - rising), 0.0)
-    shares = (
-        speed * seconds
-        - 0.5 * growth * (rising**2 - (rising - before) ** 2)
-        - 0.5 * growth * after**2
-    )
-    shares[-1] = 1.0
-    return seconds, shares
+    (first, last), (speed, growth) = ends, limits
+    top = min(speed, math.sqrt(growth * length + 0.5 * (first**2 + last**2)))
+    top = max(top, first, last)
+    rising, falling = (top - first) / growth, (top - last) / growth
+    climb, fall = 0.5 * (top + first) * rising, 0.5 * (top + last) * falling
+    even = max(length - climb - fall, 0.0) / top
+    parts = ((rising, first, growth), (even, top, 0.0), (falling, top, -growth))
+    seconds, lengths, begin, at = [], [], 0.0, 0.0
+    for duration, start, change in parts:
+        if duration < 1e-9:
+            continue
+        steps = np.linspace(0.0, duration, max(1, math.ceil(duration / period - 1e-9)) + 1)[1:]
+        seconds.append(begin + steps)
+        lengths.append(at + start * steps + 0.5 * change * steps**2)
+        begin, at = float(seconds[-1][-1]), float(lengths[-1][-1])
+    return np.concatenate(seconds), np.minimum(np.concatenate(lengths), length)

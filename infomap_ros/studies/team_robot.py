@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.errors import TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.run_log import RunLogFile
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.team_bodies import TeamBodies
+from infomap_ros.exploration.team_planner import TeamPlanner
+from infomap_ros.exploration.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -28,6 +32,7 @@ from infomap_ros.team import TeamConfig, TeamMember, version_at
 from infomap_ros.team.sent import message_bytes
 
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
+_BUSY = 1.0  # [s] until a robot that had nothing to do asks again
 _TICK = 0.1  # [s]
 _TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
 
@@ -81,11 +86,20 @@ class TeamRobot:
         config = self.map.config
         self.member = TeamMember(outfit.number, session, version, config, outfit.sharing)
         self.sent, self._told = 0, -np.inf
-        self._robot = SimulatedRobot(simulator, outfit.model, self.map, options.robot)
+        self._bodies = TeamBodies(body=options.robot.body)
+        self._robot = SimulatedRobot(
+            simulator, outfit.model, self.map, options.robot, teammates=self._bodies
+        )
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
         )
-        self._planner = ViewPlanner(outfit.model, self._robot.poses.rig, outfit.task, planning)
+        planner = ViewPlanner(outfit.model, self._robot.poses.rig, outfit.task, planning)
+        self._teamwork = Teamwork(outfit.number, session, version)
+        self._planner = TeamPlanner(
+            planner, self._teamwork, self._announce, self._let_pass, lambda: simulator.time
+        )
+        self._spoken: list[tuple[str, Any, int]] = []
+        self._announced, self._knows_its_place = -np.inf, False
         self._control = Control()
         log = RunLogFile(outfit.folder / LOG_FILE, goes_on, clock=lambda: simulator.time)
         log.write("start", task=dataclasses.asdict(outfit.task), robot=f"robot {outfit.number}")
@@ -101,9 +115,11 @@ class TeamRobot:
         )
 
     def explore(self) -> Ending:
-        """Explore to the end; after a restart, first hear what is known."""
-        if self.mission.views:
-            self._let_pass(self.outfit.sharing.recovery + _TELLING)
+        """Explore to the end; first tell and hear who is where, after a restart what is known."""
+        self._robot.state()
+        self._knows_its_place = True
+        recovery = self.outfit.sharing.recovery if self.mission.views else 0.0
+        self._let_pass(recovery + _TELLING)
         return self._exploration.run()
 
     def stop(self) -> None:
@@ -123,14 +139,23 @@ class TeamRobot:
     # As the planner of the exploration
 
     def choose(self, state: RobotState) -> Choice:
-        """Keep and tell what was seen, then choose the next view in the map of all."""
+        """Keep and tell what was seen, then choose the next view in the map of all.
+
+        Raises:
+            TeammatesBusyError: the exploration is asked to stop while it waits for others.
+        """
         self.map.save(self.outfit.folder / MAP_FILE)
         self._let_pass(_TELLING)
         self.outfit.on_view(self)
-        state = self._robot.state()
-        home = np.array(self.mission.home_pose)
-        around = Surrounding(T_map_start=home)
-        return self._planner.choose(self.member.replica.voxel_map, state, around)
+        around = Surrounding(T_map_start=np.array(self.mission.home_pose))
+        while True:
+            try:
+                shared = self.member.replica.voxel_map
+                return self._planner.choose(shared, self._robot.state(), around)
+            except TeammatesBusyError:
+                if self._control.interrupted():
+                    raise
+                self._let_pass(_BUSY)
 
     def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
         """The way to where the mission began."""
@@ -145,12 +170,15 @@ class TeamRobot:
     def speak(self) -> list[tuple[str, Any, int]]:
         """Messages to send now: kind, content, size [bytes]."""
         now = self._simulator.time
+        if self._knows_its_place and now - self._announced >= self._teamwork.config.period - 1e-6:
+            self._announce()
         spoken = [("update", rows) for rows in self.member.tell(self.map, now)]
         if now - self._told >= self.outfit.sharing.digest_period - 1e-6:
             self._told = now
             spoken += [("digest", rows) for rows in self.member.digests(now)]
             spoken += [("request", rows) for rows in self.member.requests(now)]
-        messages = [(kind, rows, message_bytes(rows)) for kind, rows in spoken]
+        messages = self._spoken + [(kind, rows, message_bytes(rows)) for kind, rows in spoken]
+        self._spoken = []
         self.sent += sum(size for _, _, size in messages)
         return messages
 
@@ -161,8 +189,34 @@ class TeamRobot:
             InfomapError: it cannot be used.
         """
         member = self.member
-        hear = {"digest": member.hear_digest, "request": member.hear_request}
-        hear.get(kind, member.hear_update)(content, self._simulator.time)
+        hear: dict[str, Callable[[Any, float], object]] = {
+            "update": member.hear_update,
+            "digest": member.hear_digest,
+            "request": member.hear_request,
+            "agent": self._hear_of,
+        }
+        hear[kind](content, self._simulator.time)
+
+    def _hear_of(self, text: str, now: float) -> None:
+        """A teammate has told where it is and where it is heading."""
+        agent = self._teamwork.hear(text, now)
+        if agent is not None:
+            if not self._bodies.is_described(agent.robot):
+                self._bodies.describe(agent.robot, self.outfit.model)
+            self._bodies.hear(agent)
+
+    def _announce(self) -> None:
+        """Tell with the next messages where this robot is and where it is heading."""
+        self._announced = self._simulator.time
+        presence = Presence(
+            self._simulator.stamp,
+            self._robot.state(),
+            self.outfit.model,
+            self._robot.poses.rig.left,
+            self.outfit.options.planner.max_range,
+        )
+        text = self._teamwork.tell(presence)
+        self._spoken.append(("agent", text, len(text)))
 
     def _let_pass(self, seconds: float) -> None:
         """Let others speak, and hear them."""

@@ -12,6 +12,7 @@ from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
+from infomap_ros.views.claimed import GainsSource, claimed_gains, shares_left
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.localisation_error import LocalisationError
@@ -44,6 +45,7 @@ class ViewChoice:
     ) -> None:
         self._rounds = config.rounds
         self.memory = GoalMemory(config.memory)
+        self._information = information
         self._completion = SurfaceCompletion(information.config, config.vain.patience)
         self._choices = [
             NextBestView(config.choice, config.strategy, information, localisation_error)
@@ -80,6 +82,22 @@ class ViewChoice:
         while decision.chosen is None and (another := next(decisions, None)) is not None:
             decision = another
         return decision
+
+    def share_left(self, situation: Situation, pose: FloatArray) -> float:
+        """Share that teammates leave of what a view tells, or of the missing surface it shows.
+
+        Args:
+            situation: with the teammates.
+            pose: ``T_map_camera``, shape (4, 4).
+
+        Returns:
+            The smaller of the two, 0 to 1.
+        """
+        sources: tuple[GainsSource, ...] = (self._information, self._completion)
+        return min(
+            float(shares_left(source, situation, pose[None], claimed_gains(source, situation))[0])
+            for source in sources
+        )
 
     def _decisions(
         self,

@@ -22,7 +22,6 @@ from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
-from infomap_ros.views.claimed import claimed_gains, shares_left
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.localisation_error import LocalisationError
@@ -172,8 +171,7 @@ class ViewPlanner:
         situation = Situation(
             voxel_map, self._rig.left, self.config.max_range, pose, region=task, teammates=teammates
         )
-        claimed = claimed_gains(self._information, situation)
-        return float(shares_left(self._information, situation, pose[None], claimed)[0])
+        return self._choice.share_left(situation, pose)
 
     def _take_note(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> None:
         """Remember where views were taken, and which ones could not be."""

@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.errors import InfomapError
+from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
@@ -45,6 +45,7 @@ class Ending:
 
 
 _STOPPED = Ending(EndReason.STOPPED, "asked to")
+_PAUSE = 1.0  # while others move [s]
 
 
 class Exploration:
@@ -119,7 +120,11 @@ class Exploration:
 
     def _take_next_view(self) -> Ending | None:
         """Select a camera configuration, move there, acquire and merge what it sees."""
-        choice = self._choose()
+        try:
+            choice = self._choose()
+        except TeammatesBusyError as busy:
+            self._wait_for_teammates(str(busy))
+            return None
         ending = self._enough(choice.progress)
         if ending or self.control.interrupted():
             return ending
@@ -187,8 +192,13 @@ class Exploration:
     def _wait(self) -> Ending | None:
         """Plan only: others move the robot, which looks again after a while."""
         self._enter("waiting: plan only")
-        self.control.wait(1.0)
+        self.control.wait(_PAUSE)
         return self._look()
+
+    def _wait_for_teammates(self, reason: str) -> None:
+        """They are at all that is left, or in the way: ask again after a while."""
+        self._enter("waiting for teammates", reason)
+        self.control.wait(_PAUSE)
 
     def _enough(self, progress: MapProgress) -> Ending | None:
         """Whether expanse and resolution suffice, or the budget is spent."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,21 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.team.agents import Agent
 
+WAITING = "waiting for teammates"
+"""How the message of each `TeammatesBusyError` begins."""
+
 _ROUNDS = 4  # choices, one after the other, that a teammate was quicker to claim
+_RETRY = 5.0  # time after which the map may have become another although no goal has [s]
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """What there was to wait for: the others' claims, since when, when it was tried last."""
+
+    claims: dict[int, int]
+    since: float
+    tried: float
+    reason: str
 
 
 class TeamPlanner:
@@ -47,7 +61,7 @@ class TeamPlanner:
     ) -> None:
         self.planner, self._team = planner, team
         self._announce, self._wait, self._clock = announce, wait, clock
-        self._idle_since: float | None = None
+        self._waiting: _Waiting | None = None
 
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
@@ -61,8 +75,10 @@ class TeamPlanner:
 
         Raises:
             TeammatesBusyError: what is left the others are at, or they are in the way; the answer
-                may be another one later. Raised for `AgentsConfig.patience` at most.
+                may be another one later. Raised as long as others go from view to view, and for
+                `AgentsConfig.patience` after that.
         """
+        self._stay_while_nothing_changes()
         for _ in range(_ROUNDS):
             known = self._team.claims(self._clock())
             choice = self.planner.choose(voxel_map, state, self._among(around, state))
@@ -73,9 +89,9 @@ class TeamPlanner:
                 self.planner.withdraw()
                 continue
             if self._claimed(voxel_map, choice.pose, choice.route.base_path):
-                self._idle_since = None
+                self._waiting = None
                 return choice
-        return self._later("teammates were quicker to claim every view that was chosen")
+        return self._later("they were quicker to claim every view that was chosen")
 
     def way_home(
         self,
@@ -136,17 +152,32 @@ class TeamPlanner:
         done = self.planner.is_done(choice.progress)
         if busy and not done:
             names = ", ".join(str(agent.robot) for agent in busy)
-            return self._later(f"nothing to do while teammates are at work ({names})", choice)
+            return self._later(f"there is nothing to do while they are at work ({names})", choice)
+        self._waiting = None
         return choice
 
-    def _later(self, reason: str, choice: Choice | None = None) -> Choice:
+    def _stay_while_nothing_changes(self) -> None:
+        """Spare a choice that would end as the last one.
+
+        Raises:
+            TeammatesBusyError: that one had to wait for teammates, and they are where they were.
+        """
+        now, waiting = self._clock(), self._waiting
+        same = waiting is not None and waiting.claims == self._team.claims(now)
+        if waiting is not None and same and now - waiting.tried < _RETRY:
+            raise TeammatesBusyError(waiting.reason)
+
+    def _later(self, why: str, choice: Choice | None = None) -> Choice:
         """Ask to be asked again, until that has lasted too long.
 
         Raises:
             TeammatesBusyError: not yet too long.
         """
-        now = self._clock()
-        self._idle_since = now if self._idle_since is None else self._idle_since
-        if choice is None or now - self._idle_since < self._team.config.patience:
+        now, before = self._clock(), self._waiting
+        claims, reason = self._team.claims(now), f"{WAITING}: {why}"
+        since = now if before is None or before.claims != claims else before.since
+        self._waiting = _Waiting(claims, since, now, reason)
+        if choice is None or now - since < self._team.config.patience:
             raise TeammatesBusyError(reason)
+        self._waiting = None
         return choice

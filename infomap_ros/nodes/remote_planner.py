@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from rclpy.client import Client
 from std_srvs.srv import Trigger
 
-from infomap_ros.errors import ExplorationError
+from infomap_ros.errors import ExplorationError, TeammatesBusyError
 from infomap_ros.exploration.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.base import MonitoredNode
@@ -73,6 +74,7 @@ class RemotePlanner:
         """Ask for the next best view; next_best_view knows the state from its own topics.
 
         Raises:
+            TeammatesBusyError: it has to wait for teammates.
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
         return self._ask(self._plan)
@@ -107,6 +109,8 @@ class RemotePlanner:
                 if answer is not None and answer.success:
                     return choice_from_text(answer.message)
                 problem = problem if answer is None else answer.message
+                if problem.startswith(WAITING):
+                    raise TeammatesBusyError(problem)
                 self._log.info(f"no plan yet: {problem}", throttle_duration_sec=5.0)
                 time.sleep(_RETRY)
         raise ExplorationError(f"no plan from {client.srv_name}: {problem}")

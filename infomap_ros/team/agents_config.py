@@ -58,9 +58,9 @@ class AgentsConfig(AgentBoardConfig):
         high=60.0,
     )
     patience: float = parameter(
-        30.0,
-        "Where teammates leave no view that is worth its cost, time that is waited before this "
-        "robot has nothing left to do.",
+        120.0,
+        "Where teammates leave no view that is worth its cost, this robot waits as long as they go "
+        "from view to view, and so long after that; then it has nothing left to do.",
         unit="s",
         low=0.0,
         high=3600.0,

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError, MissionFileError
+from infomap_ros.errors import ConfigError, MissionFileError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import EndReason, Exploration, planar_pose, way_length
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import make_transform
 
@@ -50,6 +51,24 @@ def test_done_when_expanse_and_resolution_suffice() -> None:
 def test_not_done_while_one_of_them_is_short(known: float, sigma: float) -> None:
     ending = Run(view(1.0, known, sigma), nothing()).exploration.run()
     assert ending.reason is EndReason.NOTHING_LEFT
+
+
+def test_asks_again_where_teammates_are_at_all_that_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = Run(view(1.0), view(2.0, known=0.97))
+    choose, asked = run.planner.choose, iter([True, False, True, False])
+
+    def busy_at_first(state: RobotState) -> Choice:
+        if next(asked):
+            raise TeammatesBusyError("waiting for teammates: 2 looks there")
+        return choose(state)
+
+    monkeypatch.setattr(run.planner, "choose", busy_at_first)
+    monkeypatch.setattr("infomap_ros.exploration.loop._PAUSE", 0.0)
+    assert run.exploration.run().reason is EndReason.DONE
+    assert run.states.count("waiting for teammates") == 2
+    assert run.exploration.mission.views == 2
 
 
 def test_ends_when_nothing_is_worth_its_cost_and_says_why() -> None:

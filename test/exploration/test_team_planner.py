@@ -269,8 +269,27 @@ def test_it_waits_for_teammates_and_not_for_ever(robot: RobotModel) -> None:
         air.now += 3.0
         mate.announce()
         air.carry()
-    air.now += 1.5
+    air.now += 4.0
+    mate.announce()
+    air.carry()
     assert one.planner.choose(VoxelMap(), one.state).reason == "no view"
+
+
+def test_it_waits_as_long_as_teammates_go_from_view_to_view(robot: RobotModel) -> None:
+    """And plans only where a goal, or after some time the map, may have become another."""
+    script = Script(robot, nothing())
+    air, one, mate = scripted(robot, script)
+    plans = []
+    for x in (2.0, 2.5, 3.0):
+        claims(mate, x)
+        for _ in range(3):
+            with pytest.raises(TeammatesBusyError, match="waiting for teammates"):
+                one.planner.choose(VoxelMap(), one.state)
+            plans.append(len(script.around))
+            air.now += 2.9
+            mate.announce()
+            air.carry()
+    assert plans == [1, 1, 2, 3, 3, 4, 5, 5, 6]
 
 
 @pytest.mark.parametrize("why", ["done", "idle", "silent"])

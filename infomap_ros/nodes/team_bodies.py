@@ -17,6 +17,7 @@ from infomap_ros.exploration.team_bodies import BodyInScan, TeamBodies, TeamBodi
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.motion import RobotModel
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.agents_topic import listen_to_agents
 from infomap_ros.nodes.base import MonitoredNode
@@ -66,6 +67,7 @@ class TeamBodyListener:
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
         self._reading = node.config(RobotBodyConfig).robot
         self._topics: dict[int, str] = {}
+        self._models: dict[int, RobotModel] = {}
         if node.config(TeamBodyConfig).remove_teammates:
             listen_to_agents(node, frame, self._hear)
 
@@ -99,6 +101,8 @@ class TeamBodyListener:
         """Listen to the description of a robot that is new, or has another one than before."""
         topic = agent.description
         is_known = self._topics.get(agent.robot) == topic and self._bodies.is_described(agent.robot)
+        if agent.robot in self._models and not self._bodies.is_described(agent.robot):
+            self._bodies.describe(agent.robot, self._models[agent.robot])  # forgotten, and back
         if not topic or is_known or topic in self._topics.values():
             return
         if len(self._topics) >= _MOST_DESCRIPTIONS:
@@ -109,5 +113,6 @@ class TeamBodyListener:
 
     def _on_description(self, robot: int, base_frame: str, message: String) -> None:
         model = self._reading.read(decode_text(message).text, base_frame=base_frame)
+        self._models[robot] = model
         self._bodies.describe(robot, model)
         self._node.get_logger().info(f"removing the body of teammate {robot} from clouds")

@@ -185,6 +185,19 @@ def test_the_wait_ends_and_a_larger_body_is_cut(graph: Any) -> None:
     assert "2 (place not sure)" in wall.bench.node.health.values()["teammates in scans"]
 
 
+def test_who_was_forgotten_and_is_back_is_still_what_it_was(graph: Any) -> None:
+    wall = Wall(graph, agents__silence=0.1, agents__memory=0.1)
+    wall.tell(-100, 1)
+    wall.wait_until_described()
+    gate = wall.bench.node._gate
+    graph.spin_until(
+        lambda: not gate._teammates.bodies_in(pose()) and not gate._teammates._bodies._tracks,
+        "the teammate to be forgotten",
+    )
+    wall.tell(0, 2)
+    wall.wait_until_described()
+
+
 def test_what_robots_tell_of_themselves_need_not_count(graph: Any) -> None:
     bench = Bench(graph, remove_teammates=False)
     agents = graph.tester.resolve_topic_name("team/agents")

@@ -63,6 +63,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         if options.kill_after:
             _kill_and_restart(run, options, console, show)
         run.spin_until(lambda: run.ended, "the explorations to end", options.timeout, show)
+        run.stop_looking()
         agreed = run.agree(_AGREEING, show)
         console.print(f"all robots hold the same map: {agreed}", highlight=False)
         for name in run.names:

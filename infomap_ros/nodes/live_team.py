@@ -62,6 +62,7 @@ class LiveTeam(LiveGraph):
             for name, folder in self.folders.items()
         }
         self._down: set[str] = set()
+        self._may_end: tuple[str, ...] = ()
         starts = starts_abreast(start, robots)
         self._parameters = {
             name: self._parameters_of(number, starts[number], loss, parameters or {})
@@ -133,6 +134,16 @@ class LiveTeam(LiveGraph):
         states = [figures.get("state", "") for figures in self.figures.values()]
         return all(state.startswith("ended") for state in states)
 
+    def stop_looking(self) -> None:
+        """Let no robot take scans any more, so that their maps come to rest.
+
+        Raises:
+            ProcessError: a process does not end.
+        """
+        self._may_end = ("stereo_range",)
+        for processes in self._team.values():
+            processes.end("stereo_range")
+
     def agree(self, timeout: float, tick: Callable[[], None]) -> str:
         """Wait until all robots hold the same map; returns its hash.
 
@@ -170,7 +181,7 @@ class LiveTeam(LiveGraph):
             if name in self._down:
                 continue
             try:
-                self._team[name].check()
+                self._team[name].check(may_end=self._may_end)
             except ProcessError as error:
                 raise ProcessError(f"{name}: {error}") from error
 

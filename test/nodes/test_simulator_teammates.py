@@ -15,8 +15,7 @@ from infomap_ros.replay.messages.motions import encode_base_path
 from infomap_ros.simulation.shared_time import SharedTime
 
 SMALL = {
-    "world": "mars",
-    "world_size": 4.0,
+    "world": "office",
     "camera__width": 64,
     "camera__height": 48,
     "images_while_moving": False,
@@ -33,7 +32,7 @@ def test_two_robots_in_one_world(graph: Any) -> None:
     for name, mate, y in ((*names, 0.5), (*reversed(names), -0.5)):
         graph.namespace = f"{base}/{name}"
         others = {"teammates": [f"{base}/{mate}"], "publish_clock": name == "one"}
-        nodes[name] = graph.add(SimulatorNode, start=[0.0, y, 0.0], **SMALL, **others)
+        nodes[name] = graph.add(SimulatorNode, start=[-1.75, y, 0.0], **SMALL, **others)
     one, two = (nodes[name]._simulator for name in names)
     copy = two._body.data.body(f"{base}/one/base_link"[1:])
     graph.spin_until(lambda: copy.xpos[2] > -1.0, "one to be seen by two")
@@ -46,7 +45,7 @@ def test_two_robots_in_one_world(graph: Any) -> None:
 
     def arrived() -> bool:
         apart.append(abs(one.time - two.time))
-        return bool(copy.xpos[0] > 0.3 and not one.is_moving)
+        return bool(copy.xpos[0] > -1.45 and not one.is_moving)
 
     graph.spin_until(arrived, "one to drive away")
     graph.spin_until(lambda: np.allclose(copy.xpos, one.true_pose()[:3, 3], atol=1e-3), "its end")

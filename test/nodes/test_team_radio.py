@@ -1,0 +1,76 @@
+"""Losses on purpose, and what robots say of the map that they share."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.team_radio import TeamRadioConfig, loses
+from infomap_ros.replay.messages.rows import decode_rows
+from infomap_ros.team import MapReplica, decode_update
+
+from .rovers import update_messages
+
+
+def messages(robot: int) -> list[PointCloud2]:
+    """What a robot tells that saw a wall."""
+    seen = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    seen.track_changes(True)
+    wall = np.random.default_rng(robot).uniform((1.0, -0.5, 0.0), (1.05, 0.5, 1.0), (200, 3))
+    seen.integrate(wall, np.eye(4))
+    return update_messages(seen, robot)
+
+
+def ask(graph: Any) -> Any:
+    client = graph.tester.create_client(Trigger, "map_fusion/team_hash")
+    graph.spin_until(client.service_is_ready, "the service")
+    answer = client.call_async(Trigger.Request())
+    graph.spin_until(answer.done, "the answer")
+    return answer.result()
+
+
+def test_a_robot_tells_the_hash_of_what_it_has_heard(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: 0)  # versions of the made-up robots begin at 1
+    graph.add(MapFusionNode, voxel_size=0.1, robot_id=1)
+    assert not ask(graph).success  # alone
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    replica = MapReplica(VoxelMapConfig(voxel_size=0.1))
+    for robot in (7, 9):
+        for message in messages(robot):
+            team.publish(message)
+            replica.apply(decode_update(decode_rows(message)[2]))
+
+    def account() -> dict[str, Any]:
+        answer = ask(graph)
+        return json.loads(answer.message) if answer.success else {}
+
+    graph.spin_until(lambda: account().get("robots") == [7, 9], "both robots")
+    assert account()["hash"] == f"{replica.hash():016x}"
+    assert account()["known_voxels"] == replica.voxel_map.known_voxels
+
+
+def test_messages_of_the_team_get_lost_and_no_others() -> None:
+    radio = TeamRadioConfig(simulated_loss=0.2)
+    lost = sum(loses(radio, "team/digests") for _ in range(5000))
+    assert 800 < lost < 1200  # seven standard deviations about 1000
+    assert not any(loses(radio, "map_updates") for _ in range(100))
+    assert not any(loses(TeamRadioConfig(), "team/digests") for _ in range(100))
+
+
+def test_what_gets_lost_is_counted(graph: Any) -> None:
+    node = graph.add(MapFusionNode, voxel_size=0.1, robot_id=1, team_map__simulated_loss=0.99)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    for _ in range(10):
+        team.publish(messages(7)[0])
+    graph.spin_until(lambda: node.health.drops().get("simulated loss", 0) >= 8, "losses")

@@ -1,8 +1,7 @@
 """Threads that run one at a time, always the one whose clock is furthest behind.
 
-Robots in one simulated world each think in a thread of their own. What happens is the same at each
-run all the same, as at any moment only one of them goes on, and which one only their simulated
-times say.
+Robots in one simulated world each think in a thread of their own. At any moment only one of them
+goes on, and which one only their simulated times say, not how fast the machine is.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from infomap_ros.views.surroundings import (
 )
 
 _FARTHEST = 1000.0  # [m]
+_BEYOND = 1.5  # unknown space around the known box that a glance tells apart [m]
 
 
 @dataclass(frozen=True)
@@ -176,9 +177,15 @@ def _boxes(
     if situation.is_planar:
         sight[2] = size
     outer = inner + np.array([[-1.0], [1.0]]) * sight
-    outer = _common(outer, known)
+    beyond = np.minimum(_BEYOND if _is_shared(situation) else 0.0, sight)
+    outer = _common(outer, known + np.array([[-1.0], [1.0]]) * beyond)
     outer = np.stack([np.minimum(outer[0], inner[0]), np.maximum(outer[1], inner[1])])
     return inner, outer, is_whole
+
+
+def _is_shared(situation: Situation) -> bool:
+    """Whether teammates are about to see something, which lies in unknown space above all."""
+    return any(mate.goal is not None for mate in situation.teammates)
 
 
 def _common(box: FloatArray, other: FloatArray) -> FloatArray:

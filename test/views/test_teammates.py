@@ -111,6 +111,16 @@ def test_a_teammate_without_a_goal_takes_nothing(middle: Situation) -> None:
     )
 
 
+def test_the_first_ranking_knows_it_beyond_what_is_known_of_the_map() -> None:
+    """Nothing is known behind the camera, where both are about to look."""
+    here, back = facing(0.0, START), facing(np.pi, START)
+    situation = Situation(seen_room([here], ROOM), CAMERA, 4.0, here)
+    mate = Teammate(FAR_AWAY, back, 4.0)
+    options = options_of(together(situation, mate), [back, here], [50.0, 50.0], fine=False)
+    assert options.left[0] < 0.3
+    assert options.left[1] == pytest.approx(1.0, abs=1e-9)
+
+
 def choose(situation: Situation, seed: int = 0) -> ViewDecision:
     return NextBestView(FEW, information=ExpectedInformation(threads=1)).select(
         situation, FlyingCamera(situation.T_map_camera), np.random.default_rng(seed)

@@ -97,6 +97,14 @@ def test_straight_on_is_not_slowed_down_by_a_corner() -> None:
     assert through.duration == pytest.approx(direct.duration, rel=1e-9)
 
 
+def test_times_increase_however_little_a_way_bends(rng: np.random.Generator) -> None:
+    for _ in range(100):
+        way = np.outer([0.0, 0.6, 1.0], [0.5, 1.0, -0.16, 0.3])
+        way[1] += 10.0 ** rng.uniform(-17.0, -4.0) * rng.normal(size=4)
+        times = time_path(CHAIN, way, None, anywhere).times
+        assert (np.diff(times) > 0.0).all()
+
+
 def test_long_piece_takes_the_time_of_the_slowest_joint() -> None:
     """By hand: the trapezoid of v = 0.6, a = 1 over 3 rad takes 3 / 0.6 + 0.6 / 1 seconds."""
     config = TrajectoryConfig(velocity_share=0.5, acceleration=1.0)

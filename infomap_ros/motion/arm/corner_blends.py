@@ -27,6 +27,7 @@ FreeWay = Callable[[FloatArray, FloatArray], bool]
 """Whether all of the straight way between two configurations, shape (n,) each, is free."""
 
 _HALF = 0.45  # of a piece that a parabola may take
+_INSTANT = 1e-5  # [s]
 _FEWEST = 5  # knots of a parabola
 
 
@@ -73,8 +74,13 @@ class StraightPieces:
         return np.concatenate([[0.0], inner, [0.0]])
 
     def margins(self, speeds: FloatArray) -> FloatArray:
-        """How far from each corner its parabola begins, shape (K,)."""
-        return np.asarray(speeds**2 * self.turns / (2.0 * self.acceleration))
+        """How far from each corner its parabola begins, shape (K,); 0 where it is as good as none.
+
+        A parabola of no duration would put several knots at one time.
+        """
+        durations = speeds * self.turns / self.acceleration
+        margins = 0.5 * speeds * durations
+        return np.where(durations < _INSTANT, 0.0, margins)
 
     def parabola(self, corner: int, speed: float, period: float) -> tuple[FloatArray, FloatArray]:
         """Times [s] from the beginning, and knots: shape (k,) and (k, n), both ends with them."""

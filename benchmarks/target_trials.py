@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 
-from localization.model_scenes import CloudView, box, bracket, range_map, some_pose
+from localization.model_scenes import CloudView, box, bracket, knobbed_box, range_map, some_pose
 from localization.tag_scenes import BoardView, pose_error, seen_from, single_tag
 
 from infomap_ros.localization.target.model_shape import shape_from_triangles
@@ -101,6 +101,7 @@ def model_rows(trials: int, data: Path) -> Iterator[dict[str, object]]:
     """Asymmetric models present and absent, symmetric models present."""
     meshes = data / "meshes"
     shapes = {"bracket": (bracket(), True), "box": (box((0.22, 0.16, 0.1)), False)}
+    shapes["box with a knob"] = (knobbed_box(), True)
     for name, distinct in (("PowerDrill", True), ("CrackerBox", False)):
         path = meshes / name / "textured_simple_reoriented.obj"
         if path.is_file():

@@ -53,6 +53,12 @@ def bracket() -> FloatArray:
     )
 
 
+def knobbed_box(knob: float = 0.05) -> FloatArray:
+    """A box with a knob on one face: its half turn differs from it in the knob alone."""
+    place = (0.06, 0.03, 0.05 + 0.5 * knob)
+    return np.concatenate([box((0.22, 0.16, 0.1)), box((knob, knob, knob), place)])
+
+
 def on_triangles(
     triangles: FloatArray, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:

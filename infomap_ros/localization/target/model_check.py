@@ -104,7 +104,7 @@ def check_pose(
     """
     seen = visible_points(shape, pose, spacing)
     points = transform_points(pose, shape.points[seen])
-    measured, sigma = _ranges_at(cloud, points)
+    measured, sigma = ranges_at(cloud, points)
     known = np.isfinite(measured) & (3.0 * sigma < _VAGUE * tolerance)
     if known.sum() < _FEWEST or known.sum() < 0.3 * len(seen):
         return NOTHING
@@ -141,7 +141,7 @@ def flat_share(shape: ModelShape, pose: FloatArray, spacing: float, tolerance: f
     return float(on.mean(axis=0).max())
 
 
-def _ranges_at(cloud: RangeCloud, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def ranges_at(cloud: RangeCloud, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Depth and its sigma in the pixels of points, shape (N,) each [m]; NaN where none."""
     u, v, inside = _pixels(cloud, points)
     depth, sigma = np.full(len(points), np.nan), np.full(len(points), np.nan)

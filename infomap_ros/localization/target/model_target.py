@@ -17,6 +17,7 @@ from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.model_fit import ModelFitter
+from infomap_ros.localization.target.model_rivals import PoseComparison
 from infomap_ros.localization.target.model_scene import ModelScene
 from infomap_ros.localization.target.model_search import Hypothesis, ModelSearch
 from infomap_ros.localization.target.model_shape import ModelShape, load_model
@@ -31,6 +32,7 @@ _DENSE = 0.008  # of the model's points for the refinement
 _SAME_PLACE = 0.05  # poses nearer than this share of the diameter and
 _SAME_OBJECT = 0.5  # as is the object of poses nearer than this
 _SAME_TURN = 0.2  # [rad] are the same
+_CLEARLY_WORSE = 0.5  # poses that score less by this are none
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,16 @@ class ModelTargetConfig:
         "By how much less any other pose must score; less is ambiguous, as for a symmetric model.",
         low=0.0,
         high=1.0,
+    )
+    least_evidence: int = parameter(
+        40,
+        "Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose "
+        "from any other at the same place, as those of a handle do; fewer are ambiguous.",
+        low=0,
+        high=10000,
+    )
+    max_against: float = parameter(
+        0.25, "Largest share of them that may speak for the other pose.", low=0.0, high=1.0
     )
     max_flat: float = parameter(
         0.6,
@@ -103,7 +115,14 @@ class ModelTargetDetector:
         self.shape = shape or load_model(config.file, config.scale)
         diameter = self.shape.diameter
         self._search = ModelSearch(self.shape, config.tolerance * diameter)
-        self._fitter = ModelFitter(self.shape.thinned(_DENSE * diameter), config.surface_sigma)
+        dense = self.shape.thinned(_DENSE * diameter)
+        self._fitter = ModelFitter(dense, config.surface_sigma)
+        self._comparison = PoseComparison(
+            self.shape.thinned(_FINE * diameter),
+            dense,
+            _FINE * diameter,
+            config.tolerance * diameter,
+        )
 
     def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
         """Find the model in the view's dense range map, or say why not."""
@@ -126,7 +145,7 @@ class ModelTargetDetector:
             apart, turn = self._search.difference(best.transform, rival.transform)
             text = f"a pose {apart:.2f} m and {np.degrees(turn):.0f} deg away fits as well"
             return _refuse("ambiguous", text)
-        return self._sighting(scene, best)
+        return self._nearly_alike(scene, best, [*found, *others]) or self._sighting(scene, best)
 
     def _believed(self, one: Hypothesis) -> bool:
         agreement = one.agreement
@@ -148,6 +167,26 @@ class ModelTargetDetector:
             better = other.agreement.score > best.agreement.score
             if same_object or better or self._is_shaped(other):
                 return other
+        return None
+
+    def _nearly_alike(
+        self, scene: ModelScene, best: Hypothesis, others: list[Hypothesis]
+    ) -> TargetRefusal | None:
+        """Refuse a pose that too little tells from another one of the same object."""
+        for other in others:
+            apart, turn = self._search.difference(best.transform, other.transform)
+            if turn <= _SAME_TURN or apart > _SAME_OBJECT * self.shape.diameter:
+                continue
+            if other.agreement.score < best.agreement.score - _CLEARLY_WORSE:
+                continue
+            found = self._comparison.evidence(scene.cloud, best.transform, other.transform)
+            few = found.places < self.config.least_evidence
+            if few or found.against_share > self.config.max_against:
+                text = (
+                    f"{found.places} points tell it from a pose {np.degrees(turn):.0f} deg away, "
+                    f"{found.against} of them speak against it"
+                )
+                return _refuse("ambiguous", text)
         return None
 
     def _sighting(self, scene: ModelScene, best: Hypothesis) -> TargetSighting | TargetRefusal:

@@ -32,6 +32,7 @@ _STEP = 0.5  # [voxels] of the table of what is told from a distance
 _PROPOSED = 600  # views that are proposed
 _NEAREST, _FARTHEST = 0.5, 2.2  # [m] from which they look
 _CONE = 0.9  # [rad] about the normal within which they stand
+_WELL_SEEN = 0.3  # least weight of a look that counts when it was in vain
 _ELEVATION = 1.2  # [rad], steepest glance of theirs
 _Keys = NDArray[np.int64]
 
@@ -44,7 +45,7 @@ class SurfaceCompletion:
     Args:
         sensor: what the camera tells from afar.
         patience: a voxel that is still missing after so many looks from next to it, squarely, is
-            given up; a look from afar or askance counts the square of what it was to show.
+            given up; a look from some way off or askance counts less, one from afar nothing.
     """
 
     unit = "voxels of missing surface"
@@ -68,8 +69,8 @@ class SurfaceCompletion:
         keys = _keys(missing)
         self._missing = missing
         for seen in self._in_view(situation, situation.past_views[self._noted :]):
-            for at in np.flatnonzero(seen):
-                self._looks[int(keys[at])] = self._looks.get(int(keys[at]), 0.0) + seen[at] ** 2
+            for at in np.flatnonzero(seen >= _WELL_SEEN):
+                self._looks[int(keys[at])] = self._looks.get(int(keys[at]), 0.0) + seen[at]
         self._noted = len(situation.past_views)
         rest = np.array([self._looks.get(int(key), 0.0) < self._patience for key in keys], np.bool_)
         self._missing = MissingSurface(

@@ -91,7 +91,7 @@ def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     figures = json.loads((tmp_path / "summary.json").read_text())
-    assert figures["raster.factor_at_3"] == pytest.approx(6.0)
+    assert figures["raster.factor_against_3"] == pytest.approx(6.0)
     names = {path.name for path in tmp_path.iterdir()}
     assert {"rover.csv", "rover.md", "rover_curves.csv", "rover_curves.png"} <= names
     assert {"rover_regions.png", "rover_regions.svg", "rover_curves.svg"} <= names

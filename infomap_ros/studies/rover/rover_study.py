@@ -171,37 +171,42 @@ def overview(results: Results, config: RoverStudyConfig) -> str:
     few, many = config.views, config.raster_views
     names = [
         "strategy", "worlds", f"mapped points after {few} views [1000]", "share of the visible [%]",
-        f"way [m] in {few} views", f"{OWN}, {few} views: times as many as with {few}",
-        f"... as with {many}",
+        f"way [m] in {few} views", f"{OWN}, {few} views: times as many as with {few} of it",
+        f"... as with {many} of it",
     ]  # fmt: skip
     rows, lines = rows_of(results, config), []
     for label in labels_of(results):
         own = [row for row in rows if row.strategy == label]
         shares = np.array([row.points / row.visible for row in own])
-        is_other = label != OWN
+        factors = [ratio(results, label, few, n).text(1.0, 2) for n in _compared_at(label, config)]
         lines.append([
             label, len(own), band(points_after(results, label, few)).text(1e-3, 1),
             band(shares).text(100.0, 1), band(np.array([r.distance for r in own])).text(1.0, 1),
-            ratio(results, label, few, few).text(1.0, 2) if is_other else "",
-            ratio(results, label, few, many).text(1.0, 2) if is_other else "",
+            *[*factors, "", ""][:2],
         ])  # fmt: skip
     return markdown(names, lines)
 
 
 def summary(results: Results, config: RoverStudyConfig, seconds: float) -> dict[str, float | str]:
     """One flat object of figures."""
-    few, many = config.views, config.raster_views
+    few = config.views
     worlds = len({task.seed for task in results})
     figures: dict[str, float | str] = {"worlds": worlds, "seconds": round(seconds, 1)}
     for label in labels_of(results):
         figures[f"{label}.points"] = round(float(points_after(results, label, few).mean()), 1)
-        if label != OWN and OWN in labels_of(results):
-            for name, view in ((f"factor_at_{few}", few), (f"factor_against_{many}", many)):
-                found = ratio(results, label, few, view)
-                figures[f"{label}.{name}"] = round(found.mean, 3)
-                if found.count > 1:
-                    figures[f"{label}.{name}_half_width"] = round(found.half, 3)
+        for view in _compared_at(label, config):
+            found = ratio(results, label, few, view)
+            figures[f"{label}.factor_against_{view}"] = round(found.mean, 3)
+            figures[f"{label}.factor_against_{view}_half_width"] = round(found.half, 3)
     return {name: value for name, value in figures.items() if value == value}
+
+
+def _compared_at(label: str, config: RoverStudyConfig) -> list[int]:
+    """Numbers of views of a strategy with which largest information is compared."""
+    if label == OWN:
+        return []
+    takes_many = views_of(label, config) >= config.raster_views > config.views
+    return [config.views, config.raster_views] if takes_many else [config.views]
 
 
 def curves_of(results: Sequence[RoverExploration], views: int, name: str) -> FloatArray:

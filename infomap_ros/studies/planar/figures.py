@@ -21,6 +21,7 @@ from infomap_ros.studies.planar.tasks import Record
 from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
 
 _POINTS = 201
+_LEAST_FOR_BANDS = 3  # worlds; the band over two is as wide as the figure
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def curves_of(records: Sequence[Record], axis: Axis, value: str) -> FloatArray:
 def draw_curves(
     records: Sequence[Record], panels: Sequence[tuple[str, Axis, str]], path: Path, title: str
 ) -> None:
-    """Draw means over worlds with their bands, as PNG and SVG.
+    """Draw means over worlds, from three on with their bands, as PNG and SVG.
 
     Args:
         records: of all strategies and worlds.
@@ -92,7 +93,10 @@ def draw_curves(
         for name in strategies:
             own = [record for record in worlds if record.task.label == name]
             if own:
-                draw_band(axes, axis.at, curves_of(own, axis, value), styles[name], name)
+                curves = curves_of(own, axis, value)
+                if len(curves) < _LEAST_FOR_BANDS:
+                    curves = curves.mean(axis=0, keepdims=True)
+                draw_band(axes, axis.at, curves, styles[name], name)
         _label(axes, kind, axis, value, len({str(r.task.world) for r in worlds}))
     for axes in grid[len(panels) :]:
         axes.remove()

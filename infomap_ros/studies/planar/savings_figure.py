@@ -32,11 +32,12 @@ def draw_savings(
     figure = Figure(figsize=(1.9 * len(others) + 2.2, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     axes, kinds = figure.subplots(), kinds_in(rows)
-    styles = style_of(["mean", *kinds])
+    styles, bounds = style_of(["mean", *kinds]), set[str]()
     for place, other in enumerate(others):
         for kind, shift in zip(kinds, np.linspace(-0.5, 0.5, len(kinds)) * _SPREAD, strict=True):
             for saved in savings_of(rows, own, other, kind):
                 marker, colour = _MARKERS.get(saved.kind), styles[kind]["color"]
+                bounds.add(saved.kind)
                 if marker:
                     axes.plot(place + shift, 100.0 * saved.share, marker, color=colour, ms=5)
         known = [one.share for one in savings_of(rows, own, other) if one.kind in _MARKERS]
@@ -44,7 +45,7 @@ def draw_savings(
         axes.errorbar(place + 0.4, mean.mean, np.nan_to_num(mean.half), fmt="ks", capsize=4)
     for kind in kinds:
         axes.plot([], [], "o", color=styles[kind]["color"], label=kind)
-    for name in ("at least", "at most"):
+    for name in sorted(bounds & {"at least", "at most"}):
         axes.plot([], [], _MARKERS[name], color="#777777", label=name)
     axes.plot([], [], "ks", label=f"mean, {100 * CONFIDENCE:.0f} % band")
     axes.axhline(0.0, color="black", linewidth=0.8)

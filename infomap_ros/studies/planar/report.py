@@ -145,7 +145,12 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
     panels = [("all", scans, "fraction"), ("all", scans, "distance"), ("all", metres, "fraction")]
     draw_curves(records, panels, out / "planar_curves", f"Fig. 11 over many worlds: {note}")
     by_kind = [(kind, metres, "fraction") for kind in kinds]
-    draw_curves(records, by_kind, out / "planar_by_kind", f"By kind of world: {note}")
+    draw_curves(
+        records,
+        by_kind,
+        out / "planar_by_kind",
+        "By kind of world: mean, bands from three worlds on",
+    )
     first = [r for r in records if str(r.task.world) == str(records[0].task.world)]
     shown = ("random", "largest_information", "look_ahead", "FrontierTour")
     chosen = [record for record in first if record.task.label in shown]

@@ -141,8 +141,8 @@ def _voxel_worth(
     bits = divergences[now + _LIMIT, (was if was != NOT_OBSERVED else 0) + _LIMIT]
     if was == NOT_OBSERVED:
         bits += 1.0
-    information = np.empty(INFORMATION_SIZE, np.float32)
-    if now <= 0 or not read_information(gaussians, slot * BLOCK_VOXELS + local, information):
+    information, spare = np.empty((2, INFORMATION_SIZE), np.float32)
+    if now <= 0 or not read_information(gaussians, slot, local, 0.5 * size, information, spare):
         return bits, RUN_BYTES
     code, word = np.int64(-1), np.uint64(0)
     if other >= 0:

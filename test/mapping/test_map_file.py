@@ -166,8 +166,8 @@ def test_impossible_content_under_a_right_checksum_is_refused(tmp_path, case):
 
 
 def test_newer_version_is_named(tmp_path):
-    (tmp_path / "new.map").write_bytes(seal({"config": {}, "arrays": []}, version=2))
-    with pytest.raises(MapFileError, match=r"new\.map has version 2 .* reads 1"):
+    (tmp_path / "new.map").write_bytes(seal({"config": {}, "arrays": []}, version=3))
+    with pytest.raises(MapFileError, match=r"new\.map has version 3 .* reads 1 to 2"):
         read_map_file(tmp_path / "new.map")
 
 

@@ -24,6 +24,7 @@ from infomap_ros.mapping.voxels.surface_code import (
 )
 
 BLOCKS = 12
+SHEETS = 2 * BLOCKS
 
 
 def isotropic(weight: float, mean: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -49,7 +50,7 @@ def random_information(rng: np.random.Generator, full: float) -> NDArray[np.floa
 
 def scan(rng: np.random.Generator, full: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Observations of some voxels, in no order."""
-    voxels = rng.choice(BLOCKS * 512, rng.integers(1, 900), replace=False).astype(np.int64)
+    voxels = rng.choice(SHEETS * 512, rng.integers(1, 900), replace=False).astype(np.int64)
     return voxels, np.array([random_information(rng, full) for _ in voxels])
 
 
@@ -121,7 +122,7 @@ def test_order_does_not_matter_within_rounding(rng):
 
 
 def test_what_is_put_replaces_what_was_there_whatever_its_form(rng):
-    voxels = rng.permutation(BLOCKS * 512)[:500].astype(np.int64)
+    voxels = rng.permutation(SHEETS * 512)[:500].astype(np.int64)
     before = np.array([random_information(rng, 0.5) for _ in voxels])
     after = np.array([random_information(rng, 0.5) for _ in voxels])
     fresh = surface_of(BLOCKS, voxels, after)

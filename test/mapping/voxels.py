@@ -49,7 +49,7 @@ def voxels_of(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[float, by
     ):
         x, y, z = unpack(key)
         index = (8 * x + (local & 7), 8 * y + ((local >> 3) & 7), 8 * z + (local >> 6))
-        information[index] = row.tobytes() if row[0] else b""
+        information[index] = information.get(index, b"") + (row.tobytes() if row[0] else b"")
     indices, evidence = voxel_map.voxels()
     places = [tuple(index) for index in indices.tolist()]
     return {

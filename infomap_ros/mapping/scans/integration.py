@@ -95,7 +95,7 @@ class ScanIntegrator:
         self, rows: ScanRows, measured: Scan, sensor: Sensor, correlation: float
     ) -> Observations:
         count = int(rows.used[0])
-        information, hits = empty_observations(count)
+        information, hits, sides = empty_observations(count)
         hit_quanta = self._config.hit_quanta
 
         def observe(_: int, first: int, last: int) -> None:
@@ -109,7 +109,8 @@ class ScanIntegrator:
                 last,
                 information,
                 hits,
+                sides,
             )
 
         self._workers.run(observe, count)
-        return Observations(rows, information, hits)
+        return Observations(rows, information, hits, sides)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping.scans.scan import row_centre
 from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, invert_symmetric
+from infomap_ros.mapping.voxels.surface import side_of
 
 _AGREEMENT = 0.7
 """Length of the mean of unit normals below which a voxel holds an edge, not a smooth patch."""
@@ -39,7 +40,7 @@ _AGREEMENT = 0.7
 _LEAST_VARIANCE = 1e-18
 """A variance along the normal of no more than this is what rounding left of one [m^2]."""
 
-_LEAST_SHARE = 0.02
+_LEAST_SHARE = 0.03
 """Where a scan finds the surface in a voxel with less probability than this, the voxel learns
 nothing of it: such estimates take memory and hardly ever come to lie in their voxels. The rule asks
 the scan alone, so that scans may come in any order."""
@@ -180,6 +181,7 @@ def observe_rows(
     last: int,
     information: Any,
     hits: Any,
+    sides: Any,
 ) -> None:
     """Turn the rows [first, last) into observations.
 
@@ -195,6 +197,7 @@ def observe_rows(
             centre, shape (n, 9), float32; the first entry is 0 where a row has
             no points or its covariance is not positive definite.
         hits: receives the evidence of each row [quanta], int32.
+        sides: receives the side from which the surface is seen, uint8.
     """
     inverse, centre = np.empty(6), np.empty(3)
     sums, t, size = rows.sums, sensor.position, sensor.size
@@ -208,6 +211,7 @@ def observe_rows(
         row_centre(rows.keys[row], size, centre)
         ox, oy, oz = sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share
         nx, ny, nz = np.float64(sums[row, 10]), np.float64(sums[row, 11]), np.float64(sums[row, 12])
+        sides[row] = side_of(nx, ny, nz)
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
         smooth = length > _AGREEMENT * count
         scale = 1.0 / length if smooth else 0.0
@@ -240,6 +244,9 @@ def observe_rows(
         information[row, 8] = inverse[2] * ox + inverse[4] * oy + inverse[5] * oz
 
 
-def empty_observations(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Storage for `observe_rows`: information (count, 9) and hits (count,)."""
-    return np.empty((count, INFORMATION_SIZE), np.float32), np.empty(count, np.int32)
+def empty_observations(
+    count: int,
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+    """Storage for `observe_rows`: information (count, 9), hits and sides (count,)."""
+    information = np.empty((count, INFORMATION_SIZE), np.float32)
+    return information, np.empty(count, np.int32), np.zeros(count, np.uint8)

@@ -21,6 +21,7 @@ from infomap_ros.mapping.voxels.block_kernels import (
 )
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
+from infomap_ros.mapping.voxels.surface import SIDES
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -32,6 +33,7 @@ def enter_rows(
     rows: Any,
     hits: Any,
     information: Any,
+    sides: Any,
     hit_blocks: int,
     hit_row: Any,
     hit_bits: Any,
@@ -46,10 +48,11 @@ def enter_rows(
         rows: a `ScanRows`.
         hits: evidence of each row [quanta].
         information: of each row, shape (n, 9); one that begins with 0 is none.
+        sides: from which the surface is seen.
         hit_blocks: number of blocks that have a hit already.
         hit_row: per block the row of `hit_bits` or -1.
         hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8), unused rows zero.
-        owners: receives the voxel of each row as the Gaussians number it, int64; 0 where
+        owners: receives the record of each row in the `SurfaceArrays`, int64; 0 where
             there is neither evidence nor information.
         down: largest decrease of a voxel in this scan [quanta].
         up: largest increase of a voxel in this scan [quanta].
@@ -70,7 +73,7 @@ def enter_rows(
             slot = np.int64(find_or_add_block(blocks, key))
             last_key = key
         local = local_index(x, y, z)
-        owners[row] = slot * BLOCK_VOXELS + local
+        owners[row] = (slot * SIDES + sides[row]) * BLOCK_VOXELS + local
         if hits[row] == 0:
             continue
         if hit_row[slot] < 0:
@@ -95,7 +98,7 @@ def mark_merged(dirty: Any, owners: Any, information: Any) -> None:
     for row in range(len(owners)):
         if information[row, 0] > 0.0:
             bit = np.uint64(owners[row] & 63)
-            dirty[owners[row] >> 9, (owners[row] & 511) >> 6] |= _ONE << bit
+            dirty[owners[row] >> 10, (owners[row] & 511) >> 6] |= _ONE << bit
 
 
 @njit(cache=True, nogil=True)

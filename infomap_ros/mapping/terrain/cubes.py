@@ -142,17 +142,18 @@ def refine_heights(
     weights, sums = np.zeros((nx, ny)), np.zeros((nx, ny))
     counts = np.zeros((nx, ny))
     work, mean = np.empty(6), np.empty(3)
-    voxels = np.empty(BLOCK_VOXELS, np.int64)
-    records = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
-    for slot in range(len(gaussians.page)):
-        for row in range(read_block(gaussians, slot, voxels, records)):
-            x, y, z = voxel_of(blocks, voxels[row])
+    locals_, others = np.empty(2 * BLOCK_VOXELS, np.int64), np.empty(BLOCK_VOXELS, np.int64)
+    records = np.empty((2 * BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    for slot in range(blocks.counts[BLOCK_COUNT]):
+        for row in range(read_block(gaussians, slot, 0.5 * size, locals_, records, others)):
+            voxel = slot * BLOCK_VOXELS + locals_[row]
+            x, y, z = voxel_of(blocks, voxel)
             i, j = x // ratio - first[0], y // ratio - first[1]
             if not (0 <= i < nx and 0 <= j < ny) or top[i, j] < 0:
                 continue
             below, information = top[i, j] - (z // ratio - first[2]), records[row]
             if not 0 <= below <= 1 or not is_surface(
-                blocks, voxels[row], information, 0.5 * size, work, mean
+                blocks, voxel, information, 0.5 * size, work, mean
             ):
                 continue
             along_z = np.float64(information[5])

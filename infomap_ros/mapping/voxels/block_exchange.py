@@ -32,8 +32,8 @@ from infomap_ros.mapping.voxels.blocks import (
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SurfaceArrays
-from infomap_ros.mapping.voxels.surface_reading import read_information
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES, SurfaceArrays
+from infomap_ros.mapping.voxels.surface_reading import read_record
 
 
 def exchange_blocks(
@@ -93,14 +93,15 @@ def _chosen_gaussians(
     new_slots: NDArray[np.int64],
     blocks: int,
 ) -> SurfaceArrays:
-    (old_voxels, old_information), (voxels, information) = records_of(old), records_of(new)
-    kept = ~chosen[old_voxels // BLOCK_VOXELS]
-    slots = new_slots[voxels // BLOCK_VOXELS]
+    (old_records, old_information), (records, information) = records_of(old), records_of(new)
+    per_block = SIDES * BLOCK_VOXELS
+    kept = ~chosen[old_records // per_block]
+    slots = new_slots[records // per_block]
     taken = slots >= 0
-    moved = slots[taken] * BLOCK_VOXELS + voxels[taken] % BLOCK_VOXELS
+    moved = slots[taken] * per_block + records[taken] % per_block
     return surface_of(
         blocks,
-        np.concatenate([old_voxels[kept], moved]),
+        np.concatenate([old_records[kept], moved]),
         np.concatenate([old_information[kept], information[taken]]),
     )
 
@@ -187,11 +188,13 @@ def _mark_gone(old: Any, blocks: Any, chosen: Any, gone: Any) -> None:
 @njit(cache=True, nogil=True)
 def _differ(first: Any, second: Any, voxel: int) -> bool:
     """Whether the Gaussians of a voxel are not the same bits in two maps."""
-    one, other = np.empty(INFORMATION_SIZE, np.float32), np.empty(INFORMATION_SIZE, np.float32)
-    is_one, is_other = read_information(first, voxel, one), read_information(second, voxel, other)
-    if not (is_one and is_other):
-        return is_one or is_other
+    one, other = np.empty((2, INFORMATION_SIZE), np.float32)
+    record = (voxel >> 9) * SIDES * BLOCK_VOXELS + (voxel & 511)
     same = True
-    for i in range(INFORMATION_SIZE):
-        same &= one[i] == other[i]
+    for side in range(SIDES):
+        one[:], other[:] = 0.0, 0.0
+        read_record(first, record + side * BLOCK_VOXELS, one)
+        read_record(second, record + side * BLOCK_VOXELS, other)
+        for i in range(INFORMATION_SIZE):
+            same &= one[i] == other[i]
     return not same

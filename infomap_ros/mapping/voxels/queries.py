@@ -18,7 +18,6 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE,
     WIDE_UNKNOWN,
 )
-from infomap_ros.mapping.voxels.gaussians import solve_mean
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     BLOCK_SIDE,
@@ -29,7 +28,7 @@ from infomap_ros.mapping.voxels.keys import (
     unpack,
 )
 from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
-from infomap_ros.mapping.voxels.surface_reading import read_block, read_information
+from infomap_ros.mapping.voxels.surface_reading import lies_in_voxel, read_block, read_information
 
 _ONE = np.uint64(1)
 
@@ -113,15 +112,7 @@ def is_surface(
     """
     if quanta_at(blocks, voxel >> 9, voxel & 511)[1] <= 0:
         return False
-    return _lies_in_voxel(information, half, work, mean)
-
-
-@njit(cache=True, nogil=True)
-def _lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
-    """The second half of `is_surface`, for a row of the information."""
-    if not solve_mean(information, work, mean):
-        return False
-    return max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= 1.2 * half
+    return lies_in_voxel(information, half, work, mean)
 
 
 @njit(cache=True, nogil=True)
@@ -133,16 +124,17 @@ def list_surface(
     Returns:
         Number of surface voxels.
     """
-    voxels = np.empty(BLOCK_VOXELS, np.int64)
-    information = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
-    work, mean = np.empty(6), np.empty(3)
+    locals_, others = np.empty(2 * BLOCK_VOXELS, np.int64), np.empty(BLOCK_VOXELS, np.int64)
+    information = np.empty((2 * BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    work, mean, half = np.empty(6), np.empty(3), 0.5 * size
     found = 0
-    for slot in range(len(gaussians.page)):
-        for row in range(read_block(gaussians, slot, voxels, information)):
-            if not is_surface(blocks, voxels[row], information[row], 0.5 * size, work, mean):
+    for slot in range(blocks.counts[BLOCK_COUNT]):
+        for row in range(read_block(gaussians, slot, half, locals_, information, others)):
+            voxel = slot * BLOCK_VOXELS + locals_[row]
+            if not is_surface(blocks, voxel, information[row], half, work, mean):
                 continue
             if found < len(indices):
-                x, y, z = voxel_of(blocks, voxels[row])
+                x, y, z = voxel_of(blocks, voxel)
                 indices[found, 0], indices[found, 1], indices[found, 2] = x, y, z
                 for i in range(3):
                     means[found, i] = (indices[found, i] + 0.5) * size + mean[i]
@@ -248,14 +240,15 @@ def describe_surface(
     covariances: Any,
 ) -> None:
     """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
-    information = np.empty(INFORMATION_SIZE, np.float32)
+    information, other = np.empty((2, INFORMATION_SIZE), np.float32)
     work, mean = np.empty(6), np.empty(3)
     for voxel in range(len(quanta)):
         has_gaussian[voxel] = False
         if quanta[voxel] <= 0:
             continue
-        found = read_information(gaussians, owners[voxel], information)
-        if found and _lies_in_voxel(information, 0.5 * size, work, mean):
+        slot, local = owners[voxel] >> 9, owners[voxel] & 511
+        found = read_information(gaussians, slot, local, 0.5 * size, information, other)
+        if found and lies_in_voxel(information, 0.5 * size, work, mean):
             has_gaussian[voxel] = True
             for i in range(3):
                 means[voxel, i] = (indices[voxel, i] + 0.5) * size + mean[i]

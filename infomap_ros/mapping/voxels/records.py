@@ -18,6 +18,7 @@ from infomap_ros.mapping.voxels.surface import (
     INFORMATION_SIZE,
     PAGE_BYTES,
     PAGE_COUNT,
+    SIDES,
     SurfaceArrays,
     empty_surface,
     with_pages,
@@ -34,16 +35,16 @@ _MOST_GAPS, _FEW_RECORDS = 0.125, 1024
 def put_records(
     surface: SurfaceArrays,
     blocks: int,
-    voxels: NDArray[np.int64],
+    records: NDArray[np.int64],
     information: NDArray[np.float32],
     adding: bool,
 ) -> SurfaceArrays:
-    """Merge information into voxels, or put it there.
+    """Merge information into records, or put it there.
 
     Args:
         surface: the arrays; what they hold is changed.
         blocks: number of block slots of the map.
-        voxels: block slot * 512 + local index, shape (n,); each at most once.
+        records: 512 * sheet + local index, shape (n,); each at most once.
         information: shape (n, 9); rows that begin with 0 are not merged.
         adding: whether to add to what is there, else to replace it.
 
@@ -53,14 +54,12 @@ def put_records(
     Raises:
         CapacityError: there are more blocks or records than can be numbered.
     """
-    order = np.empty(len(voxels), np.int64)
-    used, pages = _group_by_block(
-        voxels, information, adding, np.zeros(blocks + 1, np.int64), order
-    )
+    order, places = np.empty(len(records), np.int64), np.zeros(SIDES * blocks + 1, np.int64)
+    used, pages = _group_by_sheet(records, information, adding, places, order)
     surface = with_pages(_without_gaps(surface), blocks, pages)
     done = 0
     while True:
-        done = store_records(surface, voxels, information, order[:used], done, adding)
+        done = store_records(surface, records, information, order[:used], done, adding)
         if done == used:
             return surface
         surface = with_records(surface, max(BLOCK_VOXELS, used - done))
@@ -71,82 +70,84 @@ def _without_gaps(surface: SurfaceArrays) -> SurfaceArrays:
     used, gaps = surface.counts[CODE_COUNT : FULL_COUNT + 1], surface.counts[CODE_GAPS:]
     if (gaps <= _MOST_GAPS * used + _FEW_RECORDS).all():
         return surface
-    empty = with_pages(empty_surface(), len(surface.page), int(surface.counts[PAGE_COUNT]))
+    empty = with_pages(
+        empty_surface(), -(-len(surface.page) // SIDES), int(surface.counts[PAGE_COUNT])
+    )
     target = with_records(empty, int((used - gaps).max()))
     close_gaps(surface, target)
     return target
 
 
 def records_of(surface: SurfaceArrays) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """All records: voxels as block slot * 512 + local index (n,), information (n, 9)."""
+    """All records: 512 * sheet + local index (n,), information (n, 9)."""
     count = int(count_records(surface))
-    voxels = np.empty(count, np.int64)
+    records = np.empty(count, np.int64)
     information = np.empty((count, INFORMATION_SIZE), np.float32)
-    list_records(surface, voxels, information)
-    return voxels, information
+    list_records(surface, records, information)
+    return records, information
 
 
 def surface_of(
-    blocks: int, voxels: NDArray[np.int64], information: NDArray[np.float32]
+    blocks: int, records: NDArray[np.int64], information: NDArray[np.float32]
 ) -> SurfaceArrays:
     """The inverse of `records_of`, without unused room, for a map of so many blocks."""
-    return put_records(empty_surface(), blocks, voxels, information, adding=False)
+    return put_records(empty_surface(), blocks, records, information, adding=False)
 
 
 @njit(cache=True, nogil=True)
-def _group_by_block(
-    voxels: Any, information: Any, adding: bool, places: Any, order: Any
+def _group_by_sheet(
+    records: Any, information: Any, adding: bool, places: Any, order: Any
 ) -> tuple[int, int]:
-    """Order the rows that are to be stored by block.
+    """Order the rows that are to be stored by sheet.
 
     Args:
-        voxels: see `put_records`, likewise information and adding.
-        information: see voxels.
-        adding: see voxels.
-        places: zeros, one more than there are blocks.
+        records: see `put_records`, likewise information and adding.
+        information: see records.
+        adding: see records.
+        places: zeros, one more than there are sheets.
         order: receives the rows.
 
     Returns:
-        Number of rows and of their blocks.
+        Number of rows and of their sheets.
     """
-    used, blocks = 0, 0
-    for row in range(len(voxels)):
+    used, sheets = 0, 0
+    for row in range(len(records)):
         if not adding or information[row, 0] > 0.0:
-            slot = voxels[row] >> 9
-            blocks += places[slot] == 0
-            places[slot] += 1
+            sheet = records[row] >> 9
+            sheets += places[sheet] == 0
+            places[sheet] += 1
             used += 1
     total = 0
-    for slot in range(len(places)):
-        count = places[slot]
-        places[slot] = total
+    for sheet in range(len(places)):
+        count = places[sheet]
+        places[sheet] = total
         total += count
-    for row in range(len(voxels)):
+    for row in range(len(records)):
         if not adding or information[row, 0] > 0.0:
-            slot = voxels[row] >> 9
-            order[places[slot]] = row
-            places[slot] += 1
-    return used, blocks
+            sheet = records[row] >> 9
+            order[places[sheet]] = row
+            places[sheet] += 1
+    return used, sheets
 
 
 def growth_of_surface(
     surface: SurfaceArrays,
-    slots: NDArray[np.int64],
-    blocks: NDArray[np.int64],
+    sheets: NDArray[np.int64],
+    places: NDArray[np.int64],
     information: NDArray[np.float32],
 ) -> int:
     """What observations add to the memory of the Gaussians, at the most [bytes].
 
     Args:
         surface: the arrays.
-        slots: of the blocks that are observed, -1 for new ones, shape (m,).
-        blocks: row in `slots` of each observation, shape (n,).
+        sheets: that are observed, negative for those of new blocks, shape (m,).
+        places: row in `sheets` of each observation, shape (n,).
         information: shape (n, 9).
     """
-    fresh = np.zeros((len(slots), 2), np.int64)
-    _count_kinds(blocks, information, fresh)
-    pages = np.where(slots >= 0, _pages(surface, slots), -1)
-    old = np.zeros((len(slots), 2), np.int64)
+    fresh = np.zeros((len(sheets), 2), np.int64)
+    _count_kinds(places, information, fresh)
+    pages = _pages(surface, sheets)
+    old = np.zeros((len(sheets), 2), np.int64)
     _count_stored(surface.masks, pages, old)
     rooms = np.minimum((old + fresh + CHUNK - 1) // CHUNK * CHUNK, BLOCK_VOXELS)
     rooms[fresh == 0] = 0
@@ -154,17 +155,17 @@ def growth_of_surface(
     return int(rooms.sum(axis=0) @ [CODE_BYTES, FULL_BYTES]) + new_pages * PAGE_BYTES
 
 
-def _pages(surface: SurfaceArrays, slots: NDArray[np.int64]) -> NDArray[np.int64]:
-    known = slots < len(surface.page)
-    return np.where(known, surface.page[np.where(known, slots, 0)].astype(np.int64), -1)
+def _pages(surface: SurfaceArrays, sheets: NDArray[np.int64]) -> NDArray[np.int64]:
+    known = (sheets >= 0) & (sheets < len(surface.page))
+    return np.where(known, surface.page[np.where(known, sheets, 0)].astype(np.int64), -1)
 
 
 @njit(cache=True, nogil=True)
-def _count_kinds(blocks: Any, information: Any, counts: Any) -> None:
-    """Count the observations of each block that need a code, and others."""
-    for row in range(len(blocks)):
+def _count_kinds(places: Any, information: Any, counts: Any) -> None:
+    """Count the observations of each sheet that need a code, and others."""
+    for row in range(len(places)):
         if information[row, 0] > 0.0:
-            counts[blocks[row], 0 if is_isotropic(information[row]) else 1] += 1
+            counts[places[row], 0 if is_isotropic(information[row]) else 1] += 1
 
 
 @njit(cache=True, nogil=True)

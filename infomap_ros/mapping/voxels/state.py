@@ -22,7 +22,7 @@ from infomap_ros.mapping.voxels.blocks import (
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SurfaceArrays
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES, SurfaceArrays
 
 _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "block_keys": ("int64", ()),
@@ -33,13 +33,15 @@ _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "wide": ("int16", (BLOCK_VOXELS,)),
     "free_rows": ("int32", ()),
     "gaussian_owner": ("uint32", ()),
+    "gaussian_side": ("uint8", ()),
     "gaussian_information": ("float32", (INFORMATION_SIZE,)),
 }
 
 
 def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
     """Copies of the used parts of all arrays."""
-    blocks, (voxels, information) = storage.blocks, records_of(storage.gaussians)
+    blocks, (records, information) = storage.blocks, records_of(storage.gaussians)
+    sheets, locals_ = np.divmod(records, BLOCK_VOXELS)
     count, narrow, wide = (int(blocks.counts[i]) for i in (BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT))
     return {
         "block_keys": blocks.keys[:count].copy(),
@@ -49,7 +51,8 @@ def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
         "narrow": blocks.narrow[:narrow].copy(),
         "wide": blocks.wide[:wide].copy(),
         "free_rows": blocks.free_rows[: int(blocks.counts[NARROW_FREE])].copy(),
-        "gaussian_owner": voxels.astype(np.uint32),
+        "gaussian_owner": (sheets // SIDES * BLOCK_VOXELS + locals_).astype(np.uint32),
+        "gaussian_side": (sheets % SIDES).astype(np.uint8),
         "gaussian_information": information,
     }
 
@@ -61,6 +64,8 @@ def storage_from_state(state: Mapping[str, NDArray[Any]]) -> MapStorage:
         MapFileError: an array is missing, has a wrong type or shape, or refers to what is not
             there.
     """
+    if "gaussian_side" not in state and "gaussian_owner" in state:  # of a file of version 1
+        state = {**state, "gaussian_side": np.zeros(len(state["gaussian_owner"]), np.uint8)}
     arrays = {name: _checked(state, name) for name in _LAYOUT}
     _check_references(arrays)
     count = len(arrays["block_keys"])
@@ -87,8 +92,9 @@ def storage_from_state(state: Mapping[str, NDArray[Any]]) -> MapStorage:
 
 
 def _gaussians(arrays: Mapping[str, NDArray[Any]]) -> SurfaceArrays:
-    voxels = arrays["gaussian_owner"].astype(np.int64)
-    return surface_of(len(arrays["block_keys"]), voxels, arrays["gaussian_information"])
+    slots, locals_ = np.divmod(arrays["gaussian_owner"].astype(np.int64), BLOCK_VOXELS)
+    records = (SIDES * slots + arrays["gaussian_side"]) * BLOCK_VOXELS + locals_
+    return surface_of(len(arrays["block_keys"]), records, arrays["gaussian_information"])
 
 
 def _checked(state: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
@@ -116,10 +122,12 @@ def _check_references(arrays: Mapping[str, NDArray[Any]]) -> None:
             raise MapFileError(f"map state: 'block_plane' refers to a missing row of '{pool}'")
     if (kind > WIDE).any() or len(np.unique(arrays["block_keys"])) != count:
         raise MapFileError("map state: 'block_kind' or 'block_keys' is not valid")
-    owners = arrays["gaussian_owner"]
+    owners, sides = arrays["gaussian_owner"], arrays["gaussian_side"]
     if len(owners) != len(arrays["gaussian_information"]) or (
         len(owners) and int(owners.max()) >= count * BLOCK_VOXELS
     ):
         raise MapFileError("map state: a Gaussian belongs to no block")
+    if len(sides) != len(owners) or (sides >= SIDES).any():
+        raise MapFileError("map state: 'gaussian_side' is not valid")
     if not np.isfinite(arrays["gaussian_information"]).all():
         raise MapFileError("map state: a Gaussian is not finite")

@@ -27,6 +27,7 @@ from infomap_ros.mapping.voxels.blocks import (
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.records import growth_of_surface, put_records
 from infomap_ros.mapping.voxels.surface import (
+    SIDES,
     SurfaceArrays,
     empty_surface,
     growth_bound,
@@ -56,11 +57,13 @@ class Observations:
         information: information matrix and vector of each row, shape (n, 9), float32; the first
             entry is 0 where there is none.
         hits: occupancy evidence of each row, shape (n,), int32 [quanta].
+        sides: from which the surface is seen, shape (n,), uint8.
     """
 
     rows: ScanRows
     information: NDArray[np.float32]
     hits: NDArray[np.int32]
+    sides: NDArray[np.uint8]
 
 
 @dataclass
@@ -121,7 +124,9 @@ def _surface_growth(storage: MapStorage, part: Observations) -> int:
     update.block_keys(part.rows, blocks)
     keys, places = np.unique(blocks, return_inverse=True)
     slots = np.array([find_block(storage.blocks, key) for key in keys], np.int64)
-    return growth_of_surface(storage.gaussians, slots, places, part.information)
+    sheets = (SIDES * slots[:, None] + np.arange(SIDES)).ravel()
+    places = SIDES * places + part.sides
+    return growth_of_surface(storage.gaussians, sheets, places, part.information)
 
 
 class ScanWriter:
@@ -159,12 +164,12 @@ class ScanWriter:
         else:
             self._workers.together(merge, see_through)
         for voxels in owners:
-            self._hit_row[voxels // BLOCK_VOXELS] = -1
+            self._hit_row[voxels // (SIDES * BLOCK_VOXELS)] = -1
 
     def _enter(
         self, blocks: BlockArrays, parts: list[Observations], hit_bits: NDArray[np.uint64]
     ) -> list[NDArray[np.int64]]:
-        """Add the hits; returns the voxel of each row as the Gaussians number it."""
+        """Add the hits; returns the record of each row."""
         owners, hit_blocks = [], 0
         for part in parts:
             voxels = np.empty(len(part.hits), np.int64)
@@ -173,6 +178,7 @@ class ScanWriter:
                 part.rows,
                 part.hits,
                 part.information,
+                part.sides,
                 hit_blocks,
                 self._hit_row,
                 hit_bits,

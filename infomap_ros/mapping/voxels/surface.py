@@ -5,9 +5,14 @@ relative to the voxel's centre. Merging two estimates is a sum (eq. 4 of Sujan a
 https://doi.org/10.1177/0278364905051774, in its symmetric form ``C = (C1^-1 + C2^-1)^-1``), so the
 order of measurements does not matter.
 
-A block with such voxels has a page: two bit sets that tell which of its voxels are stored, and
-where. The records of a block stand side by side in the order of its voxels, so that a voxel's is
-found by counting bits. Isotropic ones take the ten bytes of `surface_code`, others nine float32.
+What is seen from one side of a thin wall must not be merged with what is seen from the other. A
+block therefore has two sheets, number ``2 * slot + side``, and a voxel up to two records, number
+``512 * sheet + local index``; `side_of` a normal tells which. How they become one estimate is told
+in `surface_reading`.
+
+A sheet with records has a page: two bit sets that tell which of its voxels are stored, and where.
+The records of a sheet stand side by side in the order of its voxels, so that a voxel's is found by
+counting bits. Isotropic ones take the ten bytes of `surface_code`, others nine float32.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
@@ -25,7 +31,10 @@ from infomap_ros.mapping.voxels.surface_code import CODE_BYTES
 INFORMATION_SIZE = 9
 FULL_BYTES = 4 * INFORMATION_SIZE
 CHUNK = 8
-"""A block's records have room for a multiple of this."""
+"""A sheet's records have room for a multiple of this."""
+
+SIDES = 2
+_ACROSS = (0.262, 0.472, 0.841)
 
 PAGE_BYTES = 16 * 8 + 2 * 4
 MOST_CHUNKS = BLOCK_VOXELS // CHUNK
@@ -35,11 +44,21 @@ PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS = range(5)
 _MAX_BLOCKS, _MAX_RECORDS = 2**32 // BLOCK_VOXELS, 2**27
 
 
+@njit(cache=True, nogil=True)
+def side_of(x: float, y: float, z: float) -> int:
+    """Side, 0 or 1, from which a surface with normal (x, y, z), of any length, is seen.
+
+    Opposite normals have different sides. The plane between them is far from those of the axes,
+    so that noise seldom splits what is seen of one wall or floor.
+    """
+    return 1 if _ACROSS[0] * x + _ACROSS[1] * y + _ACROSS[2] * z < 0.0 else 0
+
+
 class SurfaceArrays(NamedTuple):
     """The arrays of the Gaussians, as the kernels take them.
 
     Attributes:
-        page: of each block slot, or -1, int32.
+        page: of each sheet, or -1, int32.
         masks: bit sets of each page, uint64, shape (n, 16): 8 words for the voxels with a code, 8
             for those with full information.
         starts: first record of each page, int32, shape (n, 2): codes and full information.
@@ -76,7 +95,7 @@ def empty_surface() -> SurfaceArrays:
 
 
 def with_pages(arrays: SurfaceArrays, blocks: int, pages: int) -> SurfaceArrays:
-    """Arrays for a map of so many block slots, with room for so many more pages.
+    """Arrays for a map of so many blocks, with room for so many more pages.
 
     Raises:
         CapacityError: the map has more blocks than a voxel's number can tell.
@@ -85,7 +104,7 @@ def with_pages(arrays: SurfaceArrays, blocks: int, pages: int) -> SurfaceArrays:
         raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
     used = int(arrays.counts[PAGE_COUNT])
     return arrays._replace(
-        page=grown(arrays.page, blocks, -1),
+        page=grown(arrays.page, SIDES * blocks, -1),
         masks=grown(arrays.masks, used + pages, used=used),
         starts=grown(arrays.starts, used + pages, used=used),
     )
@@ -111,7 +130,7 @@ def surface_bytes(arrays: SurfaceArrays, blocks: int) -> int:
     """Memory in use by the Gaussians of a map of so many blocks [bytes]; unused room included."""
     counts = arrays.counts
     return int(
-        4 * blocks
+        4 * SIDES * blocks
         + counts[PAGE_COUNT] * PAGE_BYTES
         + counts[CODE_COUNT] * CODE_BYTES
         + counts[FULL_COUNT] * FULL_BYTES
@@ -122,7 +141,7 @@ def surface_bytes(arrays: SurfaceArrays, blocks: int) -> int:
 def growth_bound(arrays: SurfaceArrays, rows: int, blocks: int) -> int:
     """What observations of so many voxels in so many blocks add to that, at the most [bytes]."""
     counts = arrays.counts
-    moved = min(blocks * BLOCK_VOXELS, int(counts[CODE_COUNT])) * CODE_BYTES
-    moved += min(blocks * BLOCK_VOXELS, int(counts[FULL_COUNT])) * FULL_BYTES
-    per_block = PAGE_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES)
+    moved = min(blocks * SIDES * BLOCK_VOXELS, int(counts[CODE_COUNT])) * CODE_BYTES
+    moved += min(blocks * SIDES * BLOCK_VOXELS, int(counts[FULL_COUNT])) * FULL_BYTES
+    per_block = SIDES * (PAGE_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES))
     return moved + rows * FULL_BYTES + blocks * per_block

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from infomap_ros.mapping.voxels.gaussians import solve_mean
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, PAGE_COUNT
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, PAGE_COUNT, SIDES
 from infomap_ros.mapping.voxels.surface_code import decode_information
 
 CODES, FULL = 0, 1
@@ -40,46 +41,102 @@ def rank_of(masks: Any, page: int, kind: int, local: int) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def read_information(surface: Any, voxel: int, information: Any) -> bool:
-    """Information of a voxel, block slot * 512 + local index; False where there is none.
+def read_record(surface: Any, record: int, information: Any) -> bool:
+    """Information of a record, 512 * sheet + local index; False where there is none.
 
     Args:
         surface: a `SurfaceArrays`.
-        voxel: see above.
+        record: see above.
         information: receives matrix and vector, shape (9,), float32.
     """
-    if voxel >> 9 >= len(surface.page) or surface.page[voxel >> 9] < 0:
+    if record >> 9 >= len(surface.page) or surface.page[record >> 9] < 0:
         return False
-    page = np.int64(surface.page[voxel >> 9])
-    rank = rank_of(surface.masks, page, CODES, voxel & 511)
+    page = np.int64(surface.page[record >> 9])
+    rank = rank_of(surface.masks, page, CODES, record & 511)
     if rank >= 0:
         row = surface.starts[page, CODES] + rank
         decode_information(surface.words[row], surface.tails[row], information)
         return True
-    rank = rank_of(surface.masks, page, FULL, voxel & 511)
+    rank = rank_of(surface.masks, page, FULL, record & 511)
     if rank >= 0:
         information[:] = surface.information[surface.starts[page, FULL] + rank]
     return bool(rank >= 0)
 
 
 @njit(cache=True, nogil=True)
-def read_block(surface: Any, slot: int, voxels: Any, information: Any) -> int:
-    """All records of a block in the order of its voxels; returns how many.
+def read_information(
+    surface: Any, slot: int, local: int, half: float, information: Any, other: Any
+) -> bool:
+    """What a map knows of the surface in a voxel; False where there is nothing.
 
     Args:
         surface: a `SurfaceArrays`.
-        slot: of the block, within ``len(surface.page)``.
-        voxels: receives block slot * 512 + local index, shape (512,).
+        slot: of the voxel's block.
+        local: its index in the block.
+        half: half a voxel [m].
+        information: receives matrix and vector, shape (9,), float32.
+        other: to work with, shape (9,), float32.
+    """
+    record = slot * SIDES * BLOCK_VOXELS + local
+    is_one = read_record(surface, record, information)
+    is_other = read_record(surface, record + BLOCK_VOXELS, other)
+    if is_one and is_other:
+        _join(information, other, half)
+    elif is_other:
+        information[:] = other
+    return is_one or is_other
+
+
+@njit(cache=True, nogil=True)
+def _join(information: Any, other: Any, half: float) -> None:
+    """What the two sides of a voxel tell together.
+
+    If both find the surface in the voxel it is their sum; if one does, that one: the other saw the
+    far face of something thin, beyond the voxel. If none does there is no surface in the voxel.
+    """
+    work, mean = np.empty(6), np.empty(3)
+    one_lies = lies_in_voxel(information, half, work, mean)
+    other_lies = lies_in_voxel(other, half, work, mean)
+    for i in range(INFORMATION_SIZE):
+        if one_lies and other_lies:
+            information[i] += other[i]
+        elif other_lies:
+            information[i] = other[i]
+
+
+@njit(cache=True, nogil=True)
+def lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
+    """Whether the mean lies in the voxel, with a tolerance of a tenth of its size.
+
+    Args:
+        information: matrix and vector, shape (9,).
+        half: half a voxel [m].
+        work: receives the covariance, shape (6,).
+        mean: receives the mean relative to the voxel's centre, shape (3,).
+    """
+    if not solve_mean(information, work, mean):
+        return False
+    return bool(max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= 1.2 * half)
+
+
+@njit(cache=True, nogil=True)
+def read_sheet(surface: Any, sheet: int, records: Any, information: Any) -> int:
+    """All records of a sheet in the order of the voxels; returns how many.
+
+    Args:
+        surface: a `SurfaceArrays`.
+        sheet: its number, within ``len(surface.page)``.
+        records: receives 512 * sheet + local index, shape (512,).
         information: receives matrix and vector, shape (512, 9), float32.
     """
-    page, first = np.int64(surface.page[slot]), np.int64(slot) * BLOCK_VOXELS
+    page, first = np.int64(surface.page[sheet]), np.int64(sheet) * BLOCK_VOXELS
     if page < 0:
         return 0
     code, full = np.int64(surface.starts[page, CODES]), np.int64(surface.starts[page, FULL])
     found = 0
     for word in range(8):
         codes, others = surface.masks[page, word], surface.masks[page, 8 + word]
-        local = first + 64 * word
+        record = first + 64 * word
         while (codes | others) != _ZERO:
             if codes & _ONE:
                 decode_information(surface.words[code], surface.tails[code], information[found])
@@ -88,15 +145,49 @@ def read_block(surface: Any, slot: int, voxels: Any, information: Any) -> int:
                 information[found, :] = surface.information[full]
                 full += 1
             if (codes | others) & _ONE:
-                voxels[found] = local
+                records[found] = record
                 found += 1
-            codes, others, local = codes >> _ONE, others >> _ONE, local + 1
+            codes, others, record = codes >> _ONE, others >> _ONE, record + 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def read_block(
+    surface: Any, slot: int, half: float, locals_: Any, information: Any, others: Any
+) -> int:
+    """What a map knows of the surfaces in a block, in no order; returns of how many voxels.
+
+    Args:
+        surface: a `SurfaceArrays`.
+        slot: of the block.
+        half: half a voxel [m].
+        locals_: receives local indices, shape (1024,).
+        information: receives matrix and vector, shape (1024, 9), float32.
+        others: to work with, shape (512,), int64.
+    """
+    if SIDES * slot >= len(surface.page):
+        return 0
+    count = read_sheet(surface, SIDES * slot, locals_, information)
+    more = read_sheet(surface, SIDES * slot + 1, locals_[count:], information[count:])
+    others[:] = -1
+    for row in range(count):
+        locals_[row] &= BLOCK_VOXELS - 1
+        others[locals_[row]] = row
+    found = count
+    for row in range(count, count + more):
+        local = locals_[row] & (BLOCK_VOXELS - 1)
+        if others[local] >= 0:
+            _join(information[others[local]], information[row], half)
+        else:
+            locals_[found] = local
+            information[found, :] = information[row]
+            found += 1
     return found
 
 
 @njit(cache=True, nogil=True)
 def count_records(surface: Any) -> int:
-    """Number of voxels with a record."""
+    """Number of records."""
     total = 0
     for page in range(surface.counts[PAGE_COUNT]):
         for word in range(16):
@@ -105,13 +196,13 @@ def count_records(surface: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def list_records(surface: Any, voxels: Any, information: Any) -> None:
-    """All records; for the arguments see `read_block`, there are `count_records`."""
+def list_records(surface: Any, records: Any, information: Any) -> None:
+    """All records; for the arguments see `read_sheet`, there are `count_records`."""
     found = 0
-    block_voxels = np.empty(BLOCK_VOXELS, np.int64)
-    block_information = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
-    for slot in range(len(surface.page)):
-        count = read_block(surface, slot, block_voxels, block_information)
-        voxels[found : found + count] = block_voxels[:count]
-        information[found : found + count] = block_information[:count]
+    numbers = np.empty(BLOCK_VOXELS, np.int64)
+    rows = np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    for sheet in range(len(surface.page)):
+        count = read_sheet(surface, sheet, numbers, rows)
+        records[found : found + count] = numbers[:count]
+        information[found : found + count] = rows[:count]
         found += count

@@ -37,15 +37,15 @@ def canonical(information: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def store_records(
-    surface: Any, voxels: Any, information: Any, order: Any, first: int, adding: bool
+    surface: Any, records: Any, information: Any, order: Any, first: int, adding: bool
 ) -> int:
-    """Merge information into voxels, or put it there.
+    """Merge information into records, or put it there.
 
     Args:
-        surface: a `SurfaceArrays` with a page to spare for every block.
-        voxels: block slot * 512 + local index of each row, int64; each voxel at most once.
+        surface: a `SurfaceArrays` with a page to spare for every sheet.
+        records: 512 * sheet + local index of each row, int64; each at most once.
         information: shape (n, 9), float32.
-        order: the rows that are stored, those of one block side by side.
+        order: the rows that are stored, those of one sheet side by side.
         first: place in `order` where to begin.
         adding: whether to add to what is there, else to replace it.
 
@@ -59,15 +59,15 @@ def store_records(
     )
     wanted = np.empty(16, np.uint64)
     while first < len(order):
-        slot, last = voxels[order[first]] >> 9, first + 1
-        while last < len(order) and voxels[order[last]] >> 9 == slot:
+        sheet, last = records[order[first]] >> 9, first + 1
+        while last < len(order) and records[order[last]] >> 9 == sheet:
             last += 1
-        page = _page_of(surface, slot)
-        _want(surface.masks, page, voxels, information, order[first:last], wanted)
+        page = _page_of(surface, sheet)
+        _want(surface.masks, page, records, information, order[first:last], wanted)
         if not _arrange(surface, page, wanted, work):
             return first
         for row in order[first:last]:
-            _store(surface, page, voxels[row] & 511, information[row], adding)
+            _store(surface, page, records[row] & 511, information[row], adding)
         first = last
     return first
 
@@ -93,25 +93,25 @@ def close_gaps(surface: Any, target: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _page_of(surface: Any, slot: int) -> Any:
-    """Page of a block, made if need be."""
-    page = np.int64(surface.page[slot])
+def _page_of(surface: Any, sheet: int) -> Any:
+    """Page of a sheet, made if need be."""
+    page = np.int64(surface.page[sheet])
     if page >= 0:
         return page
     page = surface.counts[PAGE_COUNT]
     surface.counts[PAGE_COUNT] = page + 1
-    surface.page[slot] = page
+    surface.page[sheet] = page
     surface.masks[page, :] = _ZERO
     surface.starts[page, :] = 0
     return page
 
 
 @njit(cache=True, nogil=True)
-def _want(masks: Any, page: int, voxels: Any, information: Any, rows: Any, wanted: Any) -> None:
+def _want(masks: Any, page: int, records: Any, information: Any, rows: Any, wanted: Any) -> None:
     """The bit sets that a page needs to hold the rows as well."""
     wanted[:] = masks[page]
     for row in rows:
-        word, bit = (voxels[row] & 511) >> 6, _ONE << np.uint64(voxels[row] & 63)
+        word, bit = (records[row] & 511) >> 6, _ONE << np.uint64(records[row] & 63)
         if information[row, 0] == 0.0 or is_isotropic(information[row]):
             if not wanted[8 + word] & bit:
                 wanted[word] |= bit

@@ -25,8 +25,8 @@ from infomap_ros.mapping.voxels.gaussians import invert_symmetric
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack
 from infomap_ros.mapping.voxels.records import put_records
 from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, with_pages
-from infomap_ros.mapping.voxels.surface_reading import read_information
+from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES
+from infomap_ros.mapping.voxels.surface_reading import read_record
 from infomap_ros.mapping.voxels.surface_storing import canonical
 
 
@@ -104,14 +104,19 @@ def put_states(storage: MapStorage, states: VoxelStates) -> NDArray[np.bool_]:
     changed = np.zeros(count, np.bool_)
     rooms = count_block_changes(states.indices)
     storage.blocks = with_room(storage.blocks, rooms, rooms)
-    blocks, voxels = len(storage.blocks.keys), np.full(count, -1, np.int64)
-    storage.gaussians = with_pages(storage.gaussians, blocks, 0)
-    _put_states(storage.blocks, storage.gaussians, *states, changed, voxels)
-    put = voxels >= 0
-    storage.gaussians = put_records(
-        storage.gaussians, blocks, voxels[put], states.information[put], adding=False
-    )
+    blocks, records = len(storage.blocks.keys), np.full((count, SIDES), -1, np.int64)
+    _put_states(storage.blocks, storage.gaussians, *states, changed, records)
+    for side in range(SIDES):
+        put = records[:, side] >= 0
+        information = states.information[put] if side == 0 else _nothing(np.count_nonzero(put))
+        storage.gaussians = put_records(
+            storage.gaussians, blocks, records[put, side], information, adding=False
+        )
     return changed
+
+
+def _nothing(count: Any) -> NDArray[np.float32]:
+    return np.zeros((int(count), INFORMATION_SIZE), np.float32)
 
 
 @njit(cache=True, nogil=True)
@@ -162,9 +167,9 @@ def _put_states(
     quanta: Any,
     information: Any,
     changed: Any,
-    voxels: Any,
+    records: Any,
 ) -> None:
-    """Put the evidence; list in `voxels` those whose information is other than before."""
+    """Put the evidence; list in `records` those whose information is other than before."""
     stored, new = np.empty(INFORMATION_SIZE, np.float32), np.empty(INFORMATION_SIZE, np.float32)
     kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
     narrow, wide, tracked = blocks.narrow, blocks.wide, len(blocks.dirty) > 0
@@ -181,11 +186,14 @@ def _put_states(
             _put_quanta(blocks, slot, local, known[row], quanta[row])
         new[:] = information[row]
         canonical(new)
-        if not read_information(gaussians, slot * BLOCK_VOXELS + local, stored):
+        for side in range(SIDES):  # the second is left empty
+            record = (slot * SIDES + side) * BLOCK_VOXELS + local
             stored[:] = 0.0
-        for i in range(INFORMATION_SIZE):
-            if stored[i] != new[i]:
-                changed[row], voxels[row] = True, slot * BLOCK_VOXELS + local
+            read_record(gaussians, record, stored)
+            for i in range(INFORMATION_SIZE):
+                if stored[i] != new[i]:
+                    changed[row], records[row, side] = True, record
+            new[:] = 0.0
         if tracked and changed[row]:
             mark_dirty(blocks, slot, local)
 

@@ -64,7 +64,8 @@ class FiducialLocalisationError:
         """Predicted pose covariances at the views, shape (M, 6, 6); arguments as the call's."""
         if situation is not self._situation:
             self._situation, self._known = situation, self._fiducials()
-            self._new = self._prediction.surface_points(situation.voxel_map)
+            camera, known = situation.T_map_camera, self._known[0]
+            self._new = self._prediction.new_points(camera, known, situation.voxel_map)
         return self._prediction.predict(
             situation.T_map_camera,
             situation.pose_covariance,

@@ -69,5 +69,5 @@ class CarriedPose:
         except InfomapError:
             return pose
         start = MotionPrior(pose.transform, pose.covariance)
-        here = start.then(self._noise.between(before, after))
+        here = start.then(self._noise.since(before, after))
         return PoseRecord(newest, pose.frame_id, here.T_before_after, here.covariance)

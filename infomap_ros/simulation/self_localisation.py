@@ -155,7 +155,7 @@ class SelfLocalisation:
         if self._known is None:
             raise PoseUnavailableError("the first pose is not known: no pair was taken")
         pose, posture = self._known
-        return pose.moved(self._kinematics.between(posture, self._measured_posture()))
+        return pose.moved(self._kinematics.since(posture, self._measured_posture()))
 
     def take_scan(self, voxel_map: VoxelMap) -> PosedScan:
         """Take a stereo pair now, and localise by it.

@@ -112,3 +112,14 @@ def test_a_prior_must_be_rigid_and_have_a_covariance() -> None:
         MotionPrior(2.0 * np.eye(4), np.eye(6))
     with pytest.raises(InvalidInputError, match="covariance"):
         MotionPrior(np.eye(4), -np.eye(6))
+
+
+def test_a_robot_that_stands_is_where_it_was_as_surely_as_then() -> None:
+    rng = np.random.default_rng(4)
+    motion, here = KinematicMotion(), RobotPosture(some_pose(rng, 1.0), some_pose(rng, 0.3))
+    still = RobotPosture(perturb_transform(here.T_odom_base, 5e-4 * np.ones(6)), here.T_base_camera)
+    assert not motion.since(here, still).covariance.any()
+    gone = RobotPosture(perturb_transform(here.T_odom_base, 5e-2 * np.ones(6)), here.T_base_camera)
+    expected = motion.between(here, gone)
+    np.testing.assert_array_equal(motion.since(here, gone).covariance, expected.covariance)
+    np.testing.assert_array_equal(motion.since(here, gone).T_before_after, expected.T_before_after)

@@ -13,6 +13,8 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 
+_REST_WAY, _REST_TURN = 0.003, 0.003  # [m], [rad]: encoders are noisy
+
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
@@ -124,6 +126,19 @@ class KinematicMotion:
         motion = invert_transform(before.T_odom_camera) @ after.T_odom_camera
         covariance = self._odometry_covariance(before, after) + self._kinematics_covariance(motion)
         return MotionPrior(motion, covariance)
+
+    def since(self, before: RobotPosture, after: RobotPosture) -> MotionPrior:
+        """As `between`; a robot that stands as it stood is where it was, as surely as then.
+
+        The kinematics err anew where the arm or the base has moved; where neither has, they err as
+        they did when the pose before was measured.
+        """
+        motion = invert_transform(before.T_odom_camera) @ after.T_odom_camera
+        way = float(np.linalg.norm(motion[:3, 3]))
+        turned = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
+        if way < _REST_WAY and turned < _REST_TURN:
+            return MotionPrior(motion, np.zeros((6, 6)))
+        return self.between(before, after)
 
     def _odometry_covariance(self, before: RobotPosture, after: RobotPosture) -> FloatArray:
         """What the base's motion adds, in the old camera's frame, shape (6, 6)."""

@@ -7,18 +7,16 @@ those whose place is known tie the pose to the map, others tie the poses of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform, float_array
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.prediction import kernels
+from infomap_ros.localization.prediction.config import ErrorPredictionConfig
+from infomap_ros.localization.prediction.unseen import unseen_points
 from infomap_ros.localization.prediction.ways import (
     FLOOR,
     Ways,
@@ -28,64 +26,9 @@ from infomap_ros.localization.prediction.ways import (
 )
 from infomap_ros.mapping import VoxelMap
 
+__all__ = ["ErrorPrediction", "ErrorPredictionConfig"]
+
 _FLOOR = FLOOR * np.eye(6)
-
-
-@dataclass(frozen=True)
-class ErrorPredictionConfig:
-    """How ways and sightings are modelled.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    waypoints: int = parameter(
-        5, "Places on a way from which fiducials are looked at, its end included.", low=1, high=50
-    )
-    pixel_sigma: float = parameter(
-        0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
-    )
-    nearest: float = parameter(
-        0.3, "Smallest depth at which a fiducial is measured.", unit="m", low=0.0, high=100.0
-    )
-    farthest: float = parameter(
-        6.0, "Largest depth at which a fiducial is tracked.", unit="m", low=0.1, high=1000.0
-    )
-    border: float = parameter(
-        10.0, "So near to the edge of the image nothing is tracked.", unit="px", low=0.0, high=500.0
-    )
-    tolerance: float = parameter(
-        6.0,
-        "A ray may end so far before a fiducial: along flat lines of sight it meets the voxels of "
-        "the fiducial's own surface early.",
-        unit="voxels",
-        low=0.0,
-        high=100.0,
-    )
-    fiducials: int = parameter(
-        60,
-        "Of the known fiducials, so many are looked at; where there are more, each stands for "
-        "several.",
-        low=1,
-        high=10_000,
-    )
-    cell: float = parameter(
-        0.5,
-        "What hides a fiducial from a place hides it from all places in a cube of this size.",
-        unit="m",
-        low=0.001,
-        high=10.0,
-    )
-    surface_points: int = parameter(
-        40,
-        "So many points of the mapped surface stand for fiducials that will be found on the way.",
-        low=0,
-        high=10_000,
-    )
-    motion: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 class ErrorPrediction:
@@ -123,6 +66,23 @@ class ErrorPrediction:
         count = min(self.config.surface_points, len(means))
         return np.asarray(means[rng.choice(len(means), count, replace=False)])
 
+    def new_points(
+        self, T_map_camera: FloatArray, known: FloatArray, voxel_map: VoxelMap
+    ) -> FloatArray:
+        """Places of fiducials still to be found, on the mapped surface and in unknown space.
+
+        Args:
+            T_map_camera: where the camera is, shape (4, 4).
+            known: positions of the known fiducials, shape (N, 3) [m, map].
+            voxel_map: what is known.
+
+        Returns:
+            Shape (S, 3) [m, map].
+        """
+        config, place = self.config, T_map_camera[:3, 3]
+        unseen = unseen_points(place, known, voxel_map, config.farthest, config.unseen_points)
+        return np.concatenate([self.surface_points(voxel_map), unseen])
+
     def predict(
         self,
         T_map_camera: ArrayLike,
@@ -141,7 +101,7 @@ class ErrorPrediction:
             fiducials: positions of the known ones, shape (N, 3) [m, map], and their covariances,
                 shape (N, 3, 3) [m^2].
             new_points: places of fiducials of which nothing is known yet, shape (S, 3) [m, map];
-                see `surface_points`.
+                see `new_points`.
             voxel_map: hides what is behind a surface.
 
         Returns:

@@ -18,6 +18,7 @@ _COLOURS = (
 """After M. Okabe and K. Ito, told apart by the colour-blind; the last three added."""
 
 _DASHES = ("-", "--", "-.", ":")
+_LEAST_WORLDS = 3  # that a band is drawn for
 
 
 def style_of(names: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -35,7 +36,7 @@ def style_of(names: Sequence[str]) -> dict[str, dict[str, Any]]:
 def draw_band(
     axes: Any, at: FloatArray, curves: FloatArray, style: dict[str, Any], name: str
 ) -> None:
-    """Draw the mean of curves with its band.
+    """Draw the mean of curves with its band; a band of two worlds would cover the whole figure.
 
     Args:
         axes: of matplotlib.
@@ -46,12 +47,14 @@ def draw_band(
     """
     mean, half = curve_band(curves)
     axes.plot(at, mean, label=name, **style)
-    axes.fill_between(at, mean - half, mean + half, color=style["color"], alpha=0.12, lw=0)
+    if len(curves) >= _LEAST_WORLDS:
+        axes.fill_between(at, mean - half, mean + half, color=style["color"], alpha=0.12, lw=0)
 
 
 def band_note(worlds: int) -> str:
-    """What the bands are, for a caption."""
-    return f"mean and {100 * CONFIDENCE:.0f} % band over {worlds} worlds"
+    """What the curves and bands are, for a caption."""
+    band = f" and {100 * CONFIDENCE:.0f} % band" if worlds >= _LEAST_WORLDS else ""
+    return f"mean{band} over {worlds} world{'s' if worlds > 1 else ''}"
 
 
 def save(figure: Figure, path: Path) -> None:

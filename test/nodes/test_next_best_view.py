@@ -249,4 +249,4 @@ def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -
     stage.tell(stage.rover.updates, 0.0)
     stage.plan()
     assert stage.node._planner is not None
-    np.testing.assert_array_equal(stage.node._planner._start.T_map_base, began)
+    np.testing.assert_array_equal(stage.node._planner.planner._start.T_map_base, began)

@@ -213,6 +213,23 @@ def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
     assert locked.reason.startswith("the robot cannot leave its place: ")
 
 
+@pytest.mark.parametrize(("gap", "leaves"), [(-0.03, True), (0.1, False)])
+def test_robot_leaves_ground_of_which_only_occupied_voxels_are_known(vehicle, gap, leaves):
+    """Voxels under its wheels are occupied and show no surface; a thing higher up is no ground."""
+    terrain = ground(lambda x, y: np.zeros_like(x))
+    under = np.hypot(*(terrain.centres_of(np.argwhere(terrain.heights == 0.0))).T) < 0.3
+    i, j = np.argwhere(terrain.heights == 0.0)[under].T
+    heights, overhead = terrain.heights.copy(), terrain.overhead.copy()
+    heights[i, j], overhead[i, j] = np.nan, gap
+    doubtful = dataclasses.replace(terrain, heights=heights, overhead=overhead)
+    standing = np.eye(4)
+    standing[2, 3] = 0.0762
+
+    path = BasePlanner(doubtful, vehicle, standing=standing).plan((0, 0, 0), (-1, 0, 0))
+
+    assert path.complete is leaves
+
+
 def test_reachable_area_needs_a_start_once(vehicle):
     planner = BasePlanner(walled(None), vehicle)
     with pytest.raises(InvalidInputError, match="start"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, float_array
@@ -29,7 +29,8 @@ def with_standing_ground(
     """Declare the ground under poses in which the robot stands or has stood as known.
 
     Cells under the body and between the wheels that have no ground get the plane of the wheels;
-    cells with ground keep theirs. Unseen space up to the body's height counts as seen there.
+    cells with ground keep theirs. Unseen space up to the body's height counts as seen there. What
+    is occupied under the body in that plane, and was not seen well enough to be ground, is ground.
 
     Args:
         terrain: the ground as the map shows it.
@@ -72,6 +73,7 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     near = ((local[:, :2] >= low) & (local[:, :2] <= high)).all(axis=1)
     i, j = cells[near].T
     ceiling = heights[near] + (top - z) / up[2] + reach
+    _clear_under(terrain, (i, j), local[near, :2], heights[near], extent)
     unknown = np.isnan(terrain.heights[i, j]) & (terrain.overhead[i, j] >= ceiling)
     u, v = i[unknown], j[unknown]
     terrain.heights[u, v] = terrain.floor[u, v] = heights[near][unknown]
@@ -80,6 +82,31 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     u, v = i[known], j[known]
     seen = np.minimum(np.maximum(terrain.seen[u, v], ceiling[known]), terrain.overhead[u, v])
     terrain.seen[u, v] = seen
+
+
+def _clear_under(
+    terrain: Terrain,
+    cells: tuple[NDArray[np.int64], NDArray[np.int64]],
+    places: FloatArray,
+    plane: FloatArray,
+    extent: FloatArray,
+) -> None:
+    """Nothing hangs where a body stands: what seems to, in the plane of its wheels, is its ground.
+
+    Args:
+        terrain: changed.
+        cells: indices of cells around the body.
+        places: their middles in the base frame, shape (N, 2) [m].
+        plane: heights of the wheels' plane there, shape (N,) [m, map].
+        extent: points that the body covers, in the base frame, shape (M, 2) [m].
+    """
+    size = terrain.resolution
+    low, high = extent.min(axis=0) - size, extent.max(axis=0) + size
+    under = ((places >= low) & (places <= high)).all(axis=1)
+    lowest = terrain.overhead[cells]
+    in_plane = (lowest <= plane) & (lowest >= plane - 2.0 * size)
+    chosen = under & in_plane & np.isnan(terrain.heights[cells])
+    terrain.overhead[cells[0][chosen], cells[1][chosen]] = np.inf
 
 
 def standing_pose(terrain: Terrain, vehicle: Vehicle, place: FloatArray) -> FloatArray:

@@ -43,7 +43,8 @@ def test_good_fiducials_ahead_make_the_pose_better_than_it_is() -> None:
     error = FiducialLocalisationError(RIG, 0.3, Wall())
     ahead, behind = error(situation(), views(), np.ones(2))
     assert ahead < -0.02
-    assert behind > 0.0
+    # Behind nothing is known: what is found there carries the pose along, and does not mend it.
+    assert behind > 0.1 * ahead
 
 
 def test_without_fiducials_it_is_of_the_size_of_odometry_drift() -> None:

@@ -20,10 +20,7 @@ ROBOT_ARGUMENTS = {
     "rviz": ("false", "Start RViz."),
 }
 _SHARED = {
-    "map_updates": "/team/map_updates",
-    **{
-        f"team/{name}": f"/team/{name}" for name in ("map_updates", "digests", "requests", "agents")
-    },
+    f"team/{name}": f"/team/{name}" for name in ("map_updates", "digests", "requests", "agents")
 }
 _MEMBERS = ("map_fusion", "next_best_view")
 

@@ -22,7 +22,7 @@ ROBOT_ARGUMENTS = {
 _SHARED = {
     f"team/{name}": f"/team/{name}" for name in ("map_updates", "digests", "requests", "agents")
 }
-_MEMBERS = ("map_fusion", "next_best_view")
+_MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization")
 
 
 class RobotLaunch:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,16 +15,16 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from infomap_ros.errors import BagError, InfomapError, ProcessError
+from infomap_ros.errors import BagError, ProcessError
 from infomap_ros.exploration.report import write_map_report
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_vertices, write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
+from infomap_ros.nodes.demo_command import run_demo_command
 from infomap_ros.nodes.live_run import LEFT, LiveRun
 from infomap_ros.nodes.pictures import LivePictures
 from infomap_ros.nodes.pose_comparison import PoseComparison
-from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.replay.reader import BagReader
 
@@ -156,20 +154,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/demo-bag"))
     parser.add_argument("--voxel-size", type=float, default=0.05, help="[m]")
     options = parser.parse_args(arguments)
-    console = Console(stderr=True)
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        bag = options.bag or find_share(BAG)
-        figures = run_demo(bag, options.out, options.voxel_size, console)
-    except (InfomapError, OSError) as error:
-        print(f"infomap demo-bag: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("infomap demo-bag: interrupted", file=sys.stderr)
-        return 130
-    console.print(f"map, pictures and report.html are in {options.out}")
-    print(json.dumps(figures))
-    return 0
+
+    def run(console: Console) -> dict[str, object]:
+        return run_demo(options.bag or find_share(BAG), options.out, options.voxel_size, console)
+
+    return run_demo_command("demo-bag", options.out, run)
 
 
 if __name__ == "__main__":

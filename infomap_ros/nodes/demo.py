@@ -10,8 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,15 +17,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.status import Status
 
-from infomap_ros.errors import InfomapError, ProcessError
+from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.report import write_report
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
+from infomap_ros.nodes.demo_command import run_demo_command
 from infomap_ros.nodes.live_exploration import LiveExploration
 from infomap_ros.nodes.pose_comparison import PoseComparison
-from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.exploration_run import task_in
 from infomap_ros.simulation.scenes import make_world
@@ -130,19 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--max-views", type=int, default=60)
     parser.add_argument("--voxel-size", type=float, default=0.05, help="[m]")
     options = parser.parse_args(arguments)
-    console = Console(stderr=True)
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        results = run_demo(options, console)
-    except (InfomapError, OSError) as error:
-        print(f"infomap demo: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("infomap demo: interrupted", file=sys.stderr)
-        return 130
-    console.print(f"map, picture, log and report.html are in {options.out}")
-    print(json.dumps(results))
-    return 0
+    return run_demo_command("demo", options.out, lambda console: run_demo(options, console))
 
 
 if __name__ == "__main__":

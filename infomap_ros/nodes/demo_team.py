@@ -11,8 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,15 +19,15 @@ import numpy as np
 from rich.console import Console
 from rich.status import Status
 
-from infomap_ros.errors import InfomapError, ProcessError
+from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team_report import write_team_report
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
+from infomap_ros.nodes.demo_command import run_demo_command
 from infomap_ros.nodes.live_exploration import LOG_FILE
 from infomap_ros.nodes.live_team import LiveTeam
-from infomap_ros.nodes.run import interrupt
 from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.builder import World
 from infomap_ros.simulation.exploration_run import task_in
@@ -214,19 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--timeout", type=float, default=3600.0, help="[s]")
     options = parser.parse_args(arguments)
-    console = Console(stderr=True)
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        results = run_demo(options, console)
-    except (InfomapError, OSError) as error:
-        print(f"infomap demo-team: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("infomap demo-team: interrupted", file=sys.stderr)
-        return 130
-    console.print(f"map, logs and report.html are in {options.out}")
-    print(json.dumps(results))
-    return 0
+    return run_demo_command("demo-team", options.out, lambda console: run_demo(options, console))
 
 
 if __name__ == "__main__":

@@ -35,6 +35,6 @@ def run_demo_command(name: str, out: Path, run: Callable[[Console], Mapping[str,
     except KeyboardInterrupt:
         print(f"infomap {name}: interrupted", file=sys.stderr)
         return 130
-    console.print(f"map, pictures and report.html are in {out}")
+    console.print(f"map, report.html and all else are in {out}")
     print(json.dumps(figures))
     return 0

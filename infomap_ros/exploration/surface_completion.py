@@ -10,13 +10,12 @@ shows nothing but missing surface from half the camera's range.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from infomap_ros.exploration.missing_surface import MissingSurface, missing_surface
 from infomap_ros.exploration.surface_sight import sight_weights, sums_in_view
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxels.keys import pack
+from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.views.information_config import InformationConfig
 from infomap_ros.views.observation_value import observed_share
 from infomap_ros.views.options import Options
@@ -34,7 +33,6 @@ _NEAREST, _FARTHEST = 0.5, 2.2  # [m] from which they look
 _CONE = 0.9  # [rad] about the normal within which they stand
 _WELL_SEEN = 0.3  # least weight of a look that counts when it was in vain
 _ELEVATION = 1.2  # [rad], steepest glance of theirs
-_Keys = NDArray[np.int64]
 
 
 class SurfaceCompletion:
@@ -66,7 +64,7 @@ class SurfaceCompletion:
         """
         region = np.stack([situation.region.low, situation.region.high])
         missing = missing_surface(situation.voxel_map, region, situation.position)
-        keys = _keys(missing)
+        keys = pack_all(missing.voxels)
         self._missing = missing
         for seen in self._in_view(situation, situation.past_views[self._noted :]):
             for at in np.flatnonzero(seen >= _WELL_SEEN):
@@ -100,10 +98,10 @@ class SurfaceCompletion:
 
     def gains(self, situation: Situation, poses: FloatArray) -> list[VoxelGains]:
         """Missing voxels that each view, (M, 4, 4), shows."""
-        keys = _keys(self._missing)
+        keys = pack_all(self._missing.voxels)
         order = np.argsort(keys)
-        seen = self._in_view(situation, poses)[:, order]
-        return [VoxelGains(keys[order][row > 0.0], row[row > 0.0]) for row in seen]
+        keys, seen = keys[order], self._in_view(situation, poses)[:, order]
+        return [VoxelGains(keys[row > 0.0], row[row > 0.0]) for row in seen]
 
     def full_view(self, situation: Situation) -> float:
         """Voxels of a wall that fills the image, half the camera's range away."""
@@ -180,11 +178,6 @@ def _within_cone(axes: FloatArray, rng: np.random.Generator) -> FloatArray:
     offsets /= np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-9)
     angles = _CONE * np.sqrt(rng.random((len(axes), 1)))
     return np.asarray(np.cos(angles) * axes + np.sin(angles) * offsets)
-
-
-def _keys(missing: MissingSurface) -> _Keys:
-    x, y, z = missing.voxels.T
-    return np.array([pack(*voxel) for voxel in zip(x, y, z, strict=True)], np.int64)
 
 
 def _size(situation: Situation) -> FloatArray:

@@ -7,9 +7,8 @@ may use it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -31,7 +30,6 @@ from infomap_ros.views.situation import Teammate
 _MOST_WAYPOINTS = 60
 _LONGEST_STATE = 80
 _MOVED, _TURNED = 0.01, 0.01  # a place [m] or angle [rad] that differs by more is another one
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +175,13 @@ class Teamwork:
 
     def claims(self, now: float) -> dict[int, int]:
         """Claims of the others that are known, by their ids."""
-        return self._ask(lambda: self._board.claims(now))
+        with self._lock:
+            return self._board.claims(now)
 
     def present(self, now: float) -> tuple[Agent, ...]:
         """The others that were heard lately."""
-        return self._ask(lambda: self._board.present(now))
+        with self._lock:
+            return self._board.present(now)
 
     def news_since(self, known: dict[int, int], now: float) -> tuple[Agent, ...]:
         """The others that have claimed another goal since `known`, of `claims`."""
@@ -224,11 +224,8 @@ class Teamwork:
         ]
 
     def _remembered(self, now: float) -> tuple[Agent, ...]:
-        return self._ask(lambda: self._board.remembered(now))
-
-    def _ask(self, question: Callable[[], _Result]) -> _Result:
         with self._lock:
-            return question()
+            return self._board.remembered(now)
 
 
 def _has_moved(before: Presence, now: Presence) -> bool:

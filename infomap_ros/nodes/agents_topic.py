@@ -9,9 +9,8 @@ from visualization_msgs.msg import MarkerArray
 from infomap_ros.errors import FrameError
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
+from infomap_ros.nodes.team_topics import AGENTS
 from infomap_ros.replay.messages.agents import decode_agent_texts
-
-TOPIC = "team/agents"
 
 
 def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None]) -> None:
@@ -29,4 +28,4 @@ def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None
                 raise FrameError(f"robot told in frame '{told_in}', the map is '{frame}'")
             hear(text)
 
-    node.listen(MarkerArray, TOPIC, receive, qos.stream(depth=50), required=False)
+    node.listen(MarkerArray, AGENTS, receive, qos.stream(depth=50), required=False)

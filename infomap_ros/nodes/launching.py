@@ -10,6 +10,7 @@ from typing import Any
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.environment import additions, reliable_inputs
+from infomap_ros.nodes.team_topics import SHARED
 
 ROBOT_ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
@@ -18,9 +19,6 @@ ROBOT_ARGUMENTS = {
     "team_key": ("", "File with the secret of the team; empty: none."),
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
-}
-_SHARED = {
-    f"team/{name}": f"/team/{name}" for name in ("map_updates", "digests", "requests", "agents")
 }
 _MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization")
 
@@ -61,7 +59,7 @@ class RobotLaunch:
             executable=executable,
             namespace=given["namespace"],
             parameters=[str(find_share(f"config/{executable}.yaml")), settings, *own],
-            remappings=list(_SHARED.items()) if self._is_member else [],
+            remappings=list(SHARED.items()) if self._is_member else [],
             additional_env=additions(),
             output="screen",
         )

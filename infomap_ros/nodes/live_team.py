@@ -17,9 +17,9 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.live_exploration import Parameters, robot_parameters
 from infomap_ros.nodes.live_graph import LiveGraph
 from infomap_ros.nodes.processes import NodeProcesses
+from infomap_ros.nodes.team_topics import SHARED
 from infomap_ros.simulation.team_world import starts_abreast
 
-TEAM_TOPICS = ("map_updates", "digests", "requests", "agents")
 _IN_TEAM = ("map_fusion", "next_best_view")
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
@@ -110,9 +110,8 @@ class LiveTeam(LiveGraph):
         """Start all nodes of a robot, the first time or again."""
         self._down.discard(name)
         for node, values in self._parameters[name].items():
-            remaps = {f"team/{topic}": f"/team/{topic}" for topic in TEAM_TOPICS}
-            used = remaps if node in _IN_TEAM else {}
-            self.pids[f"{name}/{node}"] = self._team[name].start(node, values, used)
+            remaps = SHARED if node in _IN_TEAM else {}
+            self.pids[f"{name}/{node}"] = self._team[name].start(node, values, remaps)
 
     def kill_robot(self, name: str) -> None:
         """End all processes of a robot at once, as a loss of power would.

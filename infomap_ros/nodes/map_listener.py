@@ -15,6 +15,7 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team_exchange import TeamExchange
+from infomap_ros.nodes.team_topics import UPDATES
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
@@ -70,10 +71,10 @@ class MapListener:
     def __init__(self, node: MonitoredNode, worker: Worker) -> None:
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
-        self._key = TeamKey.read(self._config.team_key) if self._config.team_key else None
+        self._key = TeamKey.of_team(self._config.team_key)
         self._member: TeamMember | None = None
         self._known, self._grown, self._arrived = 0, 0.0, False
-        for topic in ("map_updates", "team/map_updates"):
+        for topic in ("map_updates", UPDATES):
 
             def receive(message: PointCloud2, topic: str = topic) -> None:
                 worker.submit_always(lambda: node.guard(topic, partial(self._apply, message)))

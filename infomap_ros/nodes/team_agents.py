@@ -12,11 +12,12 @@ from infomap_ros.exploration.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.nodes import qos
-from infomap_ros.nodes.agents_topic import TOPIC, listen_to_agents
+from infomap_ros.nodes.agents_topic import listen_to_agents
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_listener import MapListenerConfig
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team_topics import AGENTS
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team import draw_session, version_at
 from infomap_ros.team.agent_text import agent_from_text
@@ -44,13 +45,13 @@ class TeamAgents:
         self._frame = node.config(RobotTrackerConfig).map_frame
         self._range = node.config(ViewPlannerConfig).max_range
         listener, self._config = node.config(MapListenerConfig), node.config(AgentsConfig)
-        self._key = TeamKey.read(listener.team_key) if listener.team_key else None
+        self._key = TeamKey.of_team(listener.team_key)
         identity = listener.robot_id, draw_session(), version_at(time.time_ns())
         self.team = Teamwork(*identity, self._config, listener.team, self._key)
         self.doing = "idle"
         self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
         self._description = node.resolve_topic_name("robot_description")
-        self._publisher = node.advertise(MarkerArray, "team/agents", qos.stream(depth=50))
+        self._publisher = node.advertise(MarkerArray, AGENTS, qos.stream(depth=50))
         listen_to_agents(node, self._frame, self._hear)
         node.create_timer(_TICK, self._tell_if_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -70,7 +71,7 @@ class TeamAgents:
         period = round(self._config.period * 1e9)
         is_due = stamp is not None and not self._stamp <= stamp < self._stamp + period
         if is_due or time.monotonic() - self._told >= _HEARTBEAT:
-            self._node.guard(TOPIC, self.announce)
+            self._node.guard(AGENTS, self.announce)
         others = self.team.present(time.monotonic())
         self._node.health.note("teammates", ", ".join(str(each.robot) for each in others))
 

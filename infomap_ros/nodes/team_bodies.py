@@ -62,7 +62,7 @@ class TeamBodyListener:
     def __init__(self, node: MonitoredNode, frame: str, on_news: Callable[[], None]) -> None:
         self._node, self._on_news = node, on_news
         who = node.config(UpdateStreamConfig)
-        self._key = TeamKey.read(who.team_key) if who.team_key else None
+        self._key = TeamKey.of_team(who.team_key)
         self._board = AgentBoard(who.robot_id, None, node.config(AgentBoardConfig), who.team)
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
         self._reading = node.config(RobotBodyConfig).robot

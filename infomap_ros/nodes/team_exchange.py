@@ -15,11 +15,11 @@ from infomap_ros.errors import FrameError
 from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.team_topics import DIGESTS, REQUESTS
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 
-DIGESTS, REQUESTS = "team/digests", "team/requests"
 Rows = NDArray[np.void]
 
 

@@ -21,13 +21,13 @@ from infomap_ros.nodes import qos
 from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.team_exchange import TeamExchange
+from infomap_ros.nodes.team_topics import UPDATES
 from infomap_ros.nodes.update_stream import UpdateStream
 from infomap_ros.nodes.worker import Worker
 from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
 from infomap_ros.team.digest import decode_digest
 
-_TOPIC = "team/map_updates"
 Rows = NDArray[np.void]
 
 
@@ -54,10 +54,10 @@ class TeamMap:
 
         def receive(message: PointCloud2) -> None:
             apply = partial(self._apply, message)
-            worker.submit_always(lambda: self._node.guard(_TOPIC, apply))
+            worker.submit_always(lambda: self._node.guard(UPDATES, apply))
 
         profile = qos.stream(depth=200)
-        self._node.listen(PointCloud2, _TOPIC, receive, profile, required=False)
+        self._node.listen(PointCloud2, UPDATES, receive, profile, required=False)
         TeamExchange(self._node, self._frame, worker, lambda: self._member, self._hear_of)
 
     @property

@@ -75,7 +75,7 @@ class TeammateSight:
         self._node, self._worker, self._move, self._stays = node, worker, move, stays
         self._config, who = node.config(TeamTagsConfig), node.config(FiducialLocalizationConfig)
         self._robot, self._team = who.robot_id, who.team
-        self._key = TeamKey.read(who.team_key) if who.team_key else None
+        self._key = TeamKey.of_team(who.team_key)
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)
         self._finder = RobotTagFinder(carried) if carried else None

@@ -28,6 +28,7 @@ from infomap_ros.nodes.base import MonitoredNode
 from infomap_ros.nodes.map_contents import without_evidence
 from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.nodes.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.team_topics import UPDATES
 from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
@@ -42,7 +43,6 @@ from infomap_ros.team import (
 )
 from infomap_ros.team.authentication import TeamKey
 
-TEAM_UPDATES = "team/map_updates"
 _VOXEL_BYTES = 4  # of a message, about
 _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
 
@@ -89,7 +89,7 @@ class UpdateStream:
         self._next_block = 0
         self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
-        self.key = TeamKey.read(self._config.team_key) if self._config.team_key else None
+        self.key = TeamKey.of_team(self._config.team_key)
         self._member: TeamMember | None = None
         self._on_tell: Callable[[], None] = lambda: None
         self._resumed = self._replaced = self._joined = False
@@ -97,8 +97,8 @@ class UpdateStream:
         events = PublisherEventCallbacks(matched=self._on_matched)
         self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
         self._to_team = None
-        if node.resolve_topic_name(TEAM_UPDATES) != self._publisher.topic_name:
-            self._to_team = node.advertise(PointCloud2, TEAM_UPDATES, qos.stream(depth=50))
+        if node.resolve_topic_name(UPDATES) != self._publisher.topic_name:
+            self._to_team = node.advertise(PointCloud2, UPDATES, qos.stream(depth=50))
 
     @property
     def robot(self) -> int:

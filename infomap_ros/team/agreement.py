@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.team.contribution import Contribution
 
 FREE_QUANTA, OCCUPIED_QUANTA = -12, 4  # p < 0.05 and p > 0.73
@@ -54,14 +54,9 @@ def _evidence_in(
     slots = part.slots_in(0, other.coordinates(np.arange(other.blocks)))
     told = part.states(0, slots)
     known = told.log_odds != NOT_OBSERVED
-    keys = _keys(told.indices[known].astype(np.int64))
+    keys = pack_all(told.indices[known].astype(np.int64))
     order = np.argsort(keys)
     return keys[order], told.log_odds[known][order]
-
-
-def _keys(indices: NDArray[np.int64]) -> NDArray[np.int64]:
-    x, y, z = (indices + COORDINATE_LIMIT).T
-    return np.asarray((x << 42) | (y << 21) | z)
 
 
 def _against(

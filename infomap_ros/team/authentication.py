@@ -53,6 +53,15 @@ class TeamKey:
         except OSError as error:
             raise InvalidInputError("team key", f"cannot read {path}: {error.strerror}") from error
 
+    @classmethod
+    def of_team(cls, path: str) -> TeamKey | None:
+        """The key in a file; None, for a team without one, where no file is named.
+
+        Raises:
+            InvalidInputError: the file cannot be read, or holds too short a key.
+        """
+        return cls.read(path) if path else None
+
     def sign(self, rows: Rows) -> Rows:
         """The message with its code."""
         return with_more_facts(rows, {"code": self._code(rows).hex()})

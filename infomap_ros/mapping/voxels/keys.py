@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 BLOCK_BITS = 3
 BLOCK_SIDE = 1 << BLOCK_BITS
@@ -26,6 +27,12 @@ def pack(x: int, y: int, z: int) -> Any:
     """Pack three coordinates within the limit into one key."""
     limit = COORDINATE_LIMIT
     return ((np.int64(x) + limit) << 42) | ((np.int64(y) + limit) << 21) | (np.int64(z) + limit)
+
+
+def pack_all(coordinates: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`pack` of many: shape (N, 3) -> (N,)."""
+    x, y, z = (coordinates + COORDINATE_LIMIT).T
+    return np.asarray((x << 42) | (y << 21) | z)
 
 
 @njit(cache=True, nogil=True)

@@ -18,6 +18,10 @@ from infomap_ros.errors import InfomapError
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
 Quick = Annotated[bool, typer.Option("--quick", help="a small study, in less than a minute")]
 Jobs = Annotated[int, typer.Option(help="processes; 0 for one per core")]
+Strategies = Annotated[
+    str,
+    typer.Option(help="names or dotted paths of classes, with commas; the study's own if empty"),
+]
 DrawOnly = Annotated[bool, typer.Option("--draw-only", help="compute nothing, use what is there")]
 
 

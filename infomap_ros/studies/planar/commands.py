@@ -18,6 +18,7 @@ from infomap_ros.studies.common.command_line import (
     Jobs,
     Out,
     Quick,
+    Strategies,
     finish,
     progress_bar,
     refusals,
@@ -37,10 +38,6 @@ from infomap_ros.studies.planar.tasks import label_of, run_tasks
 
 FloorPlans = Annotated[
     Path | None, typer.Option(help="folder with ROS maps (.yaml) to explore besides")
-]
-Strategies = Annotated[
-    str,
-    typer.Option(help="names or dotted paths of classes, with commas; the study's own if empty"),
 ]
 
 

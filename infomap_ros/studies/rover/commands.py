@@ -15,6 +15,7 @@ from infomap_ros.studies.common.command_line import (
     Jobs,
     Out,
     Quick,
+    Strategies,
     finish,
     progress_bar,
     refusals,
@@ -38,12 +39,7 @@ def rover(
     out: Out,
     worlds: Annotated[int, typer.Option(help="seeded worlds")] = RoverStudyConfig.worlds,
     seed: Annotated[int, typer.Option(help="of the first world")] = RoverStudyConfig.seed,
-    strategies: Annotated[
-        str,
-        typer.Option(
-            help="names or dotted paths of classes, with commas; the study's own if empty"
-        ),
-    ] = "",
+    strategies: Strategies = "",
     raster_views: Annotated[
         int, typer.Option(help="views of the strategy raster")
     ] = RoverStudyConfig.raster_views,

@@ -31,13 +31,13 @@ setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels,
 	@echo "ready: . $(BIN)/activate"
 
 demo: $(READY) $(STAMPS)/rendering  ## a simulated rover explores a rough world, results in out/demo
-	@$(BIN)/python -m infomap_ros.nodes.demo --out out/demo
+	@$(BIN)/python -m infomap_ros.nodes.live.demo --out out/demo
 
 demo-team: $(READY) $(STAMPS)/rendering  ## two rovers map one world together, results in out/demo-team
-	@$(BIN)/python -m infomap_ros.nodes.demo_team --out out/demo-team
+	@$(BIN)/python -m infomap_ros.nodes.live.demo_team --out out/demo-team
 
 demo-bag: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo-bag
-	@$(BIN)/python -m infomap_ros.nodes.bag_demo --out out/demo-bag
+	@$(BIN)/python -m infomap_ros.nodes.live.bag_demo --out out/demo-bag
 
 test: $(READY) $(STAMPS)/rendering $(STAMPS)/browser  ## every test
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)
@@ -94,7 +94,7 @@ $(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
 
 # Tried again each time until it is there; everything but tf works without.
 $(STAMPS)/tf2: | $(STAMPS)/package
-	@if $(BIN)/python -m infomap_ros.nodes.tf2_messages; then touch $@; \
+	@if $(BIN)/python -m infomap_ros.nodes.common.tf2_messages; then touch $@; \
 	else echo "going on without tf2_msgs: the nodes publish no tf" >&2; fi
 
 # The simulated camera renders off screen; recorded bags are mapped without.

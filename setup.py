@@ -72,8 +72,8 @@ setup(
             "ros-jazzy-rclpy>=7.1,<8",
             "ros-jazzy-rmw-fastrtps-cpp>=8.4,<9",
         ],
-        # What `python -m infomap_ros.nodes.tf2_messages` builds tf2_msgs with. The wheels do not
-        # name all that their CMake files ask for.
+        # What `python -m infomap_ros.nodes.common.tf2_messages` builds tf2_msgs with. The wheels do
+        # not name all that their CMake files ask for.
         "tf2": [
             "cmake>=3.22",
             "ros-jazzy-ament-cmake>=2.5,<3",

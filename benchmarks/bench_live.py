@@ -20,8 +20,8 @@ import numpy as np
 from machine import Machine, cpu_seconds
 from stereo_bag import write_stereo_bag
 
-from infomap_ros.nodes.live_run import LiveRun
-from infomap_ros.nodes.run_state import RunState
+from infomap_ros.nodes.live.live_run import LiveRun
+from infomap_ros.nodes.live.run_state import RunState
 
 WARM_UP = 5  # pairs that are not counted: discovery and first use of memory
 

@@ -145,7 +145,7 @@ def calibrate_noise(
 def doctor(context: typer.Context) -> None:
     """Say what a live ROS graph lacks."""
     try:
-        from infomap_ros.nodes.doctor import main as examine
+        from infomap_ros.nodes.diagnosis.doctor import main as examine
     except ModuleNotFoundError as error:
         raise InfomapError(f"the doctor needs ROS 2, and there is no {error.name}") from error
     raise typer.Exit(examine(context.args))

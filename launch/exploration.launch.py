@@ -9,8 +9,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.nodes.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
-from infomap_ros.nodes.simulated_localisation import IMAGE_RATE, simulated_localisation
+from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
+from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
 from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
 

@@ -10,7 +10,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.launching import ROBOT_ARGUMENTS, RobotLaunch
+from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from launch import LaunchDescription
 

@@ -145,7 +145,7 @@ def test_no_module_imports_itself_through_others() -> None:
 
 def test_an_arrow_to_the_right_is_seen() -> None:
     path = PACKAGE / "geometry" / "imagined.py"
-    tree = ast.parse("def f():\n    from ..nodes import base\nimport rclpy.node\n")
+    tree = ast.parse("def f():\n    from ..nodes.common import base\nimport rclpy.node\n")
     found = {name: at_import for name, _, at_import in imports_of(path, tree)}
-    assert found == {"infomap_ros.nodes.base": False, "rclpy.node": True}
-    assert RANK_OF[room_of("infomap_ros.nodes.base")] > RANK_OF[room_of(module_name(path))]
+    assert found == {"infomap_ros.nodes.common.base": False, "rclpy.node": True}
+    assert RANK_OF[room_of("infomap_ros.nodes.common.base")] > RANK_OF[room_of(module_name(path))]

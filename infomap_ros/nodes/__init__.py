@@ -1,9 +1,11 @@
 """ROS 2 nodes: convert a message, call one core object, convert its answer, publish.
 
+Here stand the nodes themselves; their parts are in the folders beside them.
+
 The only room that imports rclpy and message packages. Importing it sets how the process uses its
 memory: rclpy starts threads when it is imported, and that must be done before.
 """
 
-from infomap_ros.nodes.memory import keep_freed_memory
+from infomap_ros.nodes.common.memory import keep_freed_memory
 
 keep_freed_memory()

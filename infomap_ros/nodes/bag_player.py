@@ -22,11 +22,11 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import BagError, InfomapError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes import qos
 from infomap_ros.nodes.bag_topics import advertise_topics
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.run import run_node
 from infomap_ros.replay.messages import encode_clock
 from infomap_ros.replay.player import BagPlayer, PlayerConfig, Step
 from infomap_ros.replay.reader import BagReader

@@ -7,9 +7,9 @@ from collections.abc import Collection
 from rclpy.publisher import Publisher
 
 from infomap_ros.errors import BagError
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.message_types import message_class
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.replay.reader import BagReader
 
 _ABSOLUTE = ("/tf", "/tf_static", "/diagnostics")

@@ -22,11 +22,11 @@ from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization import DeadReckoning, DeadReckoningConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.replay.messages import (
     decode_camera_info,
     decode_joint_state,

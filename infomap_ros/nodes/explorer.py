@@ -31,14 +31,14 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.exploration_status import status_message
-from infomap_ros.nodes.remote_planner import RemotePlanner, RemotePlannerConfig
-from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.ros_robot import RosRobot, RosRobotConfig
-from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.target_sight import TargetSight
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.planning.exploration_status import status_message
+from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlannerConfig
+from infomap_ros.nodes.planning.ros_robot import RosRobot, RosRobotConfig
+from infomap_ros.nodes.planning.target_sight import TargetSight
+from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 
 _STATUS_PERIOD = 0.5  # [s]
 

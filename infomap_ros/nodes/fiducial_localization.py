@@ -5,7 +5,7 @@ is not located there is none: the node says that it is lost, or still searching 
 why, on /diagnostics and in its log.
 
 Callbacks only receive and pair; a pair waits until odometry and joints are known at its stamp
-(`infomap_ros.nodes.view_gate`) and goes to the worker thread, which locates the camera and
+(`infomap_ros.nodes.locating.view_gate`) and goes to the worker thread, which locates the camera and
 publishes. Another thread writes what is known to a file, so that a node that is killed goes on in
 the same map.
 
@@ -31,21 +31,21 @@ from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.camera_follower import CameraFollower, CameraFollowerConfig
-from infomap_ros.nodes.image_inputs import ImageInputs
-from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
-from infomap_ros.nodes.localization_news import LocalizationNews
-from infomap_ros.nodes.localization_warm_up import warm_up
-from infomap_ros.nodes.map_moves import check_is_later, describe_move, listen_to_moves
-from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
-from infomap_ros.nodes.orders import offer_order
-from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.saved_localisation import SavedLocalisation
-from infomap_ros.nodes.teammate_sight import TeammateSight
-from infomap_ros.nodes.view_gate import Look, ViewGate
-from infomap_ros.nodes.view_sources import ViewSource
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
+from infomap_ros.nodes.common.orders import offer_order
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.locating.camera_follower import CameraFollower, CameraFollowerConfig
+from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.locating.localization_news import LocalizationNews
+from infomap_ros.nodes.locating.localization_warm_up import warm_up
+from infomap_ros.nodes.locating.saved_localisation import SavedLocalisation
+from infomap_ros.nodes.locating.teammate_sight import TeammateSight
+from infomap_ros.nodes.locating.view_gate import Look, ViewGate
+from infomap_ros.nodes.locating.view_sources import ViewSource
+from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.map_moves import check_is_later, describe_move, listen_to_moves
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -5,11 +5,11 @@ worker thread, which owns the map: it integrates, publishes, saves, loads and re
 in which it is told. So no lock is needed and no callback blocks.
 
 Localisation corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
-corrected (`infomap_ros.nodes.map_corrections`).
+corrected (`infomap_ros.nodes.fusion.map_corrections`).
 
 When the clock jumps back (a bag that loops), the map is kept, or reset where
 ``reset_on_clock_jump`` says so. What becomes of clouds and poses then says
-`infomap_ros.nodes.scan_gate`.
+`infomap_ros.nodes.fusion.scan_gate`.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.files.projection import ProjectionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.map_corrections import MapCorrections
-from infomap_ros.nodes.map_keeper import MapKeeper, MapKeeperConfig
-from infomap_ros.nodes.map_moves import listen_to_moves
-from infomap_ros.nodes.map_outputs import MapOutputsConfig
-from infomap_ros.nodes.memory import MemoryConfig, reserve_heap
-from infomap_ros.nodes.orders import offer_order
-from infomap_ros.nodes.robot_body import RobotBodyConfig
-from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.scan_gate import Scan, ScanGate
-from infomap_ros.nodes.scan_gate_config import ScanGateConfig
-from infomap_ros.nodes.team_bodies import TeamBodyConfig
-from infomap_ros.nodes.team_radio import TeamRadioConfig
-from infomap_ros.nodes.update_stream import UpdateStreamConfig
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
+from infomap_ros.nodes.common.orders import offer_order
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.fusion.map_corrections import MapCorrections
+from infomap_ros.nodes.fusion.map_keeper import MapKeeper, MapKeeperConfig
+from infomap_ros.nodes.fusion.map_outputs import MapOutputsConfig
+from infomap_ros.nodes.fusion.scan_gate import Scan, ScanGate
+from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.fusion.update_stream import UpdateStreamConfig
+from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
+from infomap_ros.nodes.team.map_moves import listen_to_moves
+from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
 

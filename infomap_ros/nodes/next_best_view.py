@@ -29,19 +29,19 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.exploration_status import ExplorationNews, read_status
-from infomap_ros.nodes.interests import Interests
-from infomap_ros.nodes.map_listener import MapListener, MapListenerConfig
-from infomap_ros.nodes.orders import offer_order
-from infomap_ros.nodes.plan_outputs import PlanOutputs
-from infomap_ros.nodes.plan_warm_up import warm_up
-from infomap_ros.nodes.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.search_plans import SearchPlans
-from infomap_ros.nodes.team_agents import TeamAgents
-from infomap_ros.nodes.team_radio import TeamRadioConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.orders import offer_order
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
+from infomap_ros.nodes.planning.interests import Interests
+from infomap_ros.nodes.planning.map_listener import MapListener, MapListenerConfig
+from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
+from infomap_ros.nodes.planning.plan_warm_up import warm_up
+from infomap_ros.nodes.planning.search_plans import SearchPlans
+from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.team_agents import TeamAgents
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentsConfig
 

@@ -3,8 +3,8 @@
 It publishes what the hardware would and moves on cmd_vel, base_path and arm_trajectory; what is
 true and a robot cannot know goes to ground_truth/* alone. Simulation and drawing run in the worker
 thread; callbacks only pass commands on. Other robots in the same world have simulators of their
-own (`infomap_ros.nodes.simulator_teammates`). On a machine that is too slow for the wanted pace,
-simulated time passes more slowly, and /clock says so.
+own (`infomap_ros.nodes.simulated.simulator_teammates`). On a machine that is too slow for the
+wanted pace, simulated time passes more slowly, and /clock says so.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.run import run_node
-from infomap_ros.nodes.simulator_inputs import SimulatorInputs
-from infomap_ros.nodes.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
-from infomap_ros.nodes.simulator_teammates import (
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs
+from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
+from infomap_ros.nodes.simulated.simulator_teammates import (
     SimulatorTeammates,
     TeammatesConfig,
     teammate_names,

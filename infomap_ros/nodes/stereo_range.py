@@ -15,12 +15,12 @@ from functools import partial
 from typing import Any
 
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.image_inputs import ImageInputs, Images, Infos
-from infomap_ros.nodes.memory import MemoryConfig, reserve_heap, use_shared_memory
-from infomap_ros.nodes.range_outputs import RangeOutputs
-from infomap_ros.nodes.range_sources import RangeSource
-from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap, use_shared_memory
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.ranging.range_outputs import RangeOutputs
+from infomap_ros.nodes.ranging.range_sources import RangeSource
+from infomap_ros.nodes.robot.image_inputs import ImageInputs, Images, Infos
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -24,8 +24,8 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import (
     encode_camera_info,
     encode_joint_state,

@@ -22,9 +22,9 @@ from infomap_ros.geometry import (
     TextRecord,
     TransformRecord,
 )
-from infomap_ros.nodes import qos
 from infomap_ros.nodes.bag_player import BagPlayerNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import decode_image, decode_joint_state, encode_point_cloud
 from infomap_ros.replay.writer import BagWriter
 

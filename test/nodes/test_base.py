@@ -13,9 +13,9 @@ from std_msgs.msg import String
 
 from infomap_ros.errors import CalibrationError, ConfigError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.run import run_node
 
 
 @dataclass(frozen=True)

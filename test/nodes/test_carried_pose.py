@@ -15,7 +15,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.nodes.carried_pose import CarriedPose
+from infomap_ros.nodes.robot.carried_pose import CarriedPose
 
 CAMERA = "left_camera_optical_frame"
 SECOND = 1_000_000_000

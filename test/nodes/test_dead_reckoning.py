@@ -22,8 +22,8 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
-from infomap_ros.nodes.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages import (
     decode_pose_with_covariance,
     encode_camera_info,

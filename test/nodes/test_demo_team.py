@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.nodes import demo_team
-from infomap_ros.nodes.demo_team import sum_of_maps
-from infomap_ros.nodes.live_team import LiveTeam
+from infomap_ros.nodes.live import demo_team
+from infomap_ros.nodes.live.demo_team import sum_of_maps
+from infomap_ros.nodes.live.live_team import LiveTeam
 
 
 def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> None:

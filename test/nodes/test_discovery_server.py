@@ -14,8 +14,8 @@ import sys, time
 import numpy as np
 import rclpy
 from sensor_msgs.msg import PointCloud2
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import MapUpdate, decode_update, encode_update
 

@@ -19,9 +19,9 @@ from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
 from infomap_ros.localization.localisation import Localisation
 from infomap_ros.motion.route import ArmPath, Route
-from infomap_ros.nodes.exploration_status import read_status
 from infomap_ros.nodes.explorer import ExplorerNode
-from infomap_ros.nodes.localization_status import status_message
+from infomap_ros.nodes.locating.localization_status import status_message
+from infomap_ros.nodes.planning.exploration_status import read_status
 
 from .rovers import PaperRover
 

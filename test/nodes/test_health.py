@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from infomap_ros.nodes.health import STALE_AFTER, WARNING_PERIOD, Health
+from infomap_ros.nodes.common.health import STALE_AFTER, WARNING_PERIOD, Health
 
 
 class Clock:

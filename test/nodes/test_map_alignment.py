@@ -18,12 +18,12 @@ from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.robot_tags import tag_pose
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.localization_config import FiducialLocalizationConfig
-from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.teammate_sight import TeammateSight
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.locating.teammate_sight import TeammateSight
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.replay.messages import decode_pose_with_covariance, encode_pose
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team.agent_text import agent_to_text

@@ -7,7 +7,7 @@ import sys
 
 COUNT = """
 import resource
-from infomap_ros.nodes.memory import *
+from infomap_ros.nodes.common.memory import *
 
 def new_pages(work):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -53,7 +53,7 @@ def test_shared_memory_of_the_middleware_is_found_and_used() -> None:
     (size,) = run("""
 import os
 import random
-from infomap_ros.nodes.environment import additions
+from infomap_ros.nodes.common.environment import additions
 os.environ.update(additions(), ROS_DOMAIN_ID=str(random.randint(1, 100)))
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 import rclpy

@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.exploration.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice
-from infomap_ros.nodes import qos
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.next_best_view import NextBestViewNode
 
 from .rovers import PaperRover, update_messages

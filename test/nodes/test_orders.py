@@ -10,9 +10,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.base import MonitoredNode
-from infomap_ros.nodes.orders import offer_order
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.orders import offer_order
 
 
 class PatientNode(MonitoredNode):

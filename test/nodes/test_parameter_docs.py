@@ -29,7 +29,7 @@ def test_a_node_started_with_its_parameter_file_has_the_defaults(node: str) -> N
 import rclpy
 from rclpy.node import Node
 from infomap_ros.nodes.parameter_docs import NODES
-from infomap_ros.nodes.parameters import declare_config
+from infomap_ros.nodes.common.parameters import declare_config
 rclpy.init(args=["--ros-args", "--params-file", {str(find_share(f"config/{node}.yaml"))!r}])
 node = Node({node!r}, namespace="/robot1")
 for kind, prefix in NODES[{node!r}]:
@@ -48,7 +48,7 @@ def test_parameter_files_can_be_changed(tmp_path: Path) -> None:
 import rclpy
 from rclpy.node import Node
 from infomap_ros.mapping import VoxelMapConfig
-from infomap_ros.nodes.parameters import declare_config
+from infomap_ros.nodes.common.parameters import declare_config
 rclpy.init(args=["--ros-args", "--params-file", {str(tmp_path / "mine.yaml")!r}])
 print(declare_config(Node("map_fusion"), VoxelMapConfig).voxel_size)
 """

@@ -12,7 +12,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.nodes.parameters import declare_config, parameter_values
+from infomap_ros.nodes.common.parameters import declare_config, parameter_values
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.nodes.live_exploration import LiveExploration
+from infomap_ros.nodes.live.live_exploration import LiveExploration
 
 TASK = {
     "task.region_low": [-2.5, -2.5, -0.5],

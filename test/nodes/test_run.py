@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from infomap_ros.nodes.processes import private_graph
+from infomap_ros.nodes.live.processes import private_graph
 
 PROGRAM = """
 import time
 import rclpy.node
-from infomap_ros.nodes.run import run_node
+from infomap_ros.nodes.common.run import run_node
 
 class SlowToEnd(rclpy.node.Node):
     def __init__(self):

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
+from infomap_ros.nodes.team import team_topics
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = yaml.safe_load((REPOSITORY / "config" / "infomap.rviz").read_text("utf-8"))
 DISPLAYS = {
@@ -22,9 +24,12 @@ FROM_ELSEWHERE = {"left/image_raw", "interest"}  # of the robot, and of whoever 
 def published() -> dict[str, str]:
     """Topics that the nodes advertise -> how (latched, stream, ...)."""
     found = {}
-    for path in (REPOSITORY / "infomap_ros" / "nodes").glob("*.py"):
+    for path in (REPOSITORY / "infomap_ros" / "nodes").rglob("*.py"):
         text = path.read_text("utf-8")
-        for topic, profile in re.findall(r'advertise\(\s*\w+,\s*"([^"]+)",\s*qos\.(\w+)', text):
+        for said, profile in re.findall(
+            r'advertise\(\s*\w+,\s*("[^"]+"|[A-Z]+),\s*qos\.(\w+)', text
+        ):
+            topic = said.strip('"') if '"' in said else getattr(team_topics, said)
             found[topic] = profile
             found[topic.replace("~", "next_best_view")] = profile
     return found

@@ -19,8 +19,8 @@ from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
-from infomap_ros.nodes import qos
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.replay.messages import (
     decode_camera_info,

@@ -19,7 +19,7 @@ from infomap_ros.geometry import (
     ImageRecord,
     rig_from_calibrations,
 )
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 from infomap_ros.replay.messages import (
     decode_image,

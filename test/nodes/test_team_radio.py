@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.map_fusion import MapFusionNode
-from infomap_ros.nodes.team_radio import TeamRadioConfig, loses
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
 from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import MapReplica, decode_update
 

@@ -27,7 +27,7 @@ import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.nodes.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 

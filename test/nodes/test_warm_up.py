@@ -24,10 +24,10 @@ from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
-from infomap_ros.nodes.map_contents import voxel_map_rows
-from infomap_ros.nodes.map_warm_up import warm_up
-from infomap_ros.nodes.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot_body import without_bodies
+from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
+from infomap_ros.nodes.fusion.map_warm_up import warm_up
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.robot.robot_body import without_bodies
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
@@ -58,7 +58,7 @@ for step in range(3):
 
 STEREO_RANGE = """
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
-from infomap_ros.nodes.range_sources import RangeSource
+from infomap_ros.nodes.ranging.range_sources import RangeSource
 from infomap_ros.stereo import StereoConfig
 
 source = RangeSource.of_stereo(StereoConfig(), rectify=True)

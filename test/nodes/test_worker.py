@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from infomap_ros.nodes.worker import Worker
+from infomap_ros.nodes.common.worker import Worker
 
 
 def blocked_worker(capacity: int) -> tuple[Worker, threading.Event, list[int]]:

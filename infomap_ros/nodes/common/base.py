@@ -1,0 +1,191 @@
+"""What all nodes share: configuration, guarded inputs, diagnostics.
+
+Errors of the library are translated here, once: the data are dropped, the drop is counted with its
+reason, and a throttled warning says what was wrong. Any other exception is a defect and ends the
+process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+from infomap_ros.errors import (
+    CalibrationError,
+    CapacityError,
+    FrameError,
+    InfomapError,
+    InvalidInputError,
+    MalformedMessageError,
+    MapFileError,
+    PoseUnavailableError,
+    RobotModelError,
+    UpdateRefusedError,
+)
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.health import Health
+from infomap_ros.nodes.common.parameters import declare_config
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
+
+Config = TypeVar("Config")
+
+DIAGNOSTICS_PERIOD = 1.0  # [s]
+_REASONS: dict[type[InfomapError], str] = {
+    MalformedMessageError: "malformed message",
+    CalibrationError: "calibration",
+    FrameError: "wrong frame",
+    PoseUnavailableError: "no pose at the stamp",
+    CapacityError: "out of capacity",
+    InvalidInputError: "invalid data",
+    RobotModelError: "robot description",
+    MapFileError: "map file",
+}
+
+
+class MonitoredNode(Node):
+    """A node whose inputs are guarded and whose condition is published on /diagnostics.
+
+    Args:
+        name: default node name.
+        node_arguments: passed on to `rclpy.node.Node`, for example context.
+
+    Attributes:
+        CONFIGS: configuration classes of the node with the prefix of their parameters.
+
+    Raises:
+        ConfigError: a parameter has an impossible value.
+    """
+
+    CONFIGS: ClassVar[tuple[tuple[type, str], ...]] = ()
+
+    def __init__(self, name: str, **node_arguments: Any) -> None:
+        super().__init__(name, **node_arguments)
+        self.health = Health()
+        self._configs: dict[type, Any] = {
+            kind: declare_config(self, kind, prefix) for kind, prefix in self.CONFIGS
+        }
+        self._workers: list[Worker] = []
+        self._advertised: list[Publisher] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+
+    def config(self, kind: type[Config]) -> Config:
+        """The validated configuration of one of the classes in `CONFIGS`."""
+        found: Config = self._configs[kind]
+        return found
+
+    def listen(
+        self,
+        message_type: type,
+        topic: str,
+        handle: Callable[[Any], None],
+        profile: QoSProfile,
+        *,
+        required: bool = True,
+    ) -> None:
+        """Subscribe; arrivals are counted, errors of the library become counted drops.
+
+        Args:
+            message_type: ROS message class.
+            topic: relative name.
+            handle: called with each message.
+            profile: quality of service, overridable by parameters.
+            required: whether its absence is worth a warning.
+        """
+        name = self.resolve_topic_name(topic)
+        latched = profile.durability == qos.latched().durability
+        self.health.watch(name, required=required, latched=latched)
+        radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
+
+        def receive(message: Any) -> None:
+            if loses(radio, topic):
+                self.drop("simulated loss")
+                return
+            self.health.arrived(name)
+            self.guard(name, lambda: handle(message))
+
+        self.create_subscription(
+            message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
+        )
+
+    def advertise(
+        self,
+        message_type: type,
+        topic: str,
+        profile: QoSProfile,
+        events: PublisherEventCallbacks | None = None,
+    ) -> Publisher:
+        """Create a publisher whose quality of service parameters can override."""
+        publisher = self.create_publisher(
+            message_type,
+            topic,
+            profile,
+            qos_overriding_options=qos.overridable(),
+            event_callbacks=events,
+        )
+        self._advertised.append(publisher)
+        return publisher
+
+    def start_worker(self, capacity: int) -> Worker:
+        """Start a thread for long work; jobs that give way are counted as drops."""
+        worker = Worker(self.get_name(), capacity, lambda: self.drop("too slow"))
+        self._workers.append(worker)
+        return worker
+
+    def guard(self, origin: str, action: Callable[[], object]) -> bool:
+        """Run an action; an error of the library becomes a counted drop.
+
+        Args:
+            origin: topic or task that the data belong to.
+            action: what to do.
+
+        Returns:
+            Whether the action succeeded.
+        """
+        try:
+            action()
+        except InfomapError as error:
+            reason = _REASONS.get(type(error), type(error).__name__)
+            if isinstance(error, UpdateRefusedError):
+                reason = error.reason
+            self.drop(reason, f"{origin}: {error}")
+            return False
+        return True
+
+    def drop(self, reason: str, detail: str = "") -> None:
+        """Count data that were not used, and say so at most every five seconds per reason."""
+        if self.health.dropped(reason, detail):
+            self.get_logger().warning(f"dropped ({reason}) {detail}".rstrip())
+
+    def destroy_node(self) -> None:
+        """Stop the workers, then the node."""
+        for worker in self._workers:
+            worker.stop()
+        super().destroy_node()
+
+    def _publish_diagnostics(self) -> None:
+        if not all(worker.alive for worker in self._workers):
+            raise RuntimeError("the worker thread has ended by an error, see above")
+        for publisher in self._advertised:
+            name = f"{publisher.topic_name} subscribers"
+            self.health.note(name, str(publisher.get_subscription_count()))
+        complaints = self.health.complaints()
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: data",
+            message="; ".join(complaints) or "ok",
+            hardware_id=self.get_fully_qualified_name(),
+            values=[KeyValue(key=k, value=v) for k, v in self.health.values().items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)

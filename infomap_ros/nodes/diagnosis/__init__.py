@@ -1,0 +1,1 @@
+"""``infomap doctor``: what a live graph lacks."""

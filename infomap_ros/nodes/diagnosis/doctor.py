@@ -1,0 +1,220 @@
+"""``infomap doctor``: look at a live graph for a while and say what it lacks."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from infomap_ros.errors import InfomapError
+from infomap_ros.geometry import Record
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import message_class
+from infomap_ros.nodes.diagnosis import findings
+from infomap_ros.nodes.diagnosis.findings import Finding
+from infomap_ros.nodes.diagnosis.graph_checks import similar_topics, unconnected
+from infomap_ros.replay.messages import (
+    CAMERA_INFO,
+    IMAGE,
+    JOINT_STATE,
+    ODOMETRY,
+    POINT_CLOUD,
+    POSE_WITH_COVARIANCE,
+    STRING,
+    decode,
+)
+
+REQUIRED = {
+    "left/camera_info": CAMERA_INFO,
+    "right/camera_info": CAMERA_INFO,
+    "camera_pose": POSE_WITH_COVARIANCE,
+}
+OPTIONAL = {
+    "points2": POINT_CLOUD,
+    "joint_states": JOINT_STATE,
+    "odom": ODOMETRY,
+    "robot_description": STRING,
+}
+_KEPT = 200  # records of each topic
+
+
+class Doctor(Node):
+    """Listens to everything that the nodes which make a map need, and to what they say themselves.
+
+    Args:
+        raw: look at image_raw instead of image_rect.
+        node_arguments: passed on to `rclpy.node.Node`.
+    """
+
+    def __init__(self, raw: bool, **node_arguments: Any) -> None:
+        super().__init__("infomap_doctor", **node_arguments)
+        kind = "image_raw" if raw else "image_rect"
+        self.raw = raw
+        self.images = (f"left/{kind}", f"right/{kind}")
+        self.topics = dict.fromkeys(self.images, IMAGE) | REQUIRED | OPTIONAL
+        self.records: dict[str, deque[Record]] = defaultdict(lambda: deque(maxlen=_KEPT))
+        self.errors: dict[str, str] = {}
+        self.conditions: dict[str, DiagnosticStatus] = {}
+        self._listening: set[str] = set()
+        self.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.stream(depth=50)
+        )
+
+    def listen_to_all(self) -> None:
+        """Subscribe to what is published by now, with the durability on offer."""
+        for topic, type_name in self.topics.items():
+            publishers = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+            if topic in self._listening or not publishers:
+                continue
+            self._listening.add(topic)
+            profile = qos.sensor_data(depth=20)
+            if all(p.qos_profile.durability == qos.latched().durability for p in publishers):
+                profile = qos.latched()
+            receive = self._receiver(topic, type_name)
+            self.create_subscription(message_class(type_name), topic, receive, profile)
+
+    def _receiver(self, topic: str, type_name: str) -> Callable[[Any], None]:
+        def receive(message: Any) -> None:
+            try:
+                self.records[topic].extend(decode(type_name, message))
+            except InfomapError as error:
+                self.errors[topic] = str(error)
+
+        return receive
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.conditions[status.hardware_id] = status
+
+    def examine(self) -> list[Finding]:
+        """What was found so far."""
+        found = [self._presence(topic) for topic in self.topics]
+        found += [Finding(False, self._full(t), text) for t, text in self.errors.items()]
+        found += self._cameras() + self._poses() + self._localisation() + unconnected(self)
+        return found
+
+    def _full(self, topic: str) -> str:
+        return str(self.resolve_topic_name(topic))
+
+    def _presence(self, topic: str) -> Finding:
+        name, count = self._full(topic), len(self.records[topic])
+        if count:
+            return Finding(True, name, f"{count}{'+' if count == _KEPT else ''} messages")
+        if topic in self.errors:
+            return Finding(False, name, "its messages cannot be read")
+        if self.count_publishers(name):
+            return Finding(topic in OPTIONAL, name, "has a publisher, but no message came")
+        hint = self._hint(topic)
+        return Finding(topic in OPTIONAL, name, "nobody publishes it" + hint)
+
+    def _hint(self, topic: str) -> str:
+        raw = topic.replace("image_rect", "image_raw")
+        if raw != topic and self.count_publishers(self._full(raw)):
+            return f", but {raw} is there: start stereo_range with rectify:=true, look with --raw"
+        others = similar_topics(self, topic, self.topics[topic])
+        if topic == "camera_pose" and not others:
+            return ": start fiducial_localization, or dead_reckoning on a robot with odometry alone"
+        return f"; remap it: -r {topic}:={others[0]}" if others else ""
+
+    def _localisation(self) -> list[Finding]:
+        """What a node that locates the camera says of its pose."""
+        found = []
+        for name, status in self.conditions.items():
+            values = {pair.key: pair.value for pair in status.values}
+            if "state" in values and "fiducials tracked" in values:
+                found.append(findings.check_localisation(name, values))
+        return found
+
+    def _last(self, topic: str) -> Any:
+        return self.records[topic][-1] if self.records[topic] else None
+
+    def _cameras(self) -> list[Finding]:
+        found = []
+        for image_topic, side in zip(self.images, ("left", "right"), strict=True):
+            info_topic = f"{side}/camera_info"
+            image, info = self._last(image_topic), self._last(info_topic)
+            if info is not None:
+                found.append(findings.check_distortion(self._full(info_topic), info))
+            if image is not None and info is not None:
+                name = self._full(image_topic)
+                found.append(findings.check_size(name, image, info))
+                found.append(findings.check_frames(name, image, self._full(info_topic), info))
+        left, right = self._last("left/camera_info"), self._last("right/camera_info")
+        if left is not None and right is not None:
+            name = self._full("right/camera_info")
+            found.append(findings.check_rig(name, left.calibration, right.calibration))
+        return found + self._pairs()
+
+    def _pairs(self) -> list[Finding]:
+        left, right = ({r.stamp: r for r in self.records[topic]} for topic in self.images)
+        if not left or not right:
+            return []
+        name, shared = self._full(self.images[1]), sorted(left.keys() & right.keys())
+        if not shared:
+            text = "no stamp of the left images is among those of the right ones"
+            return [Finding(False, name, text + " (set pairing_tolerance)")]
+        if self.raw:
+            return [Finding(True, name, f"{len(shared)} pairs with equal stamps")]
+        pair: Any = left[shared[-1]], right[shared[-1]]
+        return [findings.check_rows(name, *pair)]
+
+    def _poses(self) -> list[Finding]:
+        name, poses = self._full("camera_pose"), list(self.records["camera_pose"])
+        stamps = [r.stamp for r in self.records["points2"] or self.records[self.images[0]]]
+        found = [findings.check_stamps(name, stamps, poses)] if poses else []  # type: ignore[arg-type]
+        cloud, image = self._last("points2"), self._last(self.images[0])
+        if cloud is not None and image is not None:
+            name = self._full("points2")
+            found.append(findings.check_frame(name, cloud, image.frame_id))
+        return found
+
+
+def examine_graph(
+    seconds: float = 5.0, raw: bool = False, arguments: Sequence[str] | None = None
+) -> list[Finding]:
+    """Listen to the graph for a while and say what is there and what is not.
+
+    Args:
+        seconds: how long to listen [s].
+        raw: the images are image_raw, to be rectified.
+        arguments: ROS arguments, for example ``["--ros-args", "-r", "__ns:=/robot1"]``.
+    """
+    context = rclpy.Context()
+    rclpy.init(args=list(arguments or []), context=context)
+    node = Doctor(raw, context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            node.listen_to_all()
+            executor.spin_once(timeout_sec=0.1)
+        return node.examine()
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of the doctor; returns 1 when something is wrong."""
+    parser = argparse.ArgumentParser(prog="infomap doctor", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=5.0, help="how long to listen")
+    parser.add_argument("--raw", action="store_true", help="the images are image_raw")
+    options, ros_arguments = parser.parse_known_args(arguments)
+    found = examine_graph(options.seconds, options.raw, ros_arguments)
+    for finding in sorted(found, key=lambda finding: finding.good):
+        print(f"{'ok   ' if finding.good else 'WRONG'} {finding.subject}: {finding.text}")
+    wrong = sum(not finding.good for finding in found)
+    print(f"{wrong} of {len(found)} things looked at are wrong" if wrong else "all is well")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,78 @@
+"""map_fusion hears of corrected camera poses, and puts its scans where they belong.
+
+The work is cut into jobs of about one scan, so that new scans are integrated in between and the
+map is served as it was until the corrected one is complete.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import FrameError
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.fusion.map_keeper import MapKeeper
+from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.replay.messages.keyframes import (
+    KeyframePoses,
+    decode_keyframe_covariances,
+    decode_keyframe_poses,
+)
+
+_TOPIC, _COVARIANCES = "keyframe_poses", "keyframe_covariances"
+
+
+class MapCorrections:
+    """Listens to keyframe_poses and has the worker correct the map.
+
+    Covariances come beside the poses, with the same stamp; what has none when its poses come
+    keeps those that it had.
+
+    Args:
+        node: that listens.
+        keeper: of the map.
+        worker: whose thread owns the map.
+    """
+
+    def __init__(self, node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
+        self._node, self._keeper, self._worker = node, keeper, worker
+        self._frame = node.config(ScanGateConfig).map_frame
+        self._covariances: tuple[int, NDArray[np.int64], FloatArray] | None = None
+        stream = qos.stream()
+        node.listen(PointCloud2, _COVARIANCES, self._on_covariances, stream, required=False)
+        node.listen(Path, _TOPIC, self._on_poses, stream, required=False)
+
+    def _on_covariances(self, message: PointCloud2) -> None:
+        self._covariances = decode_keyframe_covariances(message)
+
+    def _with_covariances(self, poses: KeyframePoses) -> KeyframePoses:
+        if self._covariances is None:
+            return poses
+        stamp, stamps, covariances = self._covariances
+        is_same = stamp == poses.stamp and np.array_equal(stamps, poses.stamps)
+        return replace(poses, covariances=covariances) if is_same else poses
+
+    def _on_poses(self, message: Path) -> None:
+        poses = self._with_covariances(decode_keyframe_poses(message))
+        if poses.frame_id != self._frame:
+            raise FrameError(f"poses in frame '{poses.frame_id}', the map is '{self._frame}'")
+        self._worker.submit_always(lambda: self._node.guard(_TOPIC, partial(self._hear, poses)))
+
+    def _hear(self, poses: KeyframePoses) -> None:
+        was_correcting = self._keeper.is_correcting
+        self._keeper.hear(poses)
+        if self._keeper.is_correcting and not was_correcting:
+            self._worker.submit_always(self._correct_more)
+
+    def _correct_more(self) -> None:
+        self._node.guard(_TOPIC, self._keeper.correct_more)
+        if self._keeper.is_correcting:
+            self._worker.submit_always(self._correct_more)

@@ -1,0 +1,224 @@
+"""The voxel map of map_fusion, with its file and its outputs. Used by one thread."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from infomap_ros.errors import MapFileError
+from infomap_ros.geometry import PoseRecord
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
+from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.fusion.map_outputs import MapOutputs
+from infomap_ros.nodes.fusion.map_warm_up import warm_up
+from infomap_ros.nodes.fusion.scan_gate import Scan
+from infomap_ros.nodes.fusion.update_stream import UpdateStream
+from infomap_ros.nodes.robot.robot_body import without_bodies
+from infomap_ros.nodes.team.map_moves import describe_move
+from infomap_ros.nodes.team.team_map import TeamMap
+from infomap_ros.replay.messages import decode_point_cloud
+from infomap_ros.replay.messages.keyframes import KeyframePoses
+from infomap_ros.team.moving import moved_map
+
+
+@dataclass(frozen=True)
+class MapKeeperConfig:
+    """Where the map is kept.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_file: str = parameter(
+        "map.infomap", "File of ~/save and ~/load, relative to the working directory."
+    )
+    resume: bool = parameter(False, "Load map_file at the start, where there is one.")
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class MapKeeper:
+    """Integrates scans and keeps map file and outputs up to date.
+
+    Args:
+        node: has the configurations of keeper, outputs and map, and publishes.
+
+    Attributes:
+        team: the map that is shown where there are other robots.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._node = node
+        self._config = node.config(MapKeeperConfig)
+        self._body_filter = node.config(BodyFilterConfig)
+        self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
+        self.team = TeamMap(node, self._updates, self._outputs.changed)
+        self._path = Path(self._config.map_file).absolute()
+        self._corrected = self._correctable(VoxelMap(node.config(VoxelMapConfig)))
+        self._stamp = 0
+        self._assumed = False
+        self._corrections = 0
+
+    @property
+    def _map(self) -> VoxelMap:
+        return self._corrected.voxel_map
+
+    @property
+    def pictures_period(self) -> float:
+        """Shortest time between two pictures of the map [s]."""
+        return self._outputs.pictures_period
+
+    def prepare(self) -> None:
+        """Compile the kernels, and load the map file if the work is to be resumed.
+
+        Raises:
+            MapFileError: the map file cannot be used.
+        """
+        start = time.monotonic()
+        warm_up(self._map.config.threads)
+        self._node.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
+        if self._config.resume and self._path.exists():
+            self._node.get_logger().info(self.load())
+            self._updates.resumed()
+
+    def integrate(self, scan: Scan) -> None:
+        """Add a scan and publish what it changed.
+
+        Raises:
+            InfomapError: the scan cannot be used; the map is as before.
+        """
+        bodies = scan.body, scan.teammates, self._body_filter
+        cloud = without_bodies(decode_point_cloud(scan.message), *bodies)
+        camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
+        pose = scan.pose
+        covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
+        measured = cloud.points, pose.transform, cloud.covariances, covariance, camera
+        self._corrected.integrate(cloud.stamp, *measured)
+        self._stamp = cloud.stamp
+        self._outputs.changed()
+        self._updates.publish(self._map, self._stamp)
+
+    @property
+    def is_correcting(self) -> bool:
+        """Whether scans are being put elsewhere."""
+        return self._corrected.is_correcting
+
+    def hear(self, poses: KeyframePoses) -> None:
+        """Hear of corrected poses, and begin to correct the map where scans belong elsewhere."""
+        content = poses.stamps, poses.transforms, poses.covariances
+        self._corrected.hear(poses.stamp, *content)
+        self._corrected.begin_correction()
+
+    def correct_more(self) -> None:
+        """Do a part of the correction; with the last one, publish what has become other.
+
+        Raises:
+            CapacityError: it does not fit into memory; the map is as before.
+        """
+        report = self._corrected.correct_more()
+        if report is None:
+            return
+        self._corrections += 1
+        self._node.health.note("corrections of the map", str(self._corrections))
+        self._node.get_logger().info(
+            f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
+            f"{report.blocks_rebuilt} blocks made again"
+        )
+        self._outputs.changed()
+        self._updates.publish(self._map, self._stamp)
+        self._corrected.begin_correction()
+
+    @property
+    def behind(self) -> bool:
+        """Whether a subscriber of map_updates still waits for what was known before."""
+        return self._updates.behind
+
+    def publish_more(self) -> None:
+        """Publish more of what subscribers of map_updates wait for."""
+        self._updates.publish(self._map, self._stamp, always=False)
+
+    def publish_pictures(self) -> None:
+        """Publish voxel_map and projected_map where they are wanted and out of date."""
+        shown = self.team.voxel_map or self._map
+        memory = self._map.memory_bytes() + self.team.memory_bytes()
+        self._node.health.note("map memory [bytes]", str(memory))
+        store = self._corrected.store
+        self._node.health.note("scans kept", str(len(store)))
+        self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
+        self._node.health.note("known voxels", str(shown.known_voxels))
+        self._outputs.publish_pictures(shown, self._stamp)
+
+    def save(self) -> str:
+        """Write the map file; returns a sentence.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        try:
+            self._map.save(self._path)
+        except OSError as error:
+            raise MapFileError(f"cannot write {self._path}: {error.strerror}") from error
+        return f"saved {self._map.known_voxels} voxels to {self._path}"
+
+    def load(self) -> str:
+        """Replace the map by that of the map file; returns a sentence.
+
+        Raises:
+            MapFileError: the file cannot be used; the map is as before.
+        """
+        loaded = VoxelMap.load(self._path)
+        sizes = loaded.config.voxel_size, self._map.config.voxel_size
+        if sizes[0] != sizes[1]:
+            raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
+        restored = VoxelMap.from_state(self._map.config, loaded.state())
+        self._replace_by(restored)
+        return f"loaded {self._map.known_voxels} voxels from {self._path}"
+
+    def reset(self) -> str:
+        """Forget the map; returns a sentence."""
+        count = self._map.known_voxels
+        empty = VoxelMap(self._map.config)
+        self._replace_by(empty)
+        return f"forgot {count} voxels"
+
+    def move(self, told: PoseRecord) -> str:
+        """Move what is in the map, voxel by voxel, and say so; scans move no more after that.
+
+        Raises:
+            InvalidInputError: the pose is none.
+        """
+        self._replace_by(moved_map(self._map, told.transform))
+        answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
+        self._node.get_logger().info(answer)
+        return answer
+
+    def _replace_by(self, other: VoxelMap) -> None:
+        self._updates.replace(self._map)
+        self._corrected = self._correctable(other)
+        self._outputs.changed()
+        self.publish_more()
+
+    def _correctable(self, voxel_map: VoxelMap) -> CorrectableMap:
+        """The map with no scans yet; what it holds stays where it is."""
+        voxel_map.track_changes(True)
+        scans, corrections = ScanStoreConfig, ReintegrationConfig
+        return CorrectableMap(voxel_map, self._node.config(scans), self._node.config(corrections))
+
+    def _assumed_covariance(self) -> FloatArray:
+        if not self._assumed:
+            self._assumed = True
+            self._node.get_logger().warning(
+                "camera_pose has no covariance: default_position_sigma and "
+                "default_rotation_sigma stand in for it"
+            )
+        return self._node.config(AssumedPoseConfig).covariance()

@@ -1,0 +1,90 @@
+"""The pictures that map_fusion publishes of its map. Nothing is built that nobody subscribes to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nav_msgs.msg import OccupancyGrid
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
+from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.replay.messages import encode_cloud_fields, encode_occupancy_grid
+
+
+@dataclass(frozen=True)
+class MapOutputsConfig:
+    """When pictures of the map are published.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    voxel_map_period: float = parameter(
+        1.0,
+        "Shortest time between two messages on voxel_map and projected_map.",
+        unit="s",
+        low=0.05,
+        high=3600.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class MapOutputs:
+    """The publishers of the pictures of a map.
+
+    Args:
+        node: the node that publishes.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._config = node.config(MapOutputsConfig)
+        self._frame = node.config(ScanGateConfig).map_frame
+        self._projection = node.config(ProjectionConfig)
+        self._types = RclpyMessageTypes()
+        self._outdated = {"voxel_map", "projected_map"}
+        self._voxel_map = node.advertise(PointCloud2, "voxel_map", qos.latched())
+        self._projected = node.advertise(OccupancyGrid, "projected_map", qos.latched())
+
+    @property
+    def pictures_period(self) -> float:
+        """Shortest time between two pictures [s]."""
+        return self._config.voxel_map_period
+
+    def changed(self) -> None:
+        """The map is another than in the last pictures."""
+        self._outdated = {"voxel_map", "projected_map"}
+
+    def publish_pictures(self, voxel_map: VoxelMap, stamp: int) -> None:
+        """Send voxel_map and projected_map if the map has changed and somebody listens.
+
+        Who comes later gets the last of them from the middleware.
+        """
+        if self._wanted("voxel_map", self._voxel_map):
+            rows = voxel_map_rows(voxel_map)
+            self._voxel_map.publish(
+                encode_cloud_fields(self._types, stamp, self._frame, VOXEL_MAP_FIELDS, rows)
+            )
+        if self._wanted("projected_map", self._projected):
+            self._projected.publish(self._project(voxel_map, stamp))
+
+    def _wanted(self, topic: str, publisher: Publisher) -> bool:
+        wanted = topic in self._outdated and publisher.get_subscription_count() > 0
+        if wanted:
+            self._outdated.remove(topic)
+        return wanted
+
+    def _project(self, voxel_map: VoxelMap, stamp: int) -> OccupancyGrid:
+        grid = project_map(voxel_map, self._projection)
+        return encode_occupancy_grid(
+            self._types, stamp, self._frame, grid.cells, grid.resolution, grid.origin
+        )

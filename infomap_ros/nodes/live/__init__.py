@@ -1,0 +1,1 @@
+"""Whole runs: nodes as processes, watched from outside; launch files and demos."""

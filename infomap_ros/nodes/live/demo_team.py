@@ -1,0 +1,219 @@
+"""``make demo-team``: two simulated rovers map one world together, twelve processes over DDS.
+
+A share of what they tell each other is lost, and the second rover's processes are killed midway and
+started again. Leaves the map of the team as .ply, each robot's files, summary.json and a
+self-contained report.html in the output folder. Exits with 1 and one clear line when something
+failed, as when the robots do not end with the same map.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.status import Status
+
+from infomap_ros.errors import ProcessError
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.team_report import write_team_report
+from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.export import write_ply
+from infomap_ros.nodes.live.demo_command import run_demo_command
+from infomap_ros.nodes.live.live_exploration import LOG_FILE
+from infomap_ros.nodes.live.live_team import LiveTeam
+from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.builder import World
+from infomap_ros.simulation.exploration_run import task_in
+from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.visible_surface import surface_coverage, visible_surface
+from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
+
+_DOWN = 10.0  # [s] until the robot that was killed is started again
+_AGREEING = 120.0  # [s]
+
+
+def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]:
+    """Explore and write everything; returns figures of the run, flat.
+
+    Raises:
+        InfomapError: it could not be done; says why.
+    """
+    out: Path = options.out
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    world = make_world(options.world, options.seed, size=options.size)
+    begin = time.monotonic()
+    status = Status("starting twelve nodes; kernels are compiled first", console=console)
+    run = LiveTeam(out, world.start, _parameters(options, world), loss=options.loss)
+    with run, status:
+
+        def show() -> None:
+            status.update(" | ".join(status_line(run, name) for name in run.names))
+
+        run.start()
+        if options.kill_after:
+            _kill_and_restart(run, options, console, show)
+        run.spin_until(lambda: run.ended, "the explorations to end", options.timeout, show)
+        run.stop_looking()
+        agreed = run.agree(_AGREEING, show)
+        console.print(f"all robots hold the same map: {agreed}", highlight=False)
+        for name in run.names:
+            run.call(f"/{name}/map_fusion/save")
+        results = _results(run, options, agreed)
+    results["seconds"] = round(time.monotonic() - begin, 1)
+    _write_results(run, world, options, results)
+    failed = [name for name in run.names if results[f"{name} end"] == "failed"]
+    if failed:
+        detail = run.figures[failed[0]]["last reason"]
+        raise ProcessError(f"{failed[0]}: {detail}; see {run.folders[failed[0]] / 'log'}")
+    return results
+
+
+def status_line(run: LiveTeam, name: str) -> str:
+    """What a robot is doing, and how far the map is as it knows it."""
+    figures = run.figures[name]
+    if not figures:
+        return f"{name} is starting"
+    parts = [f"{name} {figures['state']}", f"{figures['views']} views"]
+    if "known fraction" in figures:
+        parts.append(f"{100.0 * float(figures['known fraction']):.0f} % known")
+    return ", ".join(parts)
+
+
+def _parameters(options: argparse.Namespace, world: World) -> dict[str, dict[str, object]]:
+    region = task_in(world, TaskConfig(), world.T_world_target)
+    task = {
+        "task.max_views": options.max_views,
+        "task.known_fraction": options.known_fraction,
+        "task.region_low": list(region.region_low),
+        "task.region_high": list(region.region_high),
+    }
+    return {
+        "simulator": {
+            "world": options.world,
+            "world_seed": options.seed,
+            "world_size": options.size,
+            "camera.width": options.width,
+            "camera.height": 3 * options.width // 4,
+            "camera.supersampling": 1,
+        },
+        "map_fusion": {"voxel_size": options.voxel_size},
+        "next_best_view": {"threads": 1, **task},
+        "explorer": {"planner_patience": 600.0, **task},
+    }
+
+
+def _kill_and_restart(
+    run: LiveTeam, options: argparse.Namespace, console: Console, show: Callable[[], None]
+) -> None:
+    """Kill all processes of the last robot after some views, and start them again."""
+    name, views = run.names[-1], options.kill_after
+    run.spin_until(
+        lambda: run.views(name) >= views or run.ended, f"{views} views", options.timeout, show
+    )
+    before = run.views(name)
+    run.kill_robot(name)
+    console.print(f"{name} was killed after {before} views", highlight=False)
+    run.spin_for(_DOWN, show)
+    run.figures[name] = {}
+    run.start_robot(name)
+    run.spin_until(lambda: run.views(name) > 0, f"{name} to be back", options.timeout, show)
+    after = run.views(name)
+    if after < before:
+        raise ProcessError(f"{name} went on after {after} views, but it had taken {before}")
+    console.print(f"{name} goes on after {after} views", highlight=False)
+
+
+def _results(run: LiveTeam, options: argparse.Namespace, agreed: str) -> dict[str, object]:
+    results: dict[str, object] = {
+        "world": options.world,
+        "seed": options.seed,
+        "map hash": agreed,
+        "lost on purpose": options.loss,
+        "contacts": sum(run.contacts.values()),
+    }
+    for name, figures in run.figures.items():
+        results[f"{name} end"] = figures["state"].removeprefix("ended: ")
+        for figure in ("views", "distance [m]", "known fraction"):
+            known = figures.get(figure)
+            results[f"{name} {figure}"] = None if known is None else float(known)
+    drops = run.state.drops()
+    return results | {f"dropped: {reason}": count for reason, count in sorted(drops.items())}
+
+
+def _write_results(
+    run: LiveTeam, world: World, options: argparse.Namespace, results: dict[str, object]
+) -> None:
+    """Write .ply, summary and report from the robots' saved maps and logs."""
+    out: Path = options.out
+    shared = sum_of_maps([folder / MAP_FILE for folder in run.folders.values()])
+    write_ply(shared, out / PLY_FILE)
+    visible = visible_surface(world, 4.0).points
+    T_map_world = np.eye(4)
+    if world.T_world_target is not None:
+        T_map_world = invert_transform(world.T_world_target)
+    results["true coverage"] = round(
+        surface_coverage(shared, transform_points(T_map_world, visible)), 4
+    )
+    (out / SUMMARY_FILE).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_team_report(
+        out / "report.html",
+        {name: folder / LOG_FILE for name, folder in run.folders.items()},
+        shared,
+        f"{len(run.names)} rovers explore {options.world}, seed {options.seed}",
+        results,
+    )
+
+
+def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
+    """The map of a team from what its robots saw, through the codec of the wire.
+
+    Args:
+        files: map files of the robots, each with its own contribution.
+
+    Raises:
+        MapFileError: a file cannot be used.
+    """
+    replica: MapReplica | None = None
+    for number, path in enumerate(files):
+        own = VoxelMap.from_state((saved := VoxelMap.load(path)).config, saved.state())
+        replica = replica or MapReplica(own.config)
+        own.track_changes(True)
+        own.mark_changed(0, own.known_voxels)
+        update = MapUpdate.of_changes(own.take_changes(), own.config.voxel_size, number, 1)
+        for rows in encode_update(update):
+            replica.apply(decode_update(rows))
+    if replica is None:
+        raise ValueError("no maps were given")
+    return replica.voxel_map
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of the demo."""
+    parser = argparse.ArgumentParser(prog="infomap demo-team", description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("out/demo-team"))
+    parser.add_argument("--world", default="mars", help="mars, office or cave")
+    parser.add_argument("--seed", type=int, default=1, help="of the world")
+    parser.add_argument("--size", type=float, default=5.0, help="of the world [m]")
+    parser.add_argument("--max-views", type=int, default=12, help="of each rover")
+    parser.add_argument("--known-fraction", type=float, default=0.9, help="that is enough")
+    parser.add_argument("--voxel-size", type=float, default=0.06, help="[m]")
+    parser.add_argument("--width", type=int, default=320, help="of the images [px]")
+    parser.add_argument("--loss", type=float, default=0.2, help="share of the team's messages")
+    parser.add_argument(
+        "--kill-after", type=int, default=3, help="views of the second rover; 0: never"
+    )
+    parser.add_argument("--timeout", type=float, default=3600.0, help="[s]")
+    options = parser.parse_args(arguments)
+    return run_demo_command("demo-team", options.out, lambda console: run_demo(options, console))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,146 @@
+"""An exploration as six processes over DDS: simulator, localisation, range, map, choice, loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.environment import reliable_inputs
+from infomap_ros.nodes.live.live_graph import LiveGraph
+from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
+from infomap_ros.replay.map_files import MAP_FILE
+
+MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
+LOCALISATION_FILE = "localisation.infomap"
+_IMAGES = tuple(
+    f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
+)
+_AUTOSAVE = 5.0  # [s]
+_MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
+
+Parameters = Mapping[str, object]
+
+
+def robot_parameters(
+    out: Path, namespace: str = "/", *, localised: bool = True
+) -> dict[str, dict[str, object]]:
+    """Parameters of the nodes of one simulated robot that explores, by node name.
+
+    It keeps map, mission, localisation and its place in files, and goes on from them.
+
+    Args:
+        out: folder of its files, an absolute path.
+        namespace: of the robot.
+        localised: by fiducial_localization; else the simulator tells the camera's pose.
+    """
+
+    def reliable(*topics: str) -> dict[str, str]:
+        return reliable_inputs(topics, namespace)
+
+    updates = reliable("map_updates", "camera_pose", "joint_states")
+    nodes: dict[str, dict[str, object]] = {
+        "simulator": {
+            "pace": 0.0,
+            "image_rate": IMAGE_RATE,
+            "state_file": out / ROBOT_FILE,
+            "resume": True,
+            "publish_camera_pose": not localised,
+        },
+        "fiducial_localization": {
+            "rectify": True,
+            "motion": "odometry",
+            "state_file": out / LOCALISATION_FILE,
+            "resume": True,
+            **simulated_localisation(),
+            **reliable(*_IMAGES, "odom", "joint_states"),
+        },
+        "stereo_range": {"rectify": True, **reliable(*_IMAGES)},
+        "map_fusion": {
+            "map_file": out / MAP_FILE,
+            "resume": True,
+            "autosave_period": _AUTOSAVE,
+            "waiting.max_wait": _MAX_WAIT,
+            **reliable("points2", "camera_pose", "joint_states"),
+        },
+        "next_best_view": {**updates},
+        "explorer": {
+            "autostart": True,
+            "resume": True,
+            "mission_file": out / MISSION_FILE,
+            "log_file": out / LOG_FILE,
+            **updates,
+        },
+    }
+    if not localised:
+        del nodes["fiducial_localization"]
+    return nodes
+
+
+class LiveExploration(LiveGraph):
+    """A simulated robot that explores, every node a process of its own.
+
+    Args:
+        out: folder for map, mission, log of the run and logs of the nodes.
+        parameters: further parameters by node name.
+        localised: by fiducial_localization; else the simulator tells the camera's pose.
+
+    Attributes:
+        figures: what exploration_status says, by name.
+        map_file: where map_fusion saves.
+        log_file: log of the run.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        parameters: Mapping[str, Parameters] | None = None,
+        *,
+        localised: bool = True,
+    ) -> None:
+        super().__init__(out)
+        out = out.absolute()
+        self.figures: dict[str, str] = {}
+        self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
+        own = robot_parameters(out, localised=localised)
+        given = parameters or {}
+        self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
+
+    def start(self) -> None:
+        """Start all nodes; the explorer begins by itself when the others are there."""
+        self.subscribe(
+            DiagnosticStatus, "exploration_status", self._on_status, qos.latched(depth=1)
+        )
+        for name in self._parameters:
+            self.start_node(name)
+
+    def start_node(self, name: str) -> None:
+        """Start one of the nodes, the first time or again."""
+        self.pids[name] = self._processes.start(name, self._parameters[name])
+
+    def kill_node(self, name: str) -> None:
+        """End one of the nodes at once, as a defect or a lack of memory would; start it again.
+
+        Raises:
+            ProcessError: it does not end.
+        """
+        self._processes.kill(name)
+        self.start_node(name)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the exploration has come to its end."""
+        return self.figures.get("state", "").startswith("ended")
+
+    def follow(self, tick: Callable[[], None], timeout: float) -> None:
+        """Watch until the exploration ends.
+
+        Raises:
+            ProcessError: a node failed, or it takes longer than `timeout` [s].
+        """
+        self.spin_until(lambda: self.ended, "the exploration to end", timeout, tick)
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        self.figures = {pair.key: pair.value for pair in message.values}

@@ -1,0 +1,195 @@
+"""Robots that explore one simulated world together, each node of each robot a process."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import String
+
+from infomap_ros.errors import ProcessError
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.live.live_exploration import Parameters, robot_parameters
+from infomap_ros.nodes.live.live_graph import LiveGraph
+from infomap_ros.nodes.live.processes import NodeProcesses
+from infomap_ros.nodes.team.team_topics import SHARED
+from infomap_ros.simulation.team_world import starts_abreast
+
+_IN_TEAM = ("map_fusion", "next_best_view")
+_AGREEING = 2.0  # [s] between two comparisons of the maps
+
+
+class LiveTeam(LiveGraph):
+    """A team of simulated robots in namespaces ``rover1``, ``rover2``, ...
+
+    Topics below ``/team`` are common to all; each robot has its own simulator, in which the others
+    stand as well.
+
+    Args:
+        out: folder with a folder for each robot.
+        start: place of the team in the world: x, y [m], yaw [rad].
+        parameters: further parameters by node name, for all robots.
+        robots: how many.
+        loss: share of the team's messages that are lost on arrival.
+
+    Attributes:
+        names: of the robots.
+        figures: what exploration_status says, by robot and name.
+        contacts: forbidden contacts of each robot, as far as they were told.
+        folders: of the robots' files.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        start: tuple[float, float, float],
+        parameters: Mapping[str, Parameters] | None = None,
+        robots: int = 2,
+        loss: float = 0.0,
+    ) -> None:
+        super().__init__(out)
+        self.names = tuple(f"rover{number}" for number in range(1, robots + 1))
+        self.figures: dict[str, dict[str, str]] = {name: {} for name in self.names}
+        self.contacts = dict.fromkeys(self.names, 0)
+        self.folders = {name: out.absolute() / name for name in self.names}
+        self._team = {
+            name: NodeProcesses(folder / "log", f"/{name}", self._environment)
+            for name, folder in self.folders.items()
+        }
+        self._down: set[str] = set()
+        self._may_end: tuple[str, ...] = ()
+        starts = starts_abreast(start, robots)
+        self._parameters = {
+            name: self._parameters_of(number, starts[number], loss, parameters or {})
+            for number, name in enumerate(self.names)
+        }
+
+    def _parameters_of(
+        self,
+        number: int,
+        start: tuple[float, float, float],
+        loss: float,
+        given: Mapping[str, Parameters],
+    ) -> dict[str, dict[str, object]]:
+        name = self.names[number]
+        nodes = robot_parameters(self.folders[name], f"/{name}")
+        nodes["simulator"] |= {
+            "teammates": [other for other in self.names if other != name],
+            "start": start,
+            "seed": 1 + number,
+            "publish_clock": number == 0,
+        }
+        member = {
+            "robot_id": number + 1,
+            "team": list(range(1, len(self.names) + 1)),
+            "team_map.simulated_loss": loss,
+        }
+        for node in _IN_TEAM:
+            nodes[node] |= member
+        return {node: {**values, **given.get(node, {})} for node, values in nodes.items()}
+
+    def start(self) -> None:
+        """Start all nodes of all robots; the explorers begin when the other nodes are there."""
+        for name in self.names:
+            self.subscribe(
+                DiagnosticStatus,
+                f"/{name}/exploration_status",
+                partial(self._on_status, name),
+                qos.latched(),
+            )
+            contacts = f"/{name}/ground_truth/contacts"
+            self.subscribe(String, contacts, partial(self._on_contacts, name), qos.latched())
+            self.start_robot(name)
+
+    def start_robot(self, name: str) -> None:
+        """Start all nodes of a robot, the first time or again."""
+        self._down.discard(name)
+        for node, values in self._parameters[name].items():
+            remaps = SHARED if node in _IN_TEAM else {}
+            self.pids[f"{name}/{node}"] = self._team[name].start(node, values, remaps)
+
+    def kill_robot(self, name: str) -> None:
+        """End all processes of a robot at once, as a loss of power would.
+
+        Raises:
+            ProcessError: one does not end.
+        """
+        self._down.add(name)
+        for node in self._parameters[name]:
+            self._team[name].kill(node)
+
+    def views(self, name: str) -> int:
+        """Views that a robot has taken, as far as it was told."""
+        return int(self.figures[name].get("views", "0"))
+
+    @property
+    def ended(self) -> bool:
+        """Whether all explorations have come to their ends."""
+        states = [figures.get("state", "") for figures in self.figures.values()]
+        return all(state.startswith("ended") for state in states)
+
+    def stop_looking(self) -> None:
+        """Let no robot take scans any more, so that their maps come to rest.
+
+        Raises:
+            ProcessError: a process does not end.
+        """
+        self._may_end = ("stereo_range",)
+        for processes in self._team.values():
+            processes.end("stereo_range")
+
+    def agree(self, timeout: float, tick: Callable[[], None]) -> str:
+        """Wait until all robots hold the same map; returns its hash.
+
+        Raises:
+            ProcessError: they do not within `timeout` [s].
+        """
+        end = time.monotonic() + timeout
+        while True:
+            told = {name: json.loads(self.call(_hash_service(name))) for name in self.names}
+            hashes = {account["hash"] for account in told.values()}
+            everybody = all(len(a["robots"]) == len(self.names) for a in told.values())
+            if len(hashes) == 1 and everybody:
+                return str(hashes.pop())
+            if time.monotonic() > end:
+                raise ProcessError(f"the maps are not the same after {timeout:.0f} s: {told}")
+            self.spin_for(_AGREEING, tick)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for processes in self._team.values():
+            processes.stop()
+        super().__exit__(kind, error, trace)
+
+    def check(self) -> None:
+        """Make sure that all processes live, but for those that were killed on purpose.
+
+        Raises:
+            ProcessError: one has ended.
+        """
+        for name in self.names:
+            if name in self._down:
+                continue
+            try:
+                self._team[name].check(may_end=self._may_end)
+            except ProcessError as error:
+                raise ProcessError(f"{name}: {error}") from error
+
+    def _on_status(self, name: str, message: DiagnosticStatus) -> None:
+        self.figures[name] = {pair.key: pair.value for pair in message.values}
+
+    def _on_contacts(self, name: str, message: String) -> None:
+        self.contacts[name] = max(self.contacts[name], int(json.loads(message.data)["count"]))
+
+
+def _hash_service(name: str) -> str:
+    return f"/{name}/map_fusion/team_hash"

@@ -1,0 +1,61 @@
+"""Poses of a run against its ground truth, where a bag or a simulator has one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+from infomap_ros.geometry import PoseRecord, invert_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.nodes.live.live_graph import LiveGraph
+from infomap_ros.replay.messages import decode_pose_with_covariance
+
+
+class PoseComparison:
+    """Listens to camera_pose and ground_truth/camera_pose of a graph.
+
+    Args:
+        run: the graph.
+    """
+
+    def __init__(self, run: LiveGraph) -> None:
+        self._found: dict[int, PoseRecord] = {}
+        self._true: dict[int, PoseRecord] = {}
+        run.subscribe(PoseWithCovarianceStamped, "camera_pose", self._keeper(self._found))
+        truth = "ground_truth/camera_pose"
+        run.subscribe(PoseWithCovarianceStamped, truth, self._keeper(self._true))
+
+    def _keeper(self, kept: dict[int, PoseRecord]) -> Any:
+        def keep(message: PoseWithCovarianceStamped) -> None:
+            pose = decode_pose_with_covariance(message)
+            kept[pose.stamp] = pose
+
+        return keep
+
+    def figures(self) -> dict[str, object]:
+        """Number of poses and, where their truth is known, their errors.
+
+        Motion since the first pose is compared, as the two may be in maps of their own.
+        """
+        shared = sorted(self._found.keys() & self._true.keys())
+        figures: dict[str, object] = {"poses": len(self._found)}
+        if len(shared) < 2:
+            return figures
+        found, true = (
+            _since_first([kept[s] for s in shared]) for kept in (self._found, self._true)
+        )
+        errors = np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
+        way = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()
+        return figures | {
+            "pose_error_mm": round(1e3 * float(np.sqrt(np.mean(errors**2))), 2),
+            "largest_pose_error_mm": round(1e3 * float(errors.max()), 2),
+            "way_m": round(float(way), 2),
+        }
+
+
+def _since_first(poses: list[PoseRecord]) -> FloatArray:
+    """Motions from the first pose to each, shape (N, 4, 4)."""
+    T_first_map = invert_transform(poses[0].transform)
+    return np.array([T_first_map @ pose.transform for pose in poses])

@@ -1,0 +1,125 @@
+"""What fiducial_localization tells of each view, in messages, diagnostics and its log."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
+from infomap_ros.localization.filter.motion_prior import RobotPosture
+from infomap_ros.localization.filter.records import KeptPoses
+from infomap_ros.localization.localizer import Localisation
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.locating.camera_follower import CameraFollower
+from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+
+
+class LocalizationNews:
+    """Tells what became of each view. Used by one thread.
+
+    Args:
+        node: that tells.
+        follower: knows keyframes and fiducials.
+    """
+
+    def __init__(self, node: MonitoredNode, follower: CameraFollower) -> None:
+        self._node, self._follower = node, follower
+        self._config = node.config(FiducialLocalizationConfig)
+        self._map = node.config(RobotTrackerConfig).map_frame
+        self._outputs = LocalizationOutputs(node, self._map, publish_tf=self._config.publish_tf)
+        self._state = ""
+        self._told: KeptPoses | None = None
+        self._told_fiducials = -1e9
+        node.health.condition("no image has been looked at yet")
+
+    def tell(
+        self,
+        result: Localisation,
+        camera_frame: str,
+        posture: RobotPosture | None,
+        odom_frame: str,
+    ) -> None:
+        """Tell of one view.
+
+        Args:
+            result: what is known of the camera.
+            camera_frame: its optical frame.
+            posture: of the robot at that time, if it is known.
+            odom_frame: frame of odometry, empty where there is none.
+        """
+        self._note(result)
+        self._outputs.publish_status(result)
+        if result.T_map_camera is None:
+            return
+        pose = PoseRecord(
+            result.stamp, self._map, result.T_map_camera, result.covariance, camera_frame
+        )
+        self._outputs.publish_pose(pose)
+        self._tell_frame(pose, posture, odom_frame)
+        self._tell_keyframes(result)
+        self._tell_fiducials(result.stamp)
+        self._node.health.produced()
+
+    def _tell_frame(self, pose: PoseRecord, posture: RobotPosture | None, odom_frame: str) -> None:
+        """The map to odometry, so that only odometry's child frames move between two views."""
+        if posture is not None:
+            T_map_odom = pose.transform @ invert_transform(posture.T_odom_camera)
+            edge = TransformRecord(pose.stamp, self._map, odom_frame, T_map_odom)
+            self._outputs.publish_frame(edge)
+        elif not odom_frame:
+            edge = TransformRecord(pose.stamp, self._map, pose.child_frame_id, pose.transform)
+            self._outputs.publish_frame(edge)
+
+    def _tell_keyframes(self, result: Localisation) -> None:
+        """Keyframes, where there is a new one or one has moved."""
+        kept = self._follower.keyframes()
+        if kept is None or not len(kept):
+            return
+        if result.is_keyframe or self._told is None or self._have_moved(self._told, kept):
+            self._outputs.publish_keyframes(result.stamp, kept)
+            self._told = kept
+
+    def _have_moved(self, before: KeptPoses, now: KeptPoses) -> bool:
+        _, old, new = np.intersect1d(before.stamps, now.stamps, return_indices=True)
+        change = now.transforms[new] - before.transforms[old]
+        way = np.linalg.norm(change[:, :3, 3], axis=1).max(initial=0.0)
+        turn = np.linalg.norm(change[:, :3, :3], axis=(1, 2)).max(initial=0.0) / np.sqrt(2.0)
+        return bool(max(way, turn) > self._config.least_correction)
+
+    def _tell_fiducials(self, stamp: int) -> None:
+        now = time.monotonic()
+        period, fiducials = self._config.fiducials_period, self._follower.fiducials()
+        if fiducials is None or now - self._told_fiducials < period:
+            return
+        if self._outputs.fiducials_wanted:
+            self._told_fiducials = now
+            self._outputs.publish_fiducials(stamp, fiducials)
+
+    def _note(self, result: Localisation) -> None:
+        """Say in diagnostics, and where the state is another one in the log, how it goes."""
+        health, sentence = self._node.health, _sentence(result)
+        health.note("stamp", str(result.stamp))
+        health.condition("" if result.state == "tracking" else sentence)
+        health.note("state", result.state)
+        health.note("reason", result.reason)
+        health.note("fiducials tracked", str(result.tracked))
+        if result.covariance is not None:
+            position, rotation = (np.trace(result.covariance[s, s]) for s in _PARTS)
+            health.note("position sigma [m]", f"{np.sqrt(position):.4f}")
+            health.note("rotation sigma [rad]", f"{np.sqrt(rotation):.4f}")
+        if result.state != self._state:
+            self._state = result.state
+            if result.state == "lost":
+                self._node.get_logger().warning(sentence)
+            else:
+                self._node.get_logger().info(sentence)
+
+
+_PARTS = (slice(0, 3), slice(3, 6))
+
+
+def _sentence(result: Localisation) -> str:
+    return f"{result.state}: {result.reason}" if result.reason else result.state

@@ -1,0 +1,132 @@
+"""What fiducial_localization publishes: poses, frames, fiducials, keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from infomap_ros.geometry import PoseRecord, TransformRecord
+from infomap_ros.localization.filter.records import Fiducials, KeptPoses
+from infomap_ros.localization.localisation import Localisation
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
+from infomap_ros.replay.messages import TF, encode_pose, encode_transforms
+from infomap_ros.replay.messages.keyframes import (
+    KeyframePoses,
+    encode_keyframe_covariances,
+    encode_keyframe_poses,
+)
+from infomap_ros.replay.messages.rows import encode_rows
+
+FIDUCIAL_ROW = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("id", "<i4"),
+        ("sigma", "<f4"),
+        *((f"cov_{name}", "<f4") for name in ("xx", "xy", "xz", "yy", "yz", "zz")),
+    ]
+)
+"""A fiducial of the topic fiducials: position [m], id, largest standard deviation [m] and
+covariance [m^2], map frame."""
+
+_SIZE = 0.04  # of a marker [m]
+
+
+class LocalizationOutputs:
+    """The publishers. Nothing is built that nobody subscribes to, but poses and frames.
+
+    Args:
+        node: that publishes.
+        map_frame: name of the map's frame.
+        publish_tf: whether frames are published.
+    """
+
+    def __init__(self, node: MonitoredNode, map_frame: str, *, publish_tf: bool) -> None:
+        self._types, self._map = RclpyMessageTypes(), map_frame
+        self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
+        self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
+        self._covariances = node.advertise(PointCloud2, "keyframe_covariances", qos.stream())
+        self._fiducials = node.advertise(PointCloud2, "fiducials", qos.latched())
+        self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
+        self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
+        self._tf = None
+        if publish_tf:
+            try:
+                self._tf = node.advertise(message_class(TF), "/tf", qos.stream(depth=100))
+            except ModuleNotFoundError:
+                node.get_logger().warning("no /tf: tf2_msgs is not installed")
+
+    def publish_status(self, result: Localisation) -> None:
+        """Publish what became of a view; latched, so that who comes late knows it too."""
+        self._status.publish(status_message(result))
+
+    def publish_pose(self, pose: PoseRecord) -> None:
+        """Publish the camera's pose in the map."""
+        self._poses.publish(encode_pose(self._types, pose))
+
+    def publish_frame(self, edge: TransformRecord) -> None:
+        """Publish a transform, where frames are published at all."""
+        if self._tf is not None:
+            self._tf.publish(encode_transforms(self._types, [edge]))
+
+    def publish_keyframes(self, stamp: int, kept: KeptPoses) -> None:
+        """Publish where the camera was at the keyframes, as it is known at `stamp` [ns].
+
+        Covariances go first: who hears the poses has them at hand.
+        """
+        content = kept.stamps, kept.transforms, kept.covariances
+        record = KeyframePoses(stamp, self._map, *content)
+        if self._covariances.get_subscription_count():
+            self._covariances.publish(encode_keyframe_covariances(self._types, record))
+        if self._keyframes.get_subscription_count():
+            self._keyframes.publish(encode_keyframe_poses(self._types, record))
+
+    @property
+    def fiducials_wanted(self) -> bool:
+        """Whether anybody subscribes to fiducials or their markers."""
+        publishers = (self._fiducials, self._markers)
+        return any(publisher.get_subscription_count() for publisher in publishers)
+
+    def publish_fiducials(self, stamp: int, fiducials: Fiducials) -> None:
+        """Publish the scene's fiducials as they are known at `stamp` [ns]."""
+        rows = fiducial_rows(fiducials)
+        if self._fiducials.get_subscription_count():
+            self._fiducials.publish(encode_rows(self._types, stamp, self._map, rows))
+        if self._markers.get_subscription_count():
+            self._markers.publish(MarkerArray(markers=[self._marker(stamp, rows)]))
+
+    def _marker(self, stamp: int, rows: NDArray[np.void]) -> Marker:
+        """All fiducials as balls: green where they are known to a centimetre, red from 10 cm on."""
+        marker = Marker(ns="fiducials", id=0, type=Marker.SPHERE_LIST, action=Marker.ADD)
+        marker.header.frame_id = self._map
+        marker.header.stamp.sec, marker.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        marker.scale.x = marker.scale.y = marker.scale.z = _SIZE
+        marker.pose.orientation.w = 1.0
+        for row in rows:
+            share = float(np.clip(np.log10(max(row["sigma"], 1e-6) / 0.01), 0.0, 1.0))
+            marker.points.append(Point(x=float(row["x"]), y=float(row["y"]), z=float(row["z"])))
+            marker.colors.append(ColorRGBA(r=share, g=1.0 - share, b=0.1, a=0.9))
+        return marker
+
+
+def fiducial_rows(fiducials: Fiducials) -> NDArray[np.void]:
+    """Fiducials as rows of `FIDUCIAL_ROW`, shape (N,)."""
+    rows = np.zeros(len(fiducials.ids), FIDUCIAL_ROW)
+    rows["x"], rows["y"], rows["z"] = fiducials.positions.T
+    rows["id"] = fiducials.ids
+    if len(rows):
+        rows["sigma"] = np.sqrt(np.linalg.eigvalsh(fiducials.covariances)[:, -1])
+    names = ("xx", "xy", "xz", "yy", "yz", "zz")
+    for name, i, j in zip(names, *np.triu_indices(3), strict=True):
+        rows[f"cov_{name}"] = fiducials.covariances[:, i, j]
+    return rows

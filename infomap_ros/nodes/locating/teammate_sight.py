@@ -1,0 +1,181 @@
+"""Teammates that are seen by their tags: how do their maps lie to the own one?
+
+Where a teammate was when the image was taken it tells on team/agents, a little later: until then a
+sighting waits. When enough sightings agree that the two maps are not the same, one robot moves its
+map: of two without a target the one with the larger id. A robot whose map is that of a target never
+moves it, and the other one is told.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.publisher import Publisher
+
+from infomap_ros.errors import PoseUnavailableError
+from infomap_ros.geometry import PoseBufferConfig, PoseRecord
+from infomap_ros.geometry.pose_buffer import PoseBuffer
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
+from infomap_ros.localization.target.robot_tags import RobotTagFinder
+from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.agents_topic import listen_to_agents
+from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, describe_move
+from infomap_ros.replay.messages import encode_pose
+from infomap_ros.team.agent_text import agent_from_text
+from infomap_ros.team.agents import Agent
+from infomap_ros.team.authentication import TeamKey
+
+_GAP = 1.5  # longest time between two words of a teammate between which it is interpolated [s]
+_WAITING = 20  # sightings
+
+
+@dataclass
+class _Teammate:
+    """One teammate: where it was, and what sightings of it tell."""
+
+    poses: PoseBuffer
+    alignment: TeamAlignment
+    tell: Publisher | None = None
+    waiting: deque[tuple[int, Alignment, Alignment]] = field(
+        default_factory=lambda: deque(maxlen=_WAITING)
+    )
+
+
+class TeammateSight:
+    """Looks for teammates in views. Used by the worker thread, but for the listening.
+
+    Args:
+        node: has the configuration of the tags, and speaks.
+        worker: in whose thread views are looked at.
+        move: moves the own map, ``T_new_old`` with its covariance.
+        stays: whether the own map is that of a target.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        worker: Worker,
+        move: Callable[[PoseRecord], object],
+        *,
+        stays: bool,
+    ) -> None:
+        self._node, self._worker, self._move, self._stays = node, worker, move, stays
+        self._config, who = node.config(TeamTagsConfig), node.config(FiducialLocalizationConfig)
+        self._robot, self._team = who.robot_id, who.team
+        self._key = TeamKey.of_team(who.team_key)
+        self._frame = node.config(RobotTrackerConfig).map_frame
+        carried = self._config.carried(but=self._robot)
+        self._finder = RobotTagFinder(carried) if carried else None
+        self._mates: dict[int, _Teammate] = {}
+        self._publishers: dict[str, Publisher] = {}
+        self._types, self._looked = RclpyMessageTypes(), -(2**62)
+        if self._finder is not None:
+            listen_to_agents(node, self._frame, self._receive)
+
+    def look(self, view: RangeView, result: Localisation) -> None:
+        """Look for teammates in a view.
+
+        Args:
+            view: the view.
+            result: where the camera was.
+        """
+        since = 1e-9 * (view.stamp - self._looked)
+        is_known = result.T_map_camera is not None and result.covariance is not None
+        if self._finder is None or not is_known or 0.0 <= since < self._config.period:
+            return
+        self._looked = view.stamp
+        camera = Alignment(result.T_map_camera, result.covariance)  # type: ignore[arg-type]
+        sightings, refused = self._finder.find(view, np.eye(4))
+        for robot, why in refused.items():
+            self._node.drop("teammate not measured", f"robot {robot}: {why.reason} {why.detail}")
+        for one in sightings:
+            other = Alignment(one.T_base_other, one.covariance)
+            self._mate(int(one.robot)).waiting.append((view.stamp, camera, other))
+            self._node.health.note(f"robot {one.robot} seen at", str(view.stamp))
+            self._resolve(int(one.robot))
+
+    def forget(self) -> None:
+        """Forget what was seen so far, as when the own map was moved."""
+        for mate in self._mates.values():
+            mate.alignment.clear()
+            mate.waiting.clear()
+
+    def _receive(self, text: str) -> None:
+        agent = agent_from_text(text, self._key)
+        is_counted = not self._team or agent.robot in self._team
+        if agent.robot != self._robot and is_counted:
+            self._worker.submit_always(partial(self._hear, agent))
+
+    def _hear(self, agent: Agent) -> None:
+        if agent.covariance is None:
+            return
+        mate = self._mate(agent.robot)
+        if agent.description:
+            mate.tell = self._publisher(agent.description.rpartition("/")[0])
+        base = PoseRecord(agent.stamp, self._frame, agent.T_map_base, agent.covariance)
+        if mate.poses.newest_stamp is None or agent.stamp > mate.poses.newest_stamp:
+            mate.poses.add(base)
+        self._resolve(agent.robot)
+
+    def _mate(self, robot: int) -> _Teammate:
+        if robot not in self._mates:
+            buffer = PoseBuffer(PoseBufferConfig(max_gap=_GAP))
+            self._mates[robot] = _Teammate(buffer, TeamAlignment(self._config.sightings))
+        return self._mates[robot]
+
+    def _resolve(self, robot: int) -> None:
+        """Use the sightings for which it is known where the teammate was."""
+        mate = self._mates[robot]
+        waiting, mate.waiting = mate.waiting, deque(maxlen=_WAITING)
+        for stamp, camera, other in waiting:
+            try:
+                base = mate.poses.at(stamp)
+            except PoseUnavailableError as error:
+                if error.may_arrive:
+                    mate.waiting.append((stamp, camera, other))
+                continue
+            there = Alignment(base.transform, base.covariance)  # type: ignore[arg-type]
+            found = mate.alignment.add(align_by_sighting(camera, other, there).inverse())
+            if mate.alignment.problem:
+                self._node.drop("alignment", f"robot {robot}: {mate.alignment.problem}")
+            if found is not None:
+                self._align(robot, stamp, found)
+                return
+
+    def _align(self, robot: int, stamp: int, T_theirs_mine: Alignment) -> None:
+        """The maps are not the same: move the own one, or tell the teammate to move its."""
+        mate = self._mates[robot]
+        mate.alignment.clear()
+        mate.waiting.clear()
+        if not self._stays and robot < self._robot:
+            told = PoseRecord(stamp, self._frame, T_theirs_mine.T_a_b, T_theirs_mine.covariance)
+            self._move(told)
+            return
+        back = T_theirs_mine.inverse()
+        if mate.tell is None:
+            self._node.drop("alignment", f"robot {robot} does not say how its topics are called")
+            return
+        record = PoseRecord(stamp, self._frame, back.T_a_b, back.covariance)
+        mate.tell.publish(encode_pose(self._types, record))
+        self._node.get_logger().info(f"told robot {robot} to move {describe_move(back.T_a_b)}")
+
+    def _publisher(self, namespace: str) -> Publisher:
+        """Of map_alignment of the robot in a namespace."""
+        if namespace not in self._publishers:
+            topic = f"{namespace}/{MAP_ALIGNMENT}"
+            publisher = self._node.advertise(PoseWithCovarianceStamped, topic, qos.stream())
+            self._publishers[namespace] = publisher
+        return self._publishers[namespace]

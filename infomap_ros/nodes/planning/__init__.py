@@ -1,0 +1,1 @@
+"""Parts of the nodes next_best_view and explorer."""

@@ -1,0 +1,137 @@
+"""The node next_best_view as the exploration sees it: asked by service, waited for."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rclpy.client import Client
+from std_srvs.srv import Trigger
+
+from infomap_ros.errors import ExplorationError, TeammatesBusyError
+from infomap_ros.exploration.choice_text import choice_from_text
+from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.team_planner import WAITING
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.nodes.common.base import MonitoredNode
+
+_RETRY = 1.0  # [s]
+
+
+@dataclass(frozen=True)
+class RemotePlannerConfig:
+    """How long the explorer bears with next_best_view.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    planner: str = parameter("next_best_view", "Name of the node that chooses the views.")
+    planner_patience: float = parameter(
+        120.0,
+        "When next_best_view has given no plan for so long, the exploration has failed. It may "
+        "be restarted meanwhile.",
+        unit="s",
+        low=1.0,
+        high=3600.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class RemotePlanner:
+    """Implements `infomap_ros.exploration.robot.Planner`; called by one thread that may block.
+
+    Args:
+        node: whose executor serves the answers in another thread.
+        report_failure: tells next_best_view of a view that could not be reached.
+        stopped: whether an answer is not waited for any more.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        report_failure: Callable[[FloatArray, str], None],
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._node, self._config = node, node.config(RemotePlannerConfig)
+        self._log, self._report, self._stopped = node.get_logger(), report_failure, stopped
+        planner = self._config.planner
+        self._plan = node.create_client(Trigger, f"{planner}/plan")
+        self._plan_home = node.create_client(Trigger, f"{planner}/plan_home")
+        self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
+
+    @property
+    def is_there(self) -> bool:
+        """Whether somebody offers plans."""
+        return bool(self._plan.service_is_ready())
+
+    def choose(self, state: RobotState) -> Choice:
+        """Ask for the next best view; next_best_view knows the state from its own topics.
+
+        Raises:
+            TeammatesBusyError: it has to wait for teammates.
+            ExplorationError: there is no plan for too long, or it cannot be read.
+        """
+        return self._ask(self._plan)
+
+    def way_home(
+        self, state: RobotState, base: Sequence[float], joints: Mapping[str, float]
+    ) -> Choice:
+        """Ask for the way home, which next_best_view knows from exploration_status.
+
+        Raises:
+            ExplorationError: there is no plan for too long, or it cannot be read.
+        """
+        return self._ask(self._plan_home)
+
+    def look_for_target(self) -> Choice:
+        """Ask where to look for the target, in the frame of odometry.
+
+        Raises:
+            ExplorationError: there is no plan for too long, or it cannot be read.
+        """
+        return self._ask(self._plan_search)
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        """Tell next_best_view that a view could not be reached."""
+        self._report(pose, reason)
+
+    def _ask(self, client: Client) -> Choice:
+        end, problem = time.monotonic() + self._config.planner_patience, "it does not answer"
+        while time.monotonic() < end and not self._stopped():
+            if client.wait_for_service(timeout_sec=_RETRY):
+                answer = self._call(client, end)
+                if answer is not None and answer.success:
+                    return choice_from_text(answer.message)
+                problem = problem if answer is None else answer.message
+                if problem.startswith(WAITING):
+                    raise TeammatesBusyError(problem)
+                self._log.info(f"no plan yet: {problem}", throttle_duration_sec=5.0)
+                time.sleep(_RETRY)
+        raise ExplorationError(f"no plan from {client.srv_name}: {problem}")
+
+    def _call(self, client: Client, end: float) -> Trigger.Response | None:
+        """One call; None where the node went away meanwhile or did not answer in time.
+
+        A node that was killed counts as there for some time, and what it was asked is lost. When
+        it is started again, one more offers the service than when it was asked.
+        """
+        answered, servers = threading.Event(), self._servers(client)
+        future = client.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: answered.set())
+        while not answered.wait(_RETRY):
+            restarted = self._servers(client) > servers
+            given_up = self._stopped() or time.monotonic() > end
+            if restarted or given_up or not client.service_is_ready():
+                client.remove_pending_request(future)
+                return None
+        return future.result()
+
+    def _servers(self, client: Client) -> int:
+        """How many offer the service."""
+        return int(self._node.count_services(client.srv_name))

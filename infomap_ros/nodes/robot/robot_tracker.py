@@ -1,0 +1,290 @@
+"""Where the robot is and what it is: pose, joints, description and camera, from their topics."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import CameraInfo, JointState
+from std_msgs.msg import String
+
+from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.exploration.robot import RobotState
+from infomap_ros.geometry import CameraCalibration, PoseRecord, invert_transform
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.replay.messages import (
+    decode_camera_info,
+    decode_joint_state,
+    decode_odometry,
+    decode_pose_with_covariance,
+    decode_text,
+)
+
+_KEPT_POSES = 50
+
+
+@dataclass(frozen=True)
+class RobotTrackerConfig:
+    """How the robot's frames are called.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
+    base_frame: str = parameter(
+        "base_link", "Link of robot_description that drives; its root link where empty."
+    )
+    camera_frame: str = parameter(
+        "", "Optical frame of the left camera. Empty: the frame of left/camera_info."
+    )
+    arm_joints: tuple[str, ...] = parameter(
+        (),
+        "Joints that move the camera when views are planned; all between base and camera where "
+        "empty. The others between them are held.",
+    )
+    robot: DescriptionConfig = field(default_factory=DescriptionConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class RobotTracker:
+    """Listens to camera_pose, joint_states, odom, robot_description and the camera infos.
+
+    Between two poses, and where the camera is lost, odometry carries the last pose on.
+
+    Callbacks of the node write, any thread reads.
+
+    Args:
+        node: has the configurations of tracker, joint buffer and assumed pose.
+        infos: topics of the left and, for a stereo pair, the right camera info.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        infos: tuple[str, ...] = ("left/camera_info", "right/camera_info"),
+    ) -> None:
+        self._config = node.config(RobotTrackerConfig)
+        self._assumed = node.config(AssumedPoseConfig)
+        self._joints = JointBuffer(node.config(JointBufferConfig))
+        self._news = threading.Condition()
+        self._poses: list[PoseRecord] = []
+        self._infos: list[CameraCalibration | None] = [None] * len(infos)
+        self._description = ""
+        self._robot: RobotModel | None = None
+        self._carried: CarriedPose | None = None
+        self._odometry = -1
+        self._log = node.get_logger()
+        node.listen(
+            PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
+        )
+        node.listen(JointState, "joint_states", self._on_joints, qos.sensor_data(100))
+        node.listen(Odometry, "odom", self._on_odometry, qos.sensor_data(100), required=False)
+        node.listen(String, "robot_description", self._on_description, qos.latched())
+        for number, topic in enumerate(infos):
+            node.listen(CameraInfo, topic, self._info_listener(number), qos.sensor_data())
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot.
+
+        Raises:
+            PoseUnavailableError: robot_description or the camera info has not arrived.
+        """
+        with self._news:
+            if self._robot is None:
+                raise PoseUnavailableError("no robot_description or camera info has arrived yet")
+            return self._robot
+
+    @property
+    def calibrations(self) -> tuple[CameraCalibration, ...]:
+        """Calibrations of the cameras, in the order of the topics.
+
+        Raises:
+            PoseUnavailableError: one has not arrived.
+        """
+        with self._news:
+            known = tuple(info for info in self._infos if info is not None)
+            if len(known) < len(self._infos):
+                raise PoseUnavailableError("no camera info has arrived yet")
+            return known
+
+    def state(self) -> RobotState:
+        """The newest pose at which the joints are known too, carried on by odometry.
+
+        Raises:
+            PoseUnavailableError: pose, joints or description have not arrived.
+        """
+        return self.stamped_state()[1]
+
+    def newest_stamp(self) -> int | None:
+        """Stamp of the newest camera_pose or odometry [ns]; None before the first pose."""
+        with self._news:
+            return max(self._poses[-1].stamp, self._odometry) if self._poses else None
+
+    def stamped_state(self) -> tuple[int, RobotState]:
+        """As `state`, with its stamp [ns].
+
+        Raises:
+            PoseUnavailableError: pose, joints or description have not arrived.
+        """
+        robot = self.robot
+        with self._news:
+            pose, joints = self._newest()
+        covariance = self._assumed.covariance() if pose.covariance is None else pose.covariance
+        T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
+        T_map_base = pose.transform @ invert_transform(T_base_camera)
+        return pose.stamp, RobotState(T_map_base, pose.transform, covariance, joints)
+
+    def state_in_odometry(self) -> RobotState:
+        """Where odometry has the robot, in its own frame: for a robot that is not located yet.
+
+        Raises:
+            PoseUnavailableError: odometry, joints or description have not arrived.
+        """
+        robot = self.robot
+        with self._news:
+            if self._carried is None:
+                raise PoseUnavailableError("no odometry has arrived yet")
+            camera, joints = self._carried.posture().T_odom_camera, self._joints.newest()
+        T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
+        base = camera @ invert_transform(T_base_camera)
+        return RobotState(base, camera, self._assumed.covariance(), joints)
+
+    @property
+    def odom_frame(self) -> str:
+        """Frame of odometry, empty before any has come."""
+        with self._news:
+            return "" if self._carried is None else self._carried.odom_frame
+
+    def known_state(self, in_odometry: bool = False) -> RobotState | None:
+        """As `state` or `state_in_odometry`; None where that has no answer."""
+        try:
+            return self.state_in_odometry() if in_odometry else self.state()
+        except PoseUnavailableError:
+            return None
+
+    def is_complete(self) -> bool:
+        """Whether `state` has an answer."""
+        return self.known_state() is not None
+
+    def joint_positions(self) -> dict[str, float]:
+        """Newest position of each joint, by name [rad or m]; empty before the first."""
+        with self._news:
+            return self._joints.newest()
+
+    def wait_until(
+        self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
+    ) -> bool:
+        """Wait, not in a callback, until a condition holds.
+
+        Args:
+            condition: looked at whenever there is news, and ten times a second.
+            timeout: [s].
+            interrupted: breaks the waiting off.
+
+        Returns:
+            Whether the condition holds.
+        """
+        end = time.monotonic() + timeout
+        while not condition():
+            if interrupted() or time.monotonic() > end:
+                return False
+            with self._news:
+                self._news.wait(0.1)
+        return True
+
+    def notify(self) -> None:
+        """Wake those who wait, as when something else has come."""
+        with self._news:
+            self._news.notify_all()
+
+    def _newest(self) -> tuple[PoseRecord, dict[str, float]]:
+        if not self._poses:
+            raise PoseUnavailableError("no camera_pose has arrived yet")
+        for pose in reversed(self._poses):
+            try:
+                joints = self._joints.at(pose.stamp)
+                return self._carry(pose, joints)
+            except PoseUnavailableError as error:
+                problem = error
+        raise problem
+
+    def _carry(
+        self, pose: PoseRecord, joints: dict[str, float]
+    ) -> tuple[PoseRecord, dict[str, float]]:
+        """The pose and joints of now, or as they are given where odometry does not tell."""
+        if self._carried is None:
+            return pose, joints
+        assumed = self._assumed.covariance() if pose.covariance is None else pose.covariance
+        here = self._carried.carry(replace(pose, covariance=assumed))
+        return (pose, joints) if here.stamp == pose.stamp else (here, self._joints.at(here.stamp))
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        pose = decode_pose_with_covariance(message)
+        if pose.frame_id != self._config.map_frame:
+            raise FrameError(
+                f"pose in frame '{pose.frame_id}', the map is '{self._config.map_frame}'"
+            )
+        with self._news:
+            if self._poses and pose.stamp < self._poses[-1].stamp:
+                self._poses.clear()  # the clock was set back
+            self._poses = [*self._poses[-_KEPT_POSES:], pose]
+            self._news.notify_all()
+
+    def _on_joints(self, message: JointState) -> None:
+        record = decode_joint_state(message)
+        with self._news:
+            self._joints.add(record)
+            if self._carried is not None:
+                self._carried.add_joints(record)
+            self._news.notify_all()
+
+    def _on_odometry(self, message: Odometry) -> None:
+        with self._news:
+            if self._carried is not None:
+                record = decode_odometry(message)
+                self._carried.add_odometry(record)
+                self._odometry = record.stamp
+
+    def _on_description(self, message: String) -> None:
+        with self._news:
+            self._description = decode_text(message).text
+            self._read_robot()
+
+    def _info_listener(self, number: int) -> Callable[[CameraInfo], None]:
+        def receive(message: CameraInfo) -> None:
+            record = decode_camera_info(message)
+            with self._news:
+                is_first = self._infos[number] is None
+                self._infos[number] = record.calibration
+                if is_first and number == 0:
+                    self._camera_frame = self._config.camera_frame or record.frame_id
+                    self._read_robot()
+
+        return receive
+
+    def _read_robot(self) -> None:
+        """Read the robot once both its description and the camera's frame are known."""
+        if not self._description or self._infos[0] is None:
+            return
+        config = self._config
+        self._robot = config.robot.read(
+            self._description, self._camera_frame, config.base_frame, config.arm_joints
+        )
+        self._carried = CarriedPose(self._camera_frame, self._robot)
+        self._log.info(f"robot '{self._robot.name}', camera in '{self._camera_frame}'")
+        self._news.notify_all()

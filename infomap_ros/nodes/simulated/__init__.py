@@ -1,0 +1,1 @@
+"""Parts of the node simulator, and how other nodes are set up for it."""

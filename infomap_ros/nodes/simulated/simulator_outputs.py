@@ -1,0 +1,229 @@
+"""What the simulated robot publishes: sensors as hardware would, and the truth beside them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import String
+
+from infomap_ros.geometry import (
+    CameraInfoRecord,
+    ImageRecord,
+    JointStateRecord,
+    PoseRecord,
+    TextRecord,
+)
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
+from infomap_ros.replay.messages import (
+    encode_camera_info,
+    encode_clock,
+    encode_image,
+    encode_joint_state,
+    encode_odometry,
+    encode_pose,
+    encode_text,
+)
+from infomap_ros.simulation.simulator import Simulator
+
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class SimulatorOutputsConfig:
+    """What is published and how often, in simulated time.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_frame: str = parameter("map", "Name of the frame of the world.")
+    publish_clock: bool = parameter(
+        True, "Publish /clock. Of several robots in one world only one may."
+    )
+    clock_rate: float = parameter(50.0, "Rate of /clock.", unit="Hz", low=1.0, high=1000.0)
+    state_rate: float = parameter(
+        20.0, "Rate of joint_states, odom and camera_pose.", unit="Hz", low=0.1, high=1000.0
+    )
+    image_rate: float = parameter(1.0, "Stereo pairs per second.", unit="Hz", low=0.01, high=60.0)
+    images_while_moving: bool = parameter(
+        True, "Take pairs while the robot moves; drawing them is what takes most of the time."
+    )
+    range_source: str = parameter(
+        "stereo",
+        "What the robot sees with: a raw stereo pair, or a depth camera on depth/image_rect.",
+        choices=("stereo", "depth", "both"),
+    )
+    publish_camera_pose: bool = parameter(
+        True,
+        "Publish camera_pose: the true pose with the noise of position_noise and rotation_noise, "
+        "in place of a localisation. Off where another node localises.",
+    )
+    publish_tf: bool = parameter(
+        True, "Publish /tf and /tf_static, where tf2_msgs is installed: odom and all links."
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class SimulatorOutputs:
+    """The publishers of the simulator; to be used from the thread that simulates.
+
+    Args:
+        node: that publishes.
+        simulator: what is published.
+        scene: description of the world, for ground_truth/scene.
+    """
+
+    def __init__(self, node: MonitoredNode, simulator: Simulator, scene: str) -> None:
+        self._node, self._simulator, self._scene = node, simulator, scene
+        self._config = node.config(SimulatorOutputsConfig)
+        self._types = RclpyMessageTypes()
+        stream = qos.stream
+        self._clock = (
+            node.advertise(Clock, "/clock", stream(depth=1)) if self._config.publish_clock else None
+        )
+        self._joints = node.advertise(JointState, "joint_states", stream(depth=50))
+        self._odometry = node.advertise(Odometry, "odom", stream(depth=50))
+        pose = PoseWithCovarianceStamped
+        self._poses = (
+            node.advertise(pose, "camera_pose", stream(depth=50))
+            if self._config.publish_camera_pose
+            else None
+        )
+        self._true_camera = node.advertise(pose, "ground_truth/camera_pose", stream())
+        self._true_base = node.advertise(pose, "ground_truth/base_pose", stream())
+        self._true_joints = node.advertise(JointState, "ground_truth/joint_states", stream())
+        self._images = [node.advertise(Image, f"{s}/image_raw", stream(depth=5)) for s in _SIDES]
+        self._infos = [
+            node.advertise(CameraInfo, f"{s}/camera_info", stream(depth=5)) for s in _SIDES
+        ]
+        self._depth = None
+        if self._config.range_source != "stereo":
+            self._depth = (
+                node.advertise(Image, "depth/image_rect", stream(depth=5)),
+                node.advertise(CameraInfo, "depth/camera_info", stream(depth=5)),
+            )
+        self._latched = {
+            topic: node.advertise(String, topic, qos.latched())
+            for topic in ("robot_description", "ground_truth/scene", "ground_truth/contacts")
+        }
+        self._frames = SimulatorFrames(node, simulator) if self._config.publish_tf else None
+        self._next = dict.fromkeys(("clock", "state", "image"), 0.0)
+        self._contacts = -1
+
+    def begin(self) -> None:
+        """Publish what does not change."""
+        self._publish_text("robot_description", self._simulator.description)
+        self._publish_text("ground_truth/scene", self._scene)
+
+    def publish_due(self) -> None:
+        """Publish what is due by now, with the present stamp.
+
+        Raises:
+            SimulationError: this machine cannot draw images.
+        """
+        config = self._config
+        image = self._is_due("image", config.image_rate, wait=not self._may_look())
+        if self._clock is not None and (self._is_due("clock", config.clock_rate) or image):
+            self._clock.publish(encode_clock(self._types, self._simulator.stamp))
+        if self._is_due("state", config.state_rate) or image:
+            self.publish_state()
+        if image:
+            self._publish_pair()
+            self._publish_depth()
+        self._publish_contacts()
+
+    def _is_due(self, name: str, rate: float, wait: bool = False) -> bool:
+        now = self._simulator.time
+        if wait or now < self._next[name] - 1e-9:
+            return False
+        self._next[name] = max(self._next[name] + 1.0 / rate, now)
+        return True
+
+    def _may_look(self) -> bool:
+        return self._config.images_while_moving or not self._simulator.is_moving
+
+    def publish_state(self) -> None:
+        """Publish what joints and odometry measure now, and the truth."""
+        simulator, types = self._simulator, self._types
+        stamp, world = simulator.stamp, self._config.map_frame
+        self._joints.publish(encode_joint_state(types, simulator.joint_state()))
+        odometry = simulator.odometry()
+        self._odometry.publish(encode_odometry(types, odometry))
+        if self._poses is not None:
+            pose = simulator.camera_pose()
+            measured = PoseRecord(stamp, world, pose.transform, pose.covariance)
+            self._poses.publish(encode_pose(types, measured))
+        for publisher, truth in (
+            (self._true_camera, simulator.true_camera_pose()),
+            (self._true_base, simulator.true_pose()),
+        ):
+            publisher.publish(encode_pose(types, PoseRecord(stamp, world, truth)))
+        joints = simulator.true_joints()
+        angles = np.array(list(joints.values()))
+        record = JointStateRecord(stamp, "", tuple(joints), angles)
+        self._true_joints.publish(encode_joint_state(types, record))
+        if self._frames is not None:
+            self._frames.publish(odometry)
+
+    def _publish_pair(self) -> None:
+        """Camera infos always, as others take their stamps; images where somebody listens."""
+        simulator, types = self._simulator, self._types
+        stamp, frames = simulator.stamp, simulator.camera_frames
+        for publisher, frame, calibration in zip(
+            self._infos, frames, simulator.calibrations, strict=True
+        ):
+            info = CameraInfoRecord(stamp, frame, calibration)
+            publisher.publish(encode_camera_info(types, info))
+        wanted = self._config.range_source != "depth"
+        if wanted and any(publisher.get_subscription_count() for publisher in self._images):
+            pair = simulator.capture()
+            for publisher, frame, pixels in zip(
+                self._images, frames, (pair.left, pair.right), strict=True
+            ):
+                image = ImageRecord(stamp, frame, pixels, "mono8")
+                publisher.publish(encode_image(types, image))
+            self._node.health.produced()
+
+    def _publish_depth(self) -> None:
+        if self._depth is None:
+            return
+        images, infos = self._depth
+        simulator, frame = self._simulator, self._simulator.camera_frames[0]
+        info = CameraInfoRecord(simulator.stamp, frame, simulator.depth_calibration)
+        infos.publish(encode_camera_info(self._types, info))
+        if images.get_subscription_count():
+            taken = simulator.capture_depth()
+            record = ImageRecord(taken.stamp, frame, taken.depth, "32FC1")
+            images.publish(encode_image(self._types, record))
+            self._node.health.produced()
+
+    def _publish_contacts(self) -> None:
+        """Tell every new forbidden contact, as JSON."""
+        events = self._simulator.contact_events
+        if len(events) == self._contacts:
+            return
+        self._contacts = len(events)
+        content: dict[str, Any] = {"count": len(events)}
+        if events:
+            content["last"] = asdict(events[-1])
+            self._node.get_logger().warning(f"contact: {events[-1].link} and {events[-1].other}")
+        self._node.health.note("forbidden contacts", str(len(events)))
+        self._publish_text("ground_truth/contacts", json.dumps(content))
+
+    def _publish_text(self, topic: str, text: str) -> None:
+        publisher: Publisher = self._latched[topic]
+        publisher.publish(encode_text(self._types, TextRecord(self._simulator.stamp, "", text)))

@@ -1,0 +1,90 @@
+"""The topic team/agents: this robot tells of itself, and hears of the others."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.clock import Clock, ClockType
+from visualization_msgs.msg import MarkerArray
+
+from infomap_ros.errors import PoseUnavailableError
+from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.view_planner import ViewPlannerConfig
+from infomap_ros.geometry import CameraCalibration
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.planning.map_listener import MapListenerConfig
+from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.agents_topic import listen_to_agents
+from infomap_ros.nodes.team.team_topics import AGENTS
+from infomap_ros.replay.messages.agents import encode_agent
+from infomap_ros.team import draw_session, version_at
+from infomap_ros.team.agent_text import agent_from_text
+from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.authentication import TeamKey
+
+_TICK = 0.05  # between two looks whether there is something to tell [s]
+_HEARTBEAT = 1.0  # longest time without a message, also where nothing moves [s]
+
+
+class TeamAgents:
+    """Carries what robots tell of themselves, for the node that chooses views.
+
+    Args:
+        node: that speaks; has the configurations of tracker, map listener and agents.
+        tracker: knows where this robot is.
+
+    Attributes:
+        team: what is known of the others, and what this robot is heading for.
+        doing: what this robot is doing, in words.
+    """
+
+    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+        self._node, self._tracker = node, tracker
+        self._frame = node.config(RobotTrackerConfig).map_frame
+        self._range = node.config(ViewPlannerConfig).max_range
+        listener, self._config = node.config(MapListenerConfig), node.config(AgentsConfig)
+        self._key = TeamKey.of_team(listener.team_key)
+        identity = listener.robot_id, draw_session(), version_at(time.time_ns())
+        self.team = Teamwork(*identity, self._config, listener.team, self._key)
+        self.doing = "idle"
+        self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
+        self._description = node.resolve_topic_name("robot_description")
+        self._publisher = node.advertise(MarkerArray, AGENTS, qos.stream(depth=50))
+        listen_to_agents(node, self._frame, self._hear)
+        node.create_timer(_TICK, self._tell_if_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def announce(self) -> None:
+        """Tell of this robot now, if it knows where it is; called by any thread."""
+        presence = self._presence()
+        if presence is None:
+            return
+        self._told, self._stamp = time.monotonic(), presence.stamp
+        text = self.team.tell(presence)
+        agent, lifetime = agent_from_text(text), self._config.silence
+        self._publisher.publish(encode_agent(self._types, self._frame, agent, text, lifetime))
+
+    def _tell_if_due(self) -> None:
+        """Tell when so much time of the data has passed, and now and then in any case."""
+        stamp = self._tracker.newest_stamp()
+        period = round(self._config.period * 1e9)
+        is_due = stamp is not None and not self._stamp <= stamp < self._stamp + period
+        if is_due or time.monotonic() - self._told >= _HEARTBEAT:
+            self._node.guard(AGENTS, self.announce)
+        others = self.team.present(time.monotonic())
+        self._node.health.note("teammates", ", ".join(str(each.robot) for each in others))
+
+    def _hear(self, text: str) -> None:
+        self.team.hear(text, time.monotonic())
+
+    def _presence(self) -> Presence | None:
+        tracker = self._tracker
+        try:
+            stamp, state = tracker.stamped_state()
+            calibration: CameraCalibration = tracker.calibrations[0]
+            robot = tracker.robot
+        except PoseUnavailableError:
+            return None
+        camera = calibration.rectified_camera()
+        return Presence(stamp, state, robot, camera, self._range, self.doing, self._description)

@@ -1,0 +1,118 @@
+"""Teammates' bodies, as map_fusion keeps them out of the map.
+
+Where they are they tell on team/agents, and there also the topic of their robot_description, which
+is then listened to.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from std_msgs.msg import String
+
+from infomap_ros.exploration.team_bodies import BodyInScan, TeamBodies, TeamBodiesConfig
+from infomap_ros.geometry import PoseRecord
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.fusion.update_stream import UpdateStreamConfig
+from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
+from infomap_ros.nodes.team.agents_topic import listen_to_agents
+from infomap_ros.replay.messages import decode_text
+from infomap_ros.team.agent_board import AgentBoard
+from infomap_ros.team.agent_text import agent_from_text
+from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.authentication import TeamKey
+
+_MOST_DESCRIPTIONS = 64
+
+
+@dataclass(frozen=True)
+class TeamBodyConfig:
+    """Whether teammates' bodies are removed.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    remove_teammates: bool = parameter(
+        True,
+        "Drop points on the bodies of teammates that are heard on team/agents.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class TeamBodyListener:
+    """Knows where the bodies of the others are.
+
+    Args:
+        node: that listens; has the configurations of who is in the team and of bodies.
+        frame: of the map.
+        on_news: called when more is known of them than before.
+    """
+
+    def __init__(self, node: MonitoredNode, frame: str, on_news: Callable[[], None]) -> None:
+        self._node, self._on_news = node, on_news
+        who = node.config(UpdateStreamConfig)
+        self._key = TeamKey.of_team(who.team_key)
+        self._board = AgentBoard(who.robot_id, None, node.config(AgentBoardConfig), who.team)
+        self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
+        self._reading = node.config(RobotBodyConfig).robot
+        self._topics: dict[int, str] = {}
+        self._models: dict[int, RobotModel] = {}
+        if node.config(TeamBodyConfig).remove_teammates:
+            listen_to_agents(node, frame, self._hear)
+
+    def check_known_at(self, stamp: int, newest: int) -> None:
+        """Make sure that nothing more need be waited for; times [ns].
+
+        Raises:
+            PoseUnavailableError: it may still be told where a teammate was at that time.
+        """
+        present = [agent.robot for agent in self._board.present(time.monotonic())]
+        self._bodies.check_known_at(stamp, newest, present)
+
+    def bodies_in(self, camera: PoseRecord) -> Sequence[BodyInScan]:
+        """Their bodies, placed for a scan from a pose of the camera in the map."""
+        remembered = self._board.remembered(time.monotonic())
+        self._bodies.keep([agent.robot for agent in remembered])
+        found = self._bodies.bodies_in(camera)
+        if found:
+            words = [f"{body.robot}{'' if body.is_sure else ' (place not sure)'}" for body in found]
+            self._node.health.note("teammates in scans", ", ".join(words))
+        return found
+
+    def _hear(self, text: str) -> None:
+        agent = agent_from_text(text, self._key)
+        if self._board.hear(agent, time.monotonic()):
+            self._bodies.hear(agent)
+            self._ask_what_it_is(agent)
+            self._on_news()
+
+    def _ask_what_it_is(self, agent: Agent) -> None:
+        """Listen to the description of a robot that is new, or has another one than before."""
+        topic = agent.description
+        is_known = self._topics.get(agent.robot) == topic and self._bodies.is_described(agent.robot)
+        if agent.robot in self._models and not self._bodies.is_described(agent.robot):
+            self._bodies.describe(agent.robot, self._models[agent.robot])  # forgotten, and back
+        if not topic or is_known or topic in self._topics.values():
+            return
+        if len(self._topics) >= _MOST_DESCRIPTIONS:
+            return
+        self._topics[agent.robot] = topic
+        receive = partial(self._on_description, agent.robot, agent.base_frame)
+        self._node.listen(String, topic, receive, qos.latched(), required=False)
+
+    def _on_description(self, robot: int, base_frame: str, message: String) -> None:
+        model = self._reading.read(decode_text(message).text, base_frame=base_frame)
+        self._models[robot] = model
+        self._bodies.describe(robot, model)
+        self._node.get_logger().info(f"removing the body of teammate {robot} from clouds")

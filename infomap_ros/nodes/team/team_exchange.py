@@ -1,0 +1,100 @@
+"""The topics team/digests and team/requests, on which robots find out what they have missed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import FrameError
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.team.team_topics import DIGESTS, REQUESTS
+from infomap_ros.replay.messages.rows import decode_rows, encode_rows
+from infomap_ros.team import TeamConfig, TeamMember
+
+Rows = NDArray[np.void]
+
+
+class TeamExchange:
+    """Carries digests and requests of a member of a team. The work is done in a worker thread.
+
+    Args:
+        node: that speaks.
+        frame: of the map.
+        worker: where the member lives.
+        find_member: gives it, None as long as there is none.
+        foreign: called with each digest before that, as it may be the first sign of a team.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        frame: str,
+        worker: Worker,
+        find_member: Callable[[], TeamMember | None],
+        foreign: Callable[[Rows], object] = lambda rows: None,
+    ) -> None:
+        self._node, self._frame, self._worker = node, frame, worker
+        self._find_member, self._foreign = find_member, foreign
+        self._types, self._speaking = RclpyMessageTypes(), False
+        profile = qos.stream(depth=200)
+        self._publishers = {
+            topic: node.advertise(PointCloud2, topic, profile) for topic in (DIGESTS, REQUESTS)
+        }
+        for topic in (DIGESTS, REQUESTS):
+            receive = partial(self._receive, topic)
+            node.listen(PointCloud2, topic, receive, profile, required=False)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        period = node.config(TeamConfig).digest_period
+        node.create_timer(period, self._speak_soon, clock=steady)
+
+    def _receive(self, topic: str, message: PointCloud2) -> None:
+        hear = partial(self._hear, topic, message)
+        self._worker.submit_always(lambda: self._node.guard(topic, hear))
+
+    def _hear(self, topic: str, message: PointCloud2) -> None:
+        _, frame, rows = decode_rows(message)
+        if frame != self._frame:
+            raise FrameError(f"digest or request in frame '{frame}', the map is '{self._frame}'")
+        if topic == DIGESTS:
+            self._foreign(rows)
+        member = self._find_member()
+        if member is None:
+            return
+        hear = member.hear_digest if topic == DIGESTS else member.hear_request
+        hear(rows, time.monotonic())
+
+    def _speak_soon(self) -> None:
+        """Have the worker speak, unless it still has to."""
+
+        def speak() -> None:
+            self._speaking = False
+            self._speak()
+
+        if self._find_member() is not None and not self._speaking:
+            self._speaking = True
+            self._worker.submit_always(speak)
+
+    def _speak(self) -> None:
+        member = self._find_member()
+        if member is None:
+            return
+        self._publish(DIGESTS, member.digests(time.monotonic()))
+        for robot, found in member.contradictions.items():
+            known = f"{found.contradicted} of {found.compared} surface voxels"
+            self._node.drop("maps contradict", f"robot {robot}: {known}; it is left out")
+        self._publish(REQUESTS, member.requests(time.monotonic()))
+
+    def _publish(self, topic: str, messages: list[Rows]) -> None:
+        stamp = self._node.get_clock().now().nanoseconds
+        for rows in messages:
+            encoded = encode_rows(self._types, stamp, self._frame, rows)
+            self._publishers[topic].publish(encoded)

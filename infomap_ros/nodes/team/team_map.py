@@ -1,0 +1,127 @@
+"""The map of the whole team, as map_fusion shows it.
+
+It exists from the first word of another robot on. It is a replica as every robot has it: the own
+contribution enters as others hear it, quantised, so that all robots show the same map.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import FrameError, InvalidInputError
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.fusion.update_stream import UpdateStream
+from infomap_ros.nodes.team.team_exchange import TeamExchange
+from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.replay.messages.rows import decode_rows
+from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.digest import decode_digest
+
+Rows = NDArray[np.void]
+
+
+class TeamMap:
+    """Listens to the updates of other robots. Used by the worker thread, but for the listening.
+
+    Args:
+        node: that listens.
+        updates: of this robot, to which the team's map listens as well.
+        on_change: called when the team's map has become another.
+    """
+
+    def __init__(
+        self, node: MonitoredNode, updates: UpdateStream, on_change: Callable[[], None]
+    ) -> None:
+        self._node = node
+        self._updates, self._on_change = updates, on_change
+        self._config = node.config(VoxelMapConfig)
+        self._frame = node.config(ScanGateConfig).map_frame
+        self._member: TeamMember | None = None
+
+    def listen(self, worker: Worker) -> None:
+        """Apply updates in a worker from now on."""
+
+        def receive(message: PointCloud2) -> None:
+            apply = partial(self._apply, message)
+            worker.submit_always(lambda: self._node.guard(UPDATES, apply))
+
+        profile = qos.stream(depth=200)
+        self._node.listen(PointCloud2, UPDATES, receive, profile, required=False)
+        TeamExchange(self._node, self._frame, worker, lambda: self._member, self._hear_of)
+
+    @property
+    def voxel_map(self) -> VoxelMap | None:
+        """The sum over all robots, None as long as there is no other robot."""
+        return self._member.replica.voxel_map if self._member else None
+
+    def account(self) -> str:
+        """What this robot knows of the team, as JSON: hash, robots, voxels.
+
+        Robots of which the ``hash`` is the same hold the same map, bit by bit.
+
+        Raises:
+            InvalidInputError: there is no other robot.
+        """
+        if self._member is None:
+            raise InvalidInputError("team", "no other robot was heard")
+        replica = self._member.replica
+        known = {
+            "hash": f"{replica.hash():016x}",
+            "robots": list(replica.robots),
+            "left_out": list(replica.aside),
+            "known_voxels": replica.voxel_map.known_voxels,
+        }
+        return json.dumps(known)
+
+    def memory_bytes(self) -> int:
+        """Memory in use [bytes]."""
+        return self._member.replica.memory_bytes() if self._member else 0
+
+    def _apply(self, message: PointCloud2) -> None:
+        _, frame, rows = decode_rows(message)
+        if frame != self._frame:
+            raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
+        if not len(rows):
+            return
+        if self._member is None:
+            update = decode_update(self._genuine(rows))
+            self._join(update.robot, update.session)
+        if self._member is not None and self._member.hear_update(rows, time.monotonic()):
+            self._changed()
+
+    def _hear_of(self, rows: Rows) -> None:
+        """A digest may be the first that is heard of another robot."""
+        if self._member is None:
+            digest = decode_digest(self._genuine(rows))
+            self._join(digest.sender, digest.session)
+
+    def _join(self, robot: int, session: int) -> None:
+        """There is another robot, unless these are own words: from now on this is a team."""
+        updates = self._updates
+        if (robot, session) == (updates.robot, updates.session):
+            return
+        sharing = self._node.config(TeamConfig)
+        own = updates.robot, updates.session, updates.version
+        self._member = TeamMember(*own, self._config, sharing, updates.team, key=updates.key)
+        updates.join(self._member, self._changed)
+
+    def _genuine(self, rows: Rows) -> Rows:
+        key = self._updates.key
+        return rows if key is None else key.verify(rows)
+
+    def _changed(self) -> None:
+        self._on_change()
+        if self._member is not None:
+            robots = len(self._member.replica.robots)
+            self._node.health.note("robots in the map", str(robots))

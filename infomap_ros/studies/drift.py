@@ -13,34 +13,19 @@ and falls with redundant fiducials (1, 2, 4 times the necessary number) and with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization import (
-    FiducialFilter,
-    FiducialFilterConfig,
-    FiducialObservations,
-    estimate_motion,
-    free_motion,
-    printed_motion,
-)
-from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, WalkFrame, walk
+from infomap_ros.studies.common.bands import CONFIDENCE
+from infomap_ros.studies.drift_walk import METHODS, NECESSARY, WalkErrors, WalkTask
+from infomap_ros.studies.fiducial_walk import WalkConfig
 
-NECESSARY = 4
-"""Fiducials that eq. (14) needs for its 12 unknowns."""
-
-METHODS = ("printed", "weighted", "default")
-CONFIDENCE = 0.95
 _RESAMPLES = 400
-_STEP_TIME = 0.2  # [s], for the prior of a camera that may move anywhere
 
 
 @dataclass(frozen=True)
@@ -102,100 +87,25 @@ class DriftPanel:
         return float(self.rms("default")[-1] / self.rms("printed")[-1])
 
 
-def run_drift(
-    config: DriftConfig, progress: Callable[[int], None] | None = None
-) -> list[DriftPanel]:
-    """Walk and compare with the truth.
-
-    Args:
-        config: size of the study.
-        progress: called with the number of walks done.
-
-    Returns:
-        One panel per distance and redundancy.
-    """
-    panels = []
-    done = 0
-    for distance in config.distances:
-        for redundancy in config.redundancies:
-            errors: dict[str, list[FloatArray]] = {method: [] for method in METHODS}
-            for run in range(config.runs):
-                rng = np.random.default_rng([config.seed, run, redundancy, int(1e3 * distance)])
-                frames = list(walk(config.walk, NECESSARY * redundancy, distance, rng))
-                for method, positions in _positions(frames).items():
-                    truth = np.array([frame.T_map_camera[:3, 3] for frame in frames])
-                    errors[method].append(np.linalg.norm(positions - truth, axis=1))
-                done += 1
-                if progress is not None:
-                    progress(done)
-            panels.append(
-                DriftPanel(distance, redundancy, {m: np.array(errors[m]) for m in METHODS})
-            )
-    return panels
+def tasks_of(config: DriftConfig) -> list[WalkTask]:
+    """All walks: one of each panel in turn."""
+    panels = list(product(config.distances, config.redundancies))
+    return [
+        WalkTask(*panel, number, config.seed, config.walk)
+        for number in range(config.runs)
+        for panel in panels
+    ]
 
 
-def _positions(frames: Sequence[WalkFrame]) -> dict[str, FloatArray]:
-    """Estimated positions by each method, shape (steps + 1, 3) [m]."""
-    return {
-        "printed": _composed(frames, _printed),
-        "weighted": _composed(frames, _weighted),
-        "default": _filtered(frames),
-    }
-
-
-Pair = tuple[FiducialObservations, FiducialObservations]
-
-
-def _composed(frames: Sequence[WalkFrame], motion: Callable[[Pair], FloatArray]) -> FloatArray:
-    """Positions from motions between neighbouring frames."""
-    pose = np.eye(4)
-    positions = [pose[:3, 3]]
-    for before, after in pairwise(frames):
-        pair = tuple(
-            frame.observations.select(_order(frame.observations, before.followed))
-            for frame in (before, after)
-        )
-        pose = pose @ invert_transform(motion((pair[0], pair[1])))
-        positions.append(pose[:3, 3])
-    return np.array(positions)
-
-
-def _order(observations: FiducialObservations, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Indices of ids in observations."""
-    order = np.argsort(observations.ids)
-    return np.asarray(order[np.searchsorted(observations.ids, ids, sorter=order)])
-
-
-def _printed(pair: Pair) -> FloatArray:
-    try:
-        return printed_motion(pair[0].points(CAMERA), pair[1].points(CAMERA))
-    except InvalidInputError:  # four points in one plane: counts as no motion
-        return np.eye(4)
-
-
-def _weighted(pair: Pair) -> FloatArray:
-    before, after = pair
-    estimate = estimate_motion(
-        before.points(CAMERA), before.covariances(CAMERA),
-        after.points(CAMERA), after.covariances(CAMERA),
-    )  # fmt: skip
-    # A step without an estimate counts as no motion: its error stays in the result.
-    return np.eye(4) if estimate.T_after_before is None else estimate.T_after_before
-
-
-def _filtered(frames: Sequence[WalkFrame]) -> FloatArray:
-    """Positions by the filter, from images alone."""
-    config = FiducialFilterConfig(least_fiducials=NECESSARY, max_kept_poses=2)
-    pose_filter = FiducialFilter(CAMERA, config)
-    pose_filter.add(frames[0].observations)
-    positions = [np.zeros(3)]
-    for frame in frames[1:]:
-        pose_filter.predict(free_motion(_STEP_TIME))
-        update = pose_filter.update(frame.observations)
-        new = np.isin(frame.observations.ids, update.unknown)
-        pose_filter.add(frame.observations.select(new))
-        positions.append(pose_filter.pose[0][:3, 3])
-    return np.array(positions)
+def panels_of(results: Mapping[WalkTask, WalkErrors]) -> list[DriftPanel]:
+    """One panel per distance and redundancy of which there are walks."""
+    walks: dict[tuple[float, int], list[WalkErrors]] = {}
+    for task, errors in results.items():
+        walks.setdefault((task.distance, task.redundancy), []).append(errors)
+    return [
+        DriftPanel(*key, {m: np.array([getattr(one, m) for one in found]) for m in METHODS})
+        for key, found in walks.items()
+    ]
 
 
 def drift_table(panels: Sequence[DriftPanel]) -> str:
@@ -218,7 +128,7 @@ def drift_table(panels: Sequence[DriftPanel]) -> str:
             f"{panel.ratio:.2f}",
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
 def drift_rows(panels: Sequence[DriftPanel]) -> list[str]:
@@ -234,9 +144,10 @@ def drift_rows(panels: Sequence[DriftPanel]) -> list[str]:
     return rows
 
 
-def drift_summary(panels: Sequence[DriftPanel], seconds: float) -> dict[str, float]:
+def drift_summary(panels: Sequence[DriftPanel], seconds: float) -> dict[str, float | str]:
     """The last step as one flat object of figures."""
-    figures: dict[str, float] = {"runs": len(panels[0].errors["default"]), "seconds": seconds}
+    runs = min((len(panel.errors["default"]) for panel in panels), default=0)
+    figures: dict[str, float | str] = {"runs": runs, "seconds": round(seconds, 1)}
     for panel in panels:
         key = f"{1e3 * panel.distance:.0f}mm_{panel.redundancy}x"
         for method in METHODS:

@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from infomap_ros.studies.drift import CONFIDENCE, METHODS, NECESSARY, DriftPanel
+from infomap_ros.studies.common.bands import CONFIDENCE
+from infomap_ros.studies.drift import DriftPanel
+from infomap_ros.studies.drift_walk import METHODS, NECESSARY
 
 _COLOURS = {"printed": "#d55e00", "weighted": "#009e73", "default": "#08519c"}
 _LABELS = {
@@ -23,7 +25,7 @@ def draw_drift(panels: Sequence[DriftPanel], paths: Sequence[str | Path]) -> Non
     """Draw the RMS position error over the steps, one panel per distance and redundancy.
 
     Args:
-        panels: of `run_drift`.
+        panels: of `panels_of`.
         paths: files to write, PNG or SVG by their suffix.
     """
     distances = sorted({panel.distance for panel in panels}, reverse=True)

@@ -11,13 +11,25 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from infomap_ros.studies.common.command_line import (
+    DrawOnly,
+    Jobs,
+    Out,
+    finish,
+    progress_bar,
+    refusals,
+    workers,
+)
+from infomap_ros.studies.common.runs import Kept, run_all
 from infomap_ros.studies.drift import (
     DriftConfig,
     drift_rows,
     drift_summary,
     drift_table,
-    run_drift,
+    panels_of,
+    tasks_of,
 )
+from infomap_ros.studies.drift_walk import WalkErrors
 from infomap_ros.studies.pose_consistency import (
     SCENARIOS,
     PoseConsistencyConfig,
@@ -30,31 +42,33 @@ _QUICK_RUNS = 8
 
 
 def drift(
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    out: Out,
     runs: Annotated[int, typer.Option(help="random walks per panel")] = DriftConfig.runs,
     seed: Annotated[int, typer.Option(help="of the first walk")] = DriftConfig.seed,
-    quick: Annotated[bool, typer.Option(help=f"{_QUICK_RUNS} walks per panel only")] = False,
+    jobs: Jobs = 0,
+    is_quick: Annotated[
+        bool, typer.Option("--quick", help=f"{_QUICK_RUNS} walks per panel only")
+    ] = False,
+    draw_only: DrawOnly = False,
 ) -> None:
     """How far the position drifts by scene fiducials alone (Fig. 15), by three methods.
 
-    Exits with 1 if the default's error at the last step is more than half of the printed method's
-    in a panel.
+    What is done is kept in OUT/runs, and not done again when the command is repeated. Exits with 1
+    if the default's error at the last step is more than half of the printed method's in a panel.
     """
     from infomap_ros.studies.drift_figure import draw_drift
 
-    config = DriftConfig(runs=_QUICK_RUNS if quick else runs, seed=seed)
-    total = config.runs * len(config.distances) * len(config.redundancies)
-    start = time.monotonic()
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("walks", total=total)
-        panels = run_drift(config, lambda done: progress.update(task, completed=done))
-    out.mkdir(parents=True, exist_ok=True)
-    draw_drift(panels, [out / "drift.png", out / "drift.svg"])
+    with refusals():
+        config = DriftConfig(runs=_QUICK_RUNS if is_quick else runs, seed=seed)
+        tasks, start = tasks_of(config), time.monotonic()
+        kept = Kept(out / "runs", WalkErrors)
+        with progress_bar("walks", len(tasks)) as advance:
+            results = run_all(tasks, kept, workers(jobs), advance, compute=not draw_only)
+    panels = panels_of(results)
+    if panels:
+        draw_drift(panels, [out / "drift.png", out / "drift.svg"])
     (out / "drift.csv").write_text("\n".join(drift_rows(panels)) + "\n", encoding="utf-8")
-    figures = drift_summary(panels, time.monotonic() - start)
-    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
-    typer.echo(drift_table(panels))
-    typer.echo(json.dumps(figures))
+    finish("drift", drift_table(panels), drift_summary(panels, time.monotonic() - start), out)
     raise typer.Exit(0 if all(panel.ratio <= 0.5 for panel in panels) else 1)
 
 

@@ -12,14 +12,16 @@ from typer.testing import CliRunner
 
 from infomap_ros.cli import app
 from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.drift import (
-    METHODS,
     DriftConfig,
     DriftPanel,
     drift_rows,
-    run_drift,
+    panels_of,
+    tasks_of,
 )
 from infomap_ros.studies.drift_figure import draw_drift
+from infomap_ros.studies.drift_walk import METHODS, WalkErrors
 from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, walk
 
 SMALL = DriftConfig(runs=6, distances=(1.1,), redundancies=(2,), seed=3, walk=WalkConfig(steps=15))
@@ -27,7 +29,7 @@ SMALL = DriftConfig(runs=6, distances=(1.1,), redundancies=(2,), seed=3, walk=Wa
 
 @pytest.fixture(scope="module")
 def panel() -> DriftPanel:
-    (only,) = run_drift(SMALL)
+    (only,) = panels_of({task: task.run() for task in tasks_of(SMALL)})
     return only
 
 
@@ -114,14 +116,33 @@ def test_the_figure_is_written(panel: DriftPanel, tmp_path: Path) -> None:
     assert "<svg" in paths[1].read_text("utf-8")
 
 
-def test_the_command_leaves_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "infomap_ros.studies.localization_commands.run_drift", lambda *_: run_drift(SMALL)
-    )
-    result = CliRunner().invoke(app, ["study", "drift", "--quick", "--out", str(tmp_path)])
-    assert result.exit_code in (0, 1), result.output
+def test_walks_of_all_panels_are_paired_by_their_number() -> None:
+    config = DriftConfig(runs=4, redundancies=(1, 2))
+    tasks = tasks_of(config)
+    assert len({task.file_name for task in tasks}) == len(tasks) == 4 * 2 * 2
+    errors = {
+        task: WalkErrors(*(np.full(3, float(task.number)) for _ in METHODS)) for task in tasks
+    }
+    panels = panels_of(errors)
+    assert [(panel.distance, panel.redundancy) for panel in panels] == [
+        (1.1, 1), (1.1, 2), (0.35, 1), (0.35, 2),
+    ]  # fmt: skip
+    for panel in panels:
+        np.testing.assert_array_equal(panel.errors["weighted"][:, 0], [0.0, 1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(("error", "status"), [(0.4, 0), (0.6, 1)])
+def test_the_command_leaves_its_results(tmp_path: Path, error: float, status: int) -> None:
+    kept = Kept(tmp_path / "runs", WalkErrors)
+    kept.folder.mkdir()
+    made_up = WalkErrors(np.ones(4), np.full(4, 0.7), np.full(4, error))
+    for task in tasks_of(DriftConfig(runs=8)):
+        kept.save(task, made_up)
+    command = ["study", "drift", "--quick", "--draw-only", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == status, result.output
     figures = json.loads((tmp_path / "summary.json").read_text("utf-8"))
-    assert result.exit_code == (0 if figures["ratio_1100mm_2x"] <= 0.5 else 1)
+    assert figures["ratio_1100mm_2x"] == pytest.approx(error)
     assert {path.name for path in tmp_path.iterdir()} == {
-        "drift.png", "drift.svg", "drift.csv", "summary.json",
+        "drift.png", "drift.svg", "drift.csv", "drift.md", "summary.json", "runs",
     }  # fmt: skip

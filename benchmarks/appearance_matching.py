@@ -30,8 +30,8 @@ from infomap_ros.geometry import PoseRecord, invert_transform, transform_points
 from infomap_ros.localization import AppearanceConfig, RangeView, describe, find_again
 from infomap_ros.localization.fiducials.appearance import corners_of
 from infomap_ros.localization.fiducials.selection import select_fiducials
-from infomap_ros.replay.localize_inputs import LocalizeOptions
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 
 Matcher = Callable[[RangeView, np.ndarray, RangeView], tuple[np.ndarray, np.ndarray]]
 """First view, fiducials in it, second view -> rows of the fiducials, pixels in the second."""

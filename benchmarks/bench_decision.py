@@ -37,8 +37,8 @@ from infomap_ros.views import (
     Situation,
     ViewDecision,
 )
-from infomap_ros.views.candidates import CandidateConfig
-from infomap_ros.views.orientations import look_rotations
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.orientations import look_rotations
 
 VOXEL, RANGE, HEIGHT = 0.05, 5.0, 3.0
 CAMERA = PinholeCamera(160, 120, 130.0, 130.0, 79.5, 59.5)

@@ -39,8 +39,8 @@ from infomap_ros.localization import (
 )
 from infomap_ros.localization.fiducials.selection import corner_candidates
 from infomap_ros.localization.fiducials.sparse_stereo import match_pixels
-from infomap_ros.replay.localize_inputs import LocalizeOptions
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.stereo.ground_truth import load_pairs
 from infomap_ros.stereo.images import grey
 

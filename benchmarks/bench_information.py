@@ -32,8 +32,8 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.octomap_file import write_ot
 from infomap_ros.views import InformationConfig, expected_information, information_of_views
-from infomap_ros.views.gains import field_around
-from infomap_ros.views.rays import camera_rays
+from infomap_ros.views.information.gains import field_around
+from infomap_ros.views.information.rays import camera_rays
 
 HERE = Path(__file__).resolve().parent
 RANGE = 5.0

@@ -25,10 +25,10 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import reintegrate
 from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.mapping.correction.scan_store import ScanStore, integrate_record
-from infomap_ros.replay.map_run import MapRun
-from infomap_ros.replay.range_meters import Measurement
-from infomap_ros.replay.reader import BagReader
-from infomap_ros.simulation.scenes import build_scene
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.measuring.range_meters import Measurement
+from infomap_ros.simulation.worlds.scenes import build_scene
 
 BAG = "bags/rover_rocks"
 DRIFT = np.array([0.0, 0.25, 0.12, 0.0, 0.0, 0.10])  # at the end of the bag [m, rad]

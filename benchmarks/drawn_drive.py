@@ -21,8 +21,8 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.localization import StereoView
-from infomap_ros.simulation.rendering import Renderer
-from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.stereo import StereoRangeSensor
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 420.0, 0.1016

@@ -31,8 +31,8 @@ from infomap_ros.geometry import ImageRecord, PoseRecord, invert_transform
 from infomap_ros.geometry.records import CameraInfoRecord
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.localizer import Localisation, Localizer
-from infomap_ros.replay.range_meters import PairPreparation
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.measuring.range_meters import PairPreparation
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor
 
 BEFORE, AFTER = 10, 15  # undisturbed views

@@ -1,9 +1,10 @@
 """Trajectory errors of localisation on real and simulated sequences, against baselines.
 
-Every sequence goes through `infomap_ros.replay.localize_run.LocalizeRun` with the default settings;
-the rover's bag with its odometry and from the images alone. The baselines (`odometry_baselines.py`)
-follow the same views from frame to frame without odometry. Errors are those of evo
-(`trajectory_errors.py`) against the sequence's truth. Prints a table and one JSON line.
+Every sequence goes through `infomap_ros.replay.localizing.localize_run.LocalizeRun` with the
+default settings; the rover's bag with its odometry and from the images alone. The baselines
+(`odometry_baselines.py`) follow the same views from frame to frame without odometry. Errors are
+those of evo (`trajectory_errors.py`) against the sequence's truth. Prints a table and one JSON
+line.
 
     python benchmarks/localize_sequences.py [--data FOLDER] [--work FOLDER] [--only NAME ...]
         [--baselines NAME ...]
@@ -29,13 +30,13 @@ from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
 
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
-from infomap_ros.replay.localize_inputs import LocalizeOptions, find_localize_inputs
-from infomap_ros.replay.localize_run import LocalizeRun
-from infomap_ros.replay.range_sources import measure_all
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
+from infomap_ros.replay.localizing.localize_run import LocalizeRun
+from infomap_ros.replay.measuring.range_sources import measure_all
+from infomap_ros.replay.measuring.view_meters import FramedView
 from infomap_ros.replay.sequences import convert
-from infomap_ros.replay.settings import with_settings
-from infomap_ros.replay.view_meters import FramedView
 
 ROOT = Path(__file__).resolve().parent.parent
 

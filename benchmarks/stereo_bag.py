@@ -18,7 +18,7 @@ from infomap_ros.geometry import (
     PoseRecord,
     make_transform,
 )
-from infomap_ros.replay.writer import BagWriter
+from infomap_ros.replay.bags.writer import BagWriter
 
 BASELINE = 0.1  # [m]
 PERIOD = 100_000_000  # [ns]

@@ -21,8 +21,8 @@ import numpy as np
 
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.exploration.team_bodies import TeamBodies
-from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PinholeCamera, PoseRecord, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.replay.settings import with_settings
+from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.studies.team_exploration import TeamExploration, TeamExplorationOptions
 
 _ALWAYS = ("robot.pose_source=simulator", "planner.threads=1")

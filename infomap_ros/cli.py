@@ -15,13 +15,13 @@ from infomap_ros.errors import ExplorationError, InfomapError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.localization.target.draw_target_command import draw_target
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.replay.command_options import Out, Setting
-from infomap_ros.replay.localize_command import localize
-from infomap_ros.replay.map_command import map_bag
-from infomap_ros.replay.map_inputs import MapOptions
+from infomap_ros.replay.commands.command_options import Out, Setting
+from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.replay.localizing.localize_command import localize
+from infomap_ros.replay.mapping.map_command import map_bag
+from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.sequences import FORMATS
 from infomap_ros.replay.sequences import convert as convert_sequence
-from infomap_ros.replay.settings import with_settings
 from infomap_ros.studies.commands import app as studies
 
 app = typer.Typer(
@@ -53,8 +53,8 @@ def explore(
     setting: Setting = None,
 ) -> None:
     """Explore a simulated world: map file, .ply, report.html and summary.json."""
-    from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun
-    from infomap_ros.simulation.run_progress import RunProgress
+    from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
+    from infomap_ros.simulation.exploring.run_progress import RunProgress
 
     given = [f"world.name={world}", f"world.seed={seed}"]
     given += [] if strategy is None else [f"planner.strategy={strategy}"]

@@ -20,7 +20,7 @@ KnownFiducials = Callable[[], tuple[FloatArray, FloatArray]]
 
 
 class FiducialLocalisationError:
-    """Implements `infomap_ros.views.localisation_error.LocalisationError`.
+    """Implements `infomap_ros.views.ranking.localisation_error.LocalisationError`.
 
     The error of a view is how much the position sigma (root of the trace) grows on the way there
     [m]; negative where fiducials make the position better known than it is now.

@@ -14,8 +14,8 @@ from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import Choice, Interrupted, Motion, Planner, Robot
-from infomap_ros.exploration.run_log import RunLog
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import Route

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from infomap_ros.exploration.surface_completion import SurfaceCompletion
+from infomap_ros.exploration.surface.surface_completion import SurfaceCompletion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
-from infomap_ros.views.claimed import GainsSource, claimed_gains, shares_left
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.goal_memory import GoalMemory
-from infomap_ros.views.localisation_error import LocalisationError
+from infomap_ros.views.information.claimed import GainsSource, claimed_gains, shares_left
+from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.ranking.localisation_error import LocalisationError
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.view_information import ExpectedInformation
 
 
 class ViewChoice:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from infomap_ros.exploration.explanation import explain
 from infomap_ros.exploration.progress import MapProgress, measure_progress
+from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
@@ -23,11 +23,11 @@ from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.information_config import InformationConfig
-from infomap_ros.views.localisation_error import LocalisationError
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.ranking.localisation_error import LocalisationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 from infomap_ros.views.vain_looks import VainLooks
-from infomap_ros.views.view_information import ExpectedInformation
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 

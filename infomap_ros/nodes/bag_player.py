@@ -27,9 +27,9 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.run import run_node
+from infomap_ros.replay.bags.player import BagPlayer, PlayerConfig, Step
+from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.messages import encode_clock
-from infomap_ros.replay.player import BagPlayer, PlayerConfig, Step
-from infomap_ros.replay.reader import BagReader
 
 _SETTLING = 1.0  # [s]
 _CLOCK_PERIOD = 0.05  # [s]

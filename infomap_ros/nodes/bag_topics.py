@@ -10,7 +10,7 @@ from infomap_ros.errors import BagError
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import message_class
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
 
 _ABSOLUTE = ("/tf", "/tf_static", "/diagnostics")
 _NOT_PLAYED = ("/clock", "/rosout", "/parameter_events")

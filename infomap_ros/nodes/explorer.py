@@ -24,8 +24,8 @@ from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.run_log import RunLogFile
-from infomap_ros.exploration.target_hunt import find_target
+from infomap_ros.exploration.records.run_log import RunLogFile
+from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter

@@ -19,10 +19,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError
-from infomap_ros.exploration.choice_text import choice_to_text
+from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team_planner import TeamPlanner
+from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig

@@ -26,10 +26,10 @@ from infomap_ros.nodes.simulated.simulator_teammates import (
     TeammatesConfig,
     teammate_names,
 )
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.robot_account import RobotAccount
-from infomap_ros.simulation.scenes import SCENES, build_scene, describe_scene
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.body.robot_account import RobotAccount
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.worlds.scenes import SCENES, build_scene, describe_scene
 
 _TICK = 0.02  # [s] between two looks at what is due
 _LONGEST_LAG = 0.2  # [s] that is caught up; what is more is lost

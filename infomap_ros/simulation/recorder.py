@@ -28,13 +28,10 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.replay.writer import BagWriter
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.chassis import Chassis
-from infomap_ros.simulation.image_sensor import ImageSensor, ImageSensorConfig
-from infomap_ros.simulation.odometry import Odometry, OdometryConfig
-from infomap_ros.simulation.rendering import Renderer
-from infomap_ros.simulation.robot import (
+from infomap_ros.replay.bags.writer import BagWriter
+from infomap_ros.simulation.body.chassis import Chassis
+from infomap_ros.simulation.body.odometry import Odometry, OdometryConfig
+from infomap_ros.simulation.body.robot import (
     LEFT_OPTICAL_FRAME,
     RIGHT_OPTICAL_FRAME,
     RobotState,
@@ -42,9 +39,12 @@ from infomap_ros.simulation.robot import (
     read_description,
     stereo_baseline,
 )
-from infomap_ros.simulation.scenes import SceneConfig, build_scene, describe_scene
-from infomap_ros.simulation.stereo_camera import StereoCamera, StereoCameraConfig
+from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.cameras.stereo_camera import StereoCamera, StereoCameraConfig
 from infomap_ros.simulation.survey import Survey
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import SceneConfig, build_scene, describe_scene
 
 _SECOND = 1_000_000_000
 

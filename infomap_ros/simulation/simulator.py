@@ -14,18 +14,18 @@ from infomap_ros.geometry import CameraCalibration
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.mimicry import Follower, read_followers
-from infomap_ros.simulation.arm_motion import ArmMotion
-from infomap_ros.simulation.base_motion import BaseMotion
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.contacts import ContactEvent, ContactMonitor
-from infomap_ros.simulation.depth_eye import DepthEye, DepthImage
-from infomap_ros.simulation.drive_train import DriveTrain
-from infomap_ros.simulation.eyes import Eyes, StereoPair
-from infomap_ros.simulation.robot_body import PREFIX, RobotBody
-from infomap_ros.simulation.robot_sensors import RobotSensors
-from infomap_ros.simulation.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.saved_robot import SavedRobot
+from infomap_ros.simulation.body.arm_motion import ArmMotion
+from infomap_ros.simulation.body.base_motion import BaseMotion
+from infomap_ros.simulation.body.contacts import ContactEvent, ContactMonitor
+from infomap_ros.simulation.body.drive_train import DriveTrain
+from infomap_ros.simulation.body.robot_body import PREFIX, RobotBody
+from infomap_ros.simulation.body.robot_sensors import RobotSensors
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.saved_robot import SavedRobot
+from infomap_ros.simulation.cameras.depth_eye import DepthEye, DepthImage
+from infomap_ros.simulation.cameras.eyes import Eyes, StereoPair
 from infomap_ros.simulation.simulator_config import SimulatorConfig
+from infomap_ros.simulation.worlds.builder import World
 
 __all__ = ["Simulator", "SimulatorConfig"]
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.simulation.base_motion import BaseMotionConfig
-from infomap_ros.simulation.depth_eye import DepthEyeConfig
-from infomap_ros.simulation.drive_train import DriveTrainConfig
-from infomap_ros.simulation.dynamics import DynamicsConfig
-from infomap_ros.simulation.image_sensor import ImageSensorConfig
-from infomap_ros.simulation.path_following import PathFollowingConfig
-from infomap_ros.simulation.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.wheel_odometry import WheelOdometryConfig
+from infomap_ros.simulation.body.base_motion import BaseMotionConfig
+from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.dynamics import DynamicsConfig
+from infomap_ros.simulation.body.path_following import PathFollowingConfig
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.wheel_odometry import WheelOdometryConfig
+from infomap_ros.simulation.cameras.depth_eye import DepthEyeConfig
+from infomap_ros.simulation.cameras.image_sensor import ImageSensorConfig
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 
 
 @dataclass(frozen=True)

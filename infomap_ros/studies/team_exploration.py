@@ -21,13 +21,13 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.exploration_run import ExplorationOptions, task_in
-from infomap_ros.simulation.radio import Channel, Radio
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.team_world import TeamWorld
-from infomap_ros.simulation.turns import SwitchedOff
-from infomap_ros.simulation.visible_surface import surface_coverage, visible_surface
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.company.radio import Channel, Radio
+from infomap_ros.simulation.company.team_world import TeamWorld
+from infomap_ros.simulation.company.turns import SwitchedOff
+from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, task_in
+from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
+from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.studies.team_robot import RobotOutfit, TeamRobot
 from infomap_ros.team import TeamConfig
 

@@ -14,19 +14,19 @@ from infomap_ros.errors import TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, RobotState
-from infomap_ros.exploration.run_log import RunLogFile
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team_bodies import TeamBodies
-from infomap_ros.exploration.team_planner import TeamPlanner
-from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.team_planner import TeamPlanner
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
-from infomap_ros.replay.map_files import MAP_FILE
-from infomap_ros.simulation.exploration_run import ExplorationOptions
-from infomap_ros.simulation.exploring_robot import SimulatedRobot
+from infomap_ros.replay.mapping.map_files import MAP_FILE
+from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions
+from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.team import TeamConfig, TeamMember, version_at
 from infomap_ros.team.sent import message_bytes

@@ -22,13 +22,6 @@ class TeamConfig:
         low=0.001,
         high=1000.0,
     )
-    least_bits: float = parameter(
-        0.25,
-        "Changes of a voxel that tell less wait as long as there is more to tell than fits.",
-        unit="bits",
-        low=0.0,
-        high=10.0,
-    )
     message_size: int = parameter(
         60_000,
         "Upper limit of a message. Below 64 kB it fits one datagram; where datagrams are lost and "

@@ -1,8 +1,9 @@
 """What a robot tells of the map, within its bandwidth: what carries most information first.
 
 Two streams share the bandwidth: changes of the own contribution, and answers to those who ask for
-what they missed, of any contribution that is held. Both are ordered by bits per byte; what waits
-gains on what is new, so that everything is told once the link allows it.
+what they missed, of any contribution that is held. Both are ordered by bits per byte, in whole
+blocks of 8x8x8 voxels, as their parts would take more bytes; what waits gains on what is new, so
+that everything is told once the link allows it.
 """
 
 from __future__ import annotations
@@ -143,28 +144,16 @@ class Outbox:
 
     def _tell_changes(self, voxel_map: VoxelMap, room: float, now: float) -> list[NDArray[np.void]]:
         storage = voxel_map._storage
-        slots, counts = changed_blocks(storage)
+        slots, _ = changed_blocks(storage)
         if not len(slots):
             return []
         told = self._replica.contribution(self.robot) or Contribution(voxel_map.config.voxel_size)
-        is_busy = 3.0 * counts.sum() > room
-        least = self._config.least_bits if is_busy else 0.0
-        bits, sizes, minor = worth_of_changes(voxel_map, told, slots, least)
-        if not sizes.any():
-            bits, sizes, minor = worth_of_changes(voxel_map, told, slots)
+        bits, sizes = worth_of_changes(voxel_map, told, slots)
         waited = self._waited(slots, now)
         chosen = _affordable(bits / np.maximum(sizes, 1.0) * (1.0 + waited / _WAIT), sizes, room)
         self._since[slots[chosen]] = np.inf
-        return self._take(voxel_map, slots[chosen], minor[chosen])
-
-    def _take(
-        self, voxel_map: VoxelMap, slots: Slots, minor: NDArray[np.uint64]
-    ) -> list[NDArray[np.void]]:
-        """Tell the changes of blocks, but for some voxels, which stay changed."""
-        size, storage = voxel_map.config.voxel_size, voxel_map._storage
-        storage.blocks.dirty[slots] &= ~minor
-        changes = take_changes(storage, size, _MOST_VOXELS, slots)
-        storage.blocks.dirty[slots] |= minor
+        size = voxel_map.config.voxel_size
+        changes = take_changes(storage, size, _MOST_VOXELS, slots[chosen])
         version = next_version(self.version)
         return self._publish(MapUpdate.of_changes(changes, size, self.robot, version, self.session))
 

@@ -32,6 +32,7 @@ from infomap_ros.team.facts import (
     without_facts,
 )
 from infomap_ros.team.gaussian_code import CODE, CODE_FIELDS, codes_of_words, words_of_codes
+from infomap_ros.team.sent import message_bytes
 from infomap_ros.team.update import (
     MAX_ROBOT,
     MAX_SERIAL,
@@ -49,7 +50,7 @@ SURFACE_ROW = np.dtype([("index", "u1", (3,)), ("log_odds", "i1"), *CODE_FIELDS]
 _VERSIONED = tuple(
     np.dtype([*row.descr, ("version", "<u4")]) for row in (OCCUPANCY_ROW, SURFACE_ROW)
 )
-_OVERHEAD = 600  # header, fields and facts of a message, at the most [bytes]
+_LATER_FACTS = 100  # serial number, code and a longer name of the frame, at the most [bytes]
 _TILE, _RUN = 256, 8  # [voxels]
 _BLOCKS = _TILE // _RUN
 _WHAT = "map update"
@@ -155,7 +156,7 @@ def _surface_rows(update: MapUpdate, origin: NDArray[np.int64]) -> NDArray[np.vo
 
 
 def _split(rows: NDArray[np.void], max_bytes: int) -> list[NDArray[np.void]]:
-    length = max(1, (max_bytes - _OVERHEAD) // rows.dtype.itemsize)
+    length = max(1, (max_bytes - message_bytes(rows[:0]) - _LATER_FACTS) // rows.dtype.itemsize)
     return [rows[start : start + length] for start in range(0, len(rows), length)]
 
 

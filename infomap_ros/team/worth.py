@@ -36,8 +36,8 @@ _DIVERGENCES = _divergences()
 
 
 def worth_of_changes(
-    voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64], least: float = 0.0
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint64]]:
+    voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What the changes of a map's blocks tell to who knows what was told before.
 
     The evidence counts by its Kullback-Leibler divergence from what was told (from p = 0.5 where
@@ -48,14 +48,11 @@ def worth_of_changes(
         voxel_map: tracks its changes.
         told: what was told.
         slots: of the map's blocks, shape (n,).
-        least: voxels that tell less [bits] do not count.
 
     Returns:
-        Bits, and about the bytes that telling them takes, shape (n,) each; and which voxels do
-        not count, as sets of bits, shape (n, 8).
+        Bits, and about the bytes that telling them takes, shape (n,) each.
     """
     bits, sizes = np.zeros(len(slots)), np.zeros(len(slots))
-    minor = np.zeros((len(slots), 8), np.uint64)
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
     tables = _DIVERGENCES, code_tables()[0]
     _weigh_changes(
@@ -65,12 +62,10 @@ def worth_of_changes(
         slots,
         size,
         *tables,
-        least,
         bits,
         sizes,
-        minor,
     )
-    return bits, sizes, minor
+    return bits, sizes
 
 
 def worth_of_states(
@@ -165,12 +160,10 @@ def _weigh_changes(
     size: float,
     divergences: Any,
     sigmas: Any,
-    least: float,
     bits: Any,
     sizes: Any,
-    minor: Any,
 ) -> None:
-    """Sum up over the changed voxels of the blocks; those below `least` bits are `minor`."""
+    """Sum up over the changed voxels of the blocks."""
     for row in range(len(slots)):
         slot = slots[row]
         other = np.int64(find_block(told_blocks, blocks.keys[slot]))
@@ -190,8 +183,5 @@ def _weigh_changes(
                 divergences,
                 sigmas,
             )
-            if told < least:
-                minor[row, word] |= np.uint64(1) << bit
-            else:
-                bits[row] += told
-                sizes[row] += length
+            bits[row] += told
+            sizes[row] += length

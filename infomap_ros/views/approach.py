@@ -8,8 +8,8 @@ import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.views.decision import RatedView
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import RatingConfig
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import RatingConfig
 from infomap_ros.views.reach import Reachability, ReachResult
 
 

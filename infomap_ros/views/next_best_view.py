@@ -8,23 +8,24 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
-from infomap_ros.views.localisation_error import LocalisationError
-from infomap_ros.views.look_ahead import LookAheadConfig
-from infomap_ros.views.options import InformationSource, Options
-from infomap_ros.views.orientations import OrientationConfig
-from infomap_ros.views.rating import Rating, RatingConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.look_ahead import LookAheadConfig
+from infomap_ros.views.ranking.options import InformationSource, Options
+from infomap_ros.views.ranking.rating import Rating, RatingConfig
+from infomap_ros.views.ranking.strategies import make_strategy
+from infomap_ros.views.ranking.strategy import ProposesViews, Strategy
+from infomap_ros.views.ranking.terms import RatingTerm
+from infomap_ros.views.ranking.view_tour import ViewTourConfig
 from infomap_ros.views.reach import Reachability
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import Candidates, find_candidates
+from infomap_ros.views.sampling.orientations import OrientationConfig
+from infomap_ros.views.sampling.surroundings import Surroundings
+from infomap_ros.views.sampling.survey import SurroundingsConfig, horizons, survey
 from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategies import make_strategy
-from infomap_ros.views.strategy import ProposesViews, Strategy
-from infomap_ros.views.surroundings import Surroundings
-from infomap_ros.views.survey import SurroundingsConfig, horizons, survey
-from infomap_ros.views.terms import RatingTerm
-from infomap_ros.views.view_information import ExpectedInformation
-from infomap_ros.views.view_tour import ViewTourConfig
 
 
 @dataclass(frozen=True)

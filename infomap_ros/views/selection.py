@@ -12,11 +12,11 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.approach import Approach, ApproachConfig
 from infomap_ros.views.decision import RatedView, Stopwatch
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Rating, Ratings
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Rating, Ratings
+from infomap_ros.views.ranking.strategy import Scores, Strategy
 from infomap_ros.views.reach import Reachability, ReachResult
-from infomap_ros.views.strategy import Scores, Strategy
-from infomap_ros.views.surroundings import IntArray
+from infomap_ros.views.sampling.surroundings import IntArray
 
 LEFT_TO_TEAMMATE = "a teammate is about to see most of it"
 

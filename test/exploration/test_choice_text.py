@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.choice_text import choice_from_text, choice_to_text
+from infomap_ros.exploration.records.choice_text import choice_from_text, choice_to_text
 from infomap_ros.exploration.robot import Choice
 
 from .fakes import nothing, pose_at, progress, route_to

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.decision_picture import draw_decision
-from infomap_ros.exploration.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.reports.decision_picture import draw_decision
 from infomap_ros.mapping import VoxelMap
 
 from .made_up_run import made_up_map, write_log

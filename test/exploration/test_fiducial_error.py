@@ -7,7 +7,7 @@ import numpy as np
 from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.localisation_error import OdometryDrift
+from infomap_ros.views.ranking.localisation_error import OdometryDrift
 from infomap_ros.views.situation import Situation
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.report import write_map_report, write_report
+from infomap_ros.exploration.reports.report import write_map_report, write_report
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 

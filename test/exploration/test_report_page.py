@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.exploration.log_parsing import RunLogError
-from infomap_ros.exploration.report import write_map_report, write_report
-from infomap_ros.exploration.report_page import scene
-from infomap_ros.exploration.report_page.axes import (
+from infomap_ros.exploration.records.log_parsing import RunLogError
+from infomap_ros.exploration.reports.report import write_map_report, write_report
+from infomap_ros.exploration.reports.report_page import scene
+from infomap_ros.exploration.reports.report_page.axes import (
     DASH,
     MINUS,
     duration,
@@ -25,9 +25,13 @@ from infomap_ros.exploration.report_page.axes import (
     quantity,
     round_ticks,
 )
-from infomap_ros.exploration.report_page.charts import Curve, line_chart
-from infomap_ros.exploration.report_page.scene import pack
-from infomap_ros.exploration.report_page.surface import LOG_ODDS_RANGE, SIGMA_RANGE, drawn_surface
+from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart
+from infomap_ros.exploration.reports.report_page.scene import pack
+from infomap_ros.exploration.reports.report_page.surface import (
+    LOG_ODDS_RANGE,
+    SIGMA_RANGE,
+    drawn_surface,
+)
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import MissingExtraError
-from infomap_ros.exploration.rerun_recording import TIMELINE, write_recording
+from infomap_ros.exploration.reports.rerun_recording import TIMELINE, write_recording
 from infomap_ros.mapping import VoxelMap
 
 from .made_up_run import entries, made_up_map, write_log

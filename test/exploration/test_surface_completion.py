@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.missing_surface import missing_surface
-from infomap_ros.exploration.surface_completion import SurfaceCompletion
+from infomap_ros.exploration.surface.missing_surface import missing_surface
+from infomap_ros.exploration.surface.surface_completion import SurfaceCompletion
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import pack
@@ -18,9 +18,9 @@ from infomap_ros.mapping.voxels.voxel_states import (
     put_states,
     unknown_states,
 )
-from infomap_ros.views.information_config import InformationConfig
-from infomap_ros.views.orientations import look_rotations
-from infomap_ros.views.rays import checked_poses
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.rays import checked_poses
+from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.situation import RegionOfTask, Situation
 
 REGION = np.array([(-1.2, -1.2, -0.3), (1.2, 1.2, 1.0)])

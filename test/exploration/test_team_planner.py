@@ -11,9 +11,9 @@ import pytest
 from infomap_ros.errors import TeammatesBusyError, UpdateRefusedError
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team_planner import TeamPlanner
-from infomap_ros.exploration.team_space import teammate_of
-from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.team_planner import TeamPlanner
+from infomap_ros.exploration.team.team_space import teammate_of
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
@@ -21,11 +21,11 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.team.agents_config import AgentsConfig
-from infomap_ros.views.candidates import CandidateConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import Teammate
 

@@ -22,8 +22,8 @@ from infomap_ros.mapping.voxels.voxel_states import (
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 
 CAMERA = PinholeCamera(160, 120, 110.0, 110.0, 79.5, 59.5)

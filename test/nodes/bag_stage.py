@@ -15,8 +15,8 @@ from std_msgs.msg import String
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.messages import decode_pose_with_covariance, encode
-from infomap_ros.replay.reader import BagReader
 
 TYPES = RclpyMessageTypes()
 IMAGES = ("/left/image_raw", "/right/image_raw")

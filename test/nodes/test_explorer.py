@@ -13,8 +13,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import MalformedMessageError
-from infomap_ros.exploration.choice_text import choice_to_text
 from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
 from infomap_ros.localization.localisation import Localisation

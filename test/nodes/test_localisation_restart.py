@@ -20,8 +20,8 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.replay.messages import TF, decode_pose_with_covariance, decode_transforms
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.visible_surface import map_errors
+from infomap_ros.simulation.exploring.visible_surface import map_errors
+from infomap_ros.simulation.worlds.scenes import make_world
 
 NODES = ("stereo_range", "map_fusion", "fiducial_localization", "simulator")
 PARAMETERS: dict[str, dict[str, Any]] = {

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.exploration.choice_text import choice_from_text
+from infomap_ros.exploration.records.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.next_best_view import NextBestViewNode

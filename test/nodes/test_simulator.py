@@ -30,8 +30,8 @@ from infomap_ros.replay.messages import (
     decode_pose_with_covariance,
 )
 from infomap_ros.replay.messages.motions import encode_arm_trajectory, encode_base_path
-from infomap_ros.simulation.drive_train import planar
-from infomap_ros.simulation.scenes import build_scene
+from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.worlds.scenes import build_scene
 
 TYPES = RclpyMessageTypes()
 SMALL = {

@@ -19,8 +19,8 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.replay.bags.writer import BagWriter
 from infomap_ros.replay.sequences.entries import pinhole_calibration, rectified_pair
-from infomap_ros.replay.writer import BagWriter
 
 WALL = 2.0
 """The wall is the plane x = WALL of the map; the camera looks along x [m]."""

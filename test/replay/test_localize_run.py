@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from infomap_ros.cli import app
 from infomap_ros.errors import BagError
-from infomap_ros.replay.localize_inputs import LocalizeInputConfig, LocalizeOptions
-from infomap_ros.replay.localize_run import LocalizeRun
-from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
-from infomap_ros.replay.map_run import MapRun
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.localizing.localize_inputs import LocalizeInputConfig, LocalizeOptions
+from infomap_ros.replay.localizing.localize_run import LocalizeRun
+from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
+from infomap_ros.replay.mapping.map_run import MapRun
 
 from .moving_camera import START, STEP, WALL, pose, write
 

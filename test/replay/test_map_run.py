@@ -22,12 +22,12 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.robot.description_config import DescriptionConfig
-from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
-from infomap_ros.replay.map_run import MapRun
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.commands.settings import setting_names, with_settings
+from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
+from infomap_ros.replay.mapping.map_run import MapRun
 from infomap_ros.replay.sequences import convert
 from infomap_ros.replay.sequences.entries import pinhole_calibration
-from infomap_ros.replay.settings import setting_names, with_settings
 
 from .scenes import (
     COVARIANCE,

@@ -9,8 +9,8 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from infomap_ros.errors import BagError
-from infomap_ros.replay.reader import BagReader, BagRecord
-from infomap_ros.replay.writer import BagWriter
+from infomap_ros.replay.bags.reader import BagReader, BagRecord
+from infomap_ros.replay.bags.writer import BagWriter
 
 from .bags import FRAMES, sample_records, write_rosbag1, write_rosbag2
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.scenes import SceneConfig, rover_rocks
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import SceneConfig, rover_rocks
 
 SMALL_SCENE = SceneConfig(size=8.0, spacing=0.1, boulders=6, stones=8, texture_size=256)
 

@@ -7,8 +7,8 @@ import pytest
 
 from infomap_ros.errors import SimulationError
 from infomap_ros.simulation import backend
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.rendering import Renderer
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.worlds.builder import World
 
 
 @pytest.fixture

@@ -9,15 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.log_records import Progress
 from infomap_ros.exploration.loop import EndReason
-from infomap_ros.exploration.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.records.log_records import Progress
+from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.replay.settings import with_settings
-from infomap_ros.simulation.exploration_run import ExplorationOptions, ExplorationRun, task_in
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.visible_surface import map_errors, surface_coverage, visible_surface
+from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.simulation.exploring.exploration_run import (
+    ExplorationOptions,
+    ExplorationRun,
+    task_in,
+)
+from infomap_ros.simulation.exploring.visible_surface import (
+    map_errors,
+    surface_coverage,
+    visible_surface,
+)
+from infomap_ros.simulation.worlds.scenes import make_world
 
 SETTINGS = (
     "world.name=mars",

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from infomap_ros.simulation import gallery
+from infomap_ros.simulation.worlds import gallery
 
 
 def test_the_camera_looks_at_its_target_and_stands_upright(rng: np.random.Generator) -> None:

@@ -13,13 +13,13 @@ import yaml
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.builder import SceneBuilder, World
-from infomap_ros.simulation.drive_train import DriveTrainConfig, planar
-from infomap_ros.simulation.robot import load_robot, read_description
-from infomap_ros.simulation.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.drive_train import DriveTrainConfig, planar
+from infomap_ros.simulation.body.robot import load_robot, read_description
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.terrain import Terrain
+from infomap_ros.simulation.worlds.builder import SceneBuilder, World
+from infomap_ros.simulation.worlds.terrain import Terrain
 
 URDF = "stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf"
 PARAMETERS = yaml.safe_load(find_share("config/stretch_simulator.yaml").read_text("utf-8"))[

@@ -6,11 +6,11 @@ import numpy as np
 
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.pose_audit import PoseAudit, position_sigma
-from infomap_ros.simulation.pose_source import CameraPose, PosedScan
+from infomap_ros.simulation.exploring.pose_audit import PoseAudit, position_sigma
+from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
+from infomap_ros.simulation.exploring.visible_surface import map_errors, surface_coverage
 from infomap_ros.simulation.simulator import Simulator
-from infomap_ros.simulation.visible_surface import map_errors, surface_coverage
+from infomap_ros.simulation.worlds.builder import World
 
 T_WORLD_MAP = make_transform(np.diag([-1.0, -1.0, 1.0]), (1.5, 0.4, 0.3))
 ERROR = np.array([0.02, -0.01, 0.005, 0.003, -0.002, 0.01])

@@ -8,10 +8,10 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, Record, TextRecord
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.recorder import Recorder, RecorderConfig, record_bag
-from infomap_ros.simulation.scenes import SceneConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.worlds.scenes import SceneConfig
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.rendering import Renderer
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.worlds.builder import World
 
 # Neither square pixels nor a centred principal point, so that each of them matters.
 CAMERA = PinholeCamera(160, 120, 110.0, 125.0, 70.3, 64.8)

@@ -11,15 +11,15 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.rendering import COLLISION_GROUP
-from infomap_ros.simulation.robot import (
+from infomap_ros.simulation.body.robot import (
     RobotState,
     fixed_frames,
     read_description,
     stereo_baseline,
 )
+from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
 from infomap_ros.simulation.survey import ARM_JOINTS
+from infomap_ros.simulation.worlds.builder import World
 
 PATH = find_share("config/rover.urdf")
 UPRIGHT = dict.fromkeys(ARM_JOINTS, 0.0)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import SimulationError
-from infomap_ros.simulation.builder import SceneBuilder, World
-from infomap_ros.simulation.robot_account import RobotAccount
-from infomap_ros.simulation.saved_robot import SavedRobot
+from infomap_ros.simulation.body.robot_account import RobotAccount
+from infomap_ros.simulation.body.saved_robot import SavedRobot
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.terrain import Terrain
+from infomap_ros.simulation.worlds.builder import SceneBuilder, World
+from infomap_ros.simulation.worlds.terrain import Terrain
 
 ARM = ("arm_pan_joint", "arm_elbow_joint")
 

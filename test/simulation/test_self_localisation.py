@@ -10,17 +10,17 @@ import pytest
 from infomap_ros.errors import InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.replay.settings import with_settings
-from infomap_ros.simulation.exploration_run import (
+from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
     ExplorationRun,
     map_frame,
     task_in,
 )
-from infomap_ros.simulation.exploring_robot import ExploringRobotConfig
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.self_localisation import SelfLocalisation
-from infomap_ros.simulation.visible_surface import map_errors
+from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig
+from infomap_ros.simulation.exploring.self_localisation import SelfLocalisation
+from infomap_ros.simulation.exploring.visible_surface import map_errors
+from infomap_ros.simulation.worlds.scenes import make_world
 
 SETTINGS = (
     "world.name=mars",

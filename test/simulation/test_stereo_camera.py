@@ -6,9 +6,9 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.rendering import Renderer
-from infomap_ros.simulation.stereo_camera import StereoCamera, StereoCameraConfig, undistort
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.cameras.stereo_camera import StereoCamera, StereoCameraConfig, undistort
+from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.stereo import StereoRectifier
 
 POSE = make_transform(

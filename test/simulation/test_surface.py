@@ -5,8 +5,8 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box
-from infomap_ros.simulation.rocks import icosphere
-from infomap_ros.simulation.surface import SurfaceModel, SurfacePart
+from infomap_ros.simulation.worlds.rocks import icosphere
+from infomap_ros.simulation.worlds.surface import SurfaceModel, SurfacePart
 
 CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 FACES = np.array(

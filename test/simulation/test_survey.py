@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.chassis import Chassis
+from infomap_ros.simulation.body.chassis import Chassis
+from infomap_ros.simulation.body.robot import RobotState
 from infomap_ros.simulation.recorder import RecorderConfig
-from infomap_ros.simulation.robot import RobotState
 from infomap_ros.simulation.survey import ARM_JOINTS, Survey
-from infomap_ros.simulation.terrain import Terrain
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.terrain import Terrain
 
 
 @pytest.fixture

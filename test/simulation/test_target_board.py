@@ -9,10 +9,10 @@ import pytest
 from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.localization.target.tag_board import TagBoard
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.simulator import Simulator
-from infomap_ros.simulation.target_board import WORLD_BOARD
+from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.target_board import WORLD_BOARD
 from infomap_ros.stereo import StereoRectifier
 
 

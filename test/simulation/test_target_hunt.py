@@ -6,8 +6,8 @@ import numpy as np
 
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
-from infomap_ros.exploration.target_hunt import find_target
-from infomap_ros.exploration.target_search import TargetSearchPlanner
+from infomap_ros.exploration.target.target_hunt import find_target
+from infomap_ros.exploration.target.target_search import TargetSearchPlanner
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import PinholeCamera, invert_transform
 from infomap_ros.geometry.resources import find_share
@@ -17,11 +17,11 @@ from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTar
 from infomap_ros.localization.target.target import TargetSighting
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
-from infomap_ros.simulation.robot import read_description
-from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.target_board import WORLD_BOARD
+from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.target_board import WORLD_BOARD
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 
 CAMERA = StereoCameraConfig(width=320, height=240, supersampling=1)

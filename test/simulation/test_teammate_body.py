@@ -9,12 +9,12 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.simulation.builder import SceneBuilder, World
-from infomap_ros.simulation.rendering import Renderer
-from infomap_ros.simulation.robot_body import RobotBody
+from infomap_ros.simulation.body.robot_body import RobotBody
+from infomap_ros.simulation.cameras.rendering import Renderer
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.terrain import Terrain
+from infomap_ros.simulation.worlds.builder import SceneBuilder, World
+from infomap_ros.simulation.worlds.terrain import Terrain
 
 CONFIG = SimulatorConfig(camera=StereoCameraConfig(width=64, height=48, supersampling=1))
 LINKS = ("base_link", "arm_turret", "arm_forearm", "stereo_link", "left_camera_optical_frame")

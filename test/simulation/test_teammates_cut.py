@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.exploration.team_bodies import TeamBodies
-from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PlacedSolid, make_transform, points_inside
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.exploring_robot import ExploringRobotConfig, SimulatedRobot
-from infomap_ros.simulation.pose_source import PosedScan
-from infomap_ros.simulation.scenes import make_world
+from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.exploring.pose_source import PosedScan
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.worlds.scenes import make_world
 
 LOOKS, STEP = 5, 0.6  # [s]
 SETUP = ExploringRobotConfig(pose_source="simulator", scans_per_view=1, scan_period=STEP)

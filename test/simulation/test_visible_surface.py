@@ -9,20 +9,20 @@ import pytest
 from infomap_ros.errors import InvalidInputError, SimulationError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.builder import SceneBuilder, World
-from infomap_ros.simulation.reachable_views import (
+from infomap_ros.simulation.exploring.reachable_views import (
     ReachableViewsConfig,
     reachable_cameras,
     standable_places,
 )
-from infomap_ros.simulation.terrain import Terrain
-from infomap_ros.simulation.visible_surface import (
+from infomap_ros.simulation.exploring.visible_surface import (
     VisibleSurfaceConfig,
     covered,
     map_errors,
     surface_coverage,
     visible_surface,
 )
+from infomap_ros.simulation.worlds.builder import SceneBuilder, World
+from infomap_ros.simulation.worlds.terrain import Terrain
 
 REACH = ReachableViewsConfig(spacing=0.4, max_cameras=150)
 VISIBLE = VisibleSurfaceConfig(spacing=0.08)

@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.simulation import textures
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.rocks import boulder
-from infomap_ros.simulation.scenes import SceneConfig, build_scene, describe_scene, rover_rocks
-from infomap_ros.simulation.terrain import rough_terrain
+from infomap_ros.simulation.worlds import textures
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.rocks import boulder
+from infomap_ros.simulation.worlds.scenes import (
+    SceneConfig,
+    build_scene,
+    describe_scene,
+    rover_rocks,
+)
+from infomap_ros.simulation.worlds.terrain import rough_terrain
 
 
 def _ray(world: World, origin: np.ndarray, direction: np.ndarray) -> float:
@@ -24,7 +29,7 @@ def _ray(world: World, origin: np.ndarray, direction: np.ndarray) -> float:
 
 
 def test_terrain_height_is_what_mujoco_hits(rng: np.random.Generator) -> None:
-    from infomap_ros.simulation.builder import SceneBuilder
+    from infomap_ros.simulation.worlds.builder import SceneBuilder
 
     terrain = rough_terrain(3.0, 0.1, 0.1, 0.02, rng)
     builder = SceneBuilder(terrain)

@@ -8,15 +8,15 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import transform_points
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.scenes import (
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import (
     SCENES,
     build_scene,
     describe_scene,
     make_world,
 )
-from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 
 WORLDS = ("mars", "office", "cave")

@@ -16,10 +16,10 @@ from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.views import Situation
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
-from infomap_ros.views.surroundings import Surroundings
-from infomap_ros.views.survey import survey
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.sampling.surroundings import Surroundings
+from infomap_ros.views.sampling.survey import survey
 
 CELL, RANGE = 1.0, 15.0
 

@@ -17,6 +17,7 @@ from infomap_ros.studies.metrics.metric_run import MetricRun, what_scans_tell
 from infomap_ros.studies.metrics.metrics_study import (
     OWN,
     MetricsStudyConfig,
+    complete,
     difference,
     overview,
     rows_of,
@@ -90,6 +91,12 @@ def test_areas_are_means_of_the_curves_and_paired_by_world() -> None:
     assert found.count == 2
     line = next(t for t in overview(rows, config).splitlines() if f"`{OWN}`" in t)
     assert line.split("|")[3].strip() == "50.0 ± 0.0"
+
+
+def test_tables_hold_the_worlds_in_which_all_metrics_chose() -> None:
+    config = MetricsStudyConfig(kinds=("caves",), worlds=2, metrics=(OWN, "scene_entropy"))
+    results = {task: made_up([0.1, 0.2], 1.0) for task in tasks_of(config)[:3]}
+    assert [str(task.world) for task in complete(results)] == ["caves_0", "caves_0"]
 
 
 def test_command_writes_tables_and_figures(tmp_path: Path) -> None:

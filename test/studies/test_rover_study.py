@@ -22,13 +22,14 @@ from infomap_ros.studies.rover.rasters import SweepRaster
 from infomap_ros.studies.rover.rover_study import (
     OWN,
     RoverStudyConfig,
+    complete,
     overview,
     quick,
     ratio,
     rows_of,
     tasks_of,
 )
-from infomap_ros.views.orientations import look_rotations
+from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.situation import RegionOfTask, Situation
 
 
@@ -61,6 +62,24 @@ def test_ratios_are_paired_by_world() -> None:
     assert ratio(results, "raster", 3, 4).mean == pytest.approx(3.0**0.5)  # of 6 and 0.5
     alone = {task: result for task, result in results.items() if task.seed == 1}
     assert ratio(alone, "raster", 3, 3).count == 1
+
+
+def test_raster_is_compared_at_many_views_only_where_it_was_to_take_them() -> None:
+    config, results = study()
+    first, raster, second, other = tasks_of(replace(config, raster_worlds=1))
+    assert (raster.views, other.views) == (4, 3)
+    same = dict(zip((first, raster, second, other), results.values(), strict=True))
+    found = ratio(same, "raster", 3, 4)
+    assert (found.mean, found.count) == (pytest.approx(6.0), 1)
+    assert ratio(same, "raster", 3, 3).count == 2
+
+
+def test_tables_hold_the_worlds_that_all_strategies_have_explored() -> None:
+    _, results = study()
+    last = list(results)[-1]
+    unfinished = {task: result for task, result in results.items() if task != last}
+    assert [task.seed for task in complete(unfinished)] == [1, 1]
+    assert complete(results) == results
 
 
 def test_what_was_reached_at_the_end_stays() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.replay.settings import with_settings
-from infomap_ros.simulation.radio import Channel, Radio
-from infomap_ros.simulation.team_world import starts_abreast
-from infomap_ros.simulation.turns import SwitchedOff, Turns
+from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.simulation.company.radio import Channel, Radio
+from infomap_ros.simulation.company.team_world import starts_abreast
+from infomap_ros.simulation.company.turns import SwitchedOff, Turns
 from infomap_ros.studies.team_exploration import TeamExploration, TeamExplorationOptions
 
 SMALL = (

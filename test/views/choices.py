@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from infomap_ros.views.options import Options
+from infomap_ros.views.information.voxel_gains import VoxelGains
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.sampling.survey import survey
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.survey import survey
-from infomap_ros.views.voxel_gains import VoxelGains
 
 
 class Prescribed:

@@ -8,11 +8,12 @@ from numpy.typing import ArrayLike
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PlacedSolid, Sphere, make_transform
-from infomap_ros.views import candidates as c
-from infomap_ros.views.candidates import CandidateConfig, Candidates, find_candidates
-from infomap_ros.views.orientations import OrientationConfig, look_rotations
+from infomap_ros.views.sampling import candidates as c
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import Candidates, find_candidates
+from infomap_ros.views.sampling.orientations import OrientationConfig, look_rotations
+from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.survey import SurroundingsConfig, survey
 
 from .rooms import CAMERA, facing, seen_room, turning
 

@@ -12,7 +12,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import InformationConfig, expected_information
-from infomap_ros.views.observation_value import expected_reduction
+from infomap_ros.views.information.observation_value import expected_reduction
 
 from . import naive
 from .voxels import map_of

@@ -10,7 +10,7 @@ import pytest
 
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
-from infomap_ros.views.flight import NO_WAY, FreeFlight
+from infomap_ros.views.sampling.flight import NO_WAY, FreeFlight
 
 from .rooms import facing
 

@@ -12,14 +12,14 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views import METRICS, ExpectedInformation, expected_information
 from infomap_ros.views.approach import ApproachConfig
-from infomap_ros.views.candidates import CandidateConfig
 from infomap_ros.views.decision import RatedView, count_reasons
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.reach import Flight, FlyingCamera
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.survey import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation
-from infomap_ros.views.survey import SurroundingsConfig
 
 from .rooms import CAMERA, facing, seen_room, turning
 

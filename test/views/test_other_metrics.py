@@ -10,8 +10,8 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import METRICS, InformationConfig, expected_information
-from infomap_ros.views.printed_metrics import stretched
-from infomap_ros.views.published_metrics import near_share
+from infomap_ros.views.information.printed_metrics import stretched
+from infomap_ros.views.information.published_metrics import near_share
 
 from . import naive, naive_metrics
 from .voxels import map_of

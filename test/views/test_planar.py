@@ -16,15 +16,16 @@ from infomap_ros.views import (
     RegionOfTask,
     Situation,
 )
-from infomap_ros.views.candidates import CandidateConfig, find_candidates
-from infomap_ros.views.flight import FreeFlight
-from infomap_ros.views.glances import full_volume
-from infomap_ros.views.options import Options
-from infomap_ros.views.orientations import OrientationConfig
-from infomap_ros.views.rating import Ratings
-from infomap_ros.views.rays import camera_rays
-from infomap_ros.views.strategy import Scores
-from infomap_ros.views.survey import SurroundingsConfig, survey
+from infomap_ros.views.information.rays import camera_rays
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import find_candidates
+from infomap_ros.views.sampling.flight import FreeFlight
+from infomap_ros.views.sampling.glances import full_volume
+from infomap_ros.views.sampling.orientations import OrientationConfig
+from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
 
 from .rooms import facing
 

@@ -9,13 +9,14 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
-from infomap_ros.views.candidates import CandidateConfig, find_candidates
-from infomap_ros.views.localisation_error import OdometryDrift, OdometryDriftConfig
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Rating, RatingConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.ranking.localisation_error import OdometryDrift, OdometryDriftConfig
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Rating, RatingConfig
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import find_candidates
+from infomap_ros.views.sampling.survey import survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.survey import survey
-from infomap_ros.views.view_information import ExpectedInformation
 
 from .choices import Prescribed, options_of
 from .rooms import CAMERA, facing, seen_room, turning

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN
-from infomap_ros.views import sight_kernels
+from infomap_ros.views.sampling import sight_kernels
 
 
 def walled() -> np.ndarray:

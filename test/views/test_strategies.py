@@ -10,13 +10,13 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping.voxels.keys import pack
-from infomap_ros.views.look_ahead import LookAhead, LookAheadConfig
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Rating, RatingConfig, Ratings
+from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Rating, RatingConfig, Ratings
+from infomap_ros.views.ranking.strategies import make_strategy, strategies
+from infomap_ros.views.ranking.strategy import Scores, Strategy
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import RegionOfTask, Situation
-from infomap_ros.views.strategies import make_strategy, strategies
-from infomap_ros.views.strategy import Scores, Strategy
-from infomap_ros.views.surroundings import Surroundings
 
 from .choices import Prescribed, options_of
 from .rooms import CAMERA, facing, seen_room, turning
@@ -127,9 +127,9 @@ def test_own_strategy_by_its_path(half_seen: Situation) -> None:
     [
         ("best", "look_ahead"),
         ("no_such_package.Strategy", "no_such_package"),
-        ("infomap_ros.views.strategies.Missing", "Missing"),
+        ("infomap_ros.views.ranking.strategies.Missing", "Missing"),
         (f"{__name__}.Incomplete", "score"),
-        ("infomap_ros.views.surroundings.Surroundings", "without arguments"),
+        ("infomap_ros.views.sampling.surroundings.Surroundings", "without arguments"),
     ],
 )
 def test_unusable_strategies_are_refused(name: str, message: str) -> None:

@@ -12,8 +12,8 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.views import InformationConfig, expected_information, view_gains
-from infomap_ros.views.codes import CodeBook
-from infomap_ros.views.observation_value import surface_bits
+from infomap_ros.views.information.codes import CodeBook
+from infomap_ros.views.information.observation_value import surface_bits
 
 from . import naive
 from .rooms import box_points, facing

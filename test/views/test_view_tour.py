@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from infomap_ros.mapping.voxels.keys import pack
-from infomap_ros.views import tour_kernels
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Rating, RatingConfig
+from infomap_ros.views.ranking import tour_kernels
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Rating, RatingConfig
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.ranking.view_tour import ViewTour, ViewTourConfig
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategy import Scores
-from infomap_ros.views.view_tour import ViewTour, ViewTourConfig
 
 from .choices import Prescribed, options_of
 from .rooms import CAMERA, facing, seen_room, turning

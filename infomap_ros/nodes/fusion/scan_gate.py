@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
-from infomap_ros.exploration.team_bodies import BodyInScan
+from infomap_ros.exploration.team.team_bodies import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from infomap_ros.errors import BagError, ProcessError
-from infomap_ros.exploration.report import write_map_report
+from infomap_ros.exploration.reports.report import write_map_report
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_vertices, write_ply
@@ -25,8 +25,8 @@ from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.live_run import LEFT, LiveRun
 from infomap_ros.nodes.live.pictures import LivePictures
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
-from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.replay.reader import BagReader
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 
 BAG = "bags/rover_rocks"
 _START_TIMEOUT = 300.0  # [s]; kernels are compiled the first time

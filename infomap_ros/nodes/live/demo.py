@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.status import Status
 
 from infomap_ros.errors import ProcessError
-from infomap_ros.exploration.report import write_report
+from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
@@ -26,9 +26,9 @@ from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
-from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.simulation.exploration_run import task_in
-from infomap_ros.simulation.scenes import make_world
+from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.exploring.exploration_run import task_in
+from infomap_ros.simulation.worlds.scenes import make_world
 
 _TIMEOUT = 3600.0  # [s]
 

@@ -20,19 +20,19 @@ from rich.console import Console
 from rich.status import Status
 
 from infomap_ros.errors import ProcessError
+from infomap_ros.exploration.reports.team_report import write_team_report
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team_report import write_team_report
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
-from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.simulation.builder import World
-from infomap_ros.simulation.exploration_run import task_in
-from infomap_ros.simulation.scenes import make_world
-from infomap_ros.simulation.visible_surface import surface_coverage, visible_surface
+from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.exploring.exploration_run import task_in
+from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
 _DOWN = 10.0  # [s] until the robot that was killed is started again

@@ -11,7 +11,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
-from infomap_ros.replay.map_files import MAP_FILE
+from infomap_ros.replay.mapping.map_files import MAP_FILE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
 LOCALISATION_FILE = "localisation.infomap"

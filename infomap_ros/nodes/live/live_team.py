@@ -18,7 +18,7 @@ from infomap_ros.nodes.live.live_exploration import Parameters, robot_parameters
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.processes import NodeProcesses
 from infomap_ros.nodes.team.team_topics import SHARED
-from infomap_ros.simulation.team_world import starts_abreast
+from infomap_ros.simulation.company.team_world import starts_abreast
 
 _IN_TEAM = ("map_fusion", "next_best_view")
 _AGREEING = 2.0  # [s] between two comparisons of the maps

@@ -17,7 +17,7 @@ from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.nodes.locating.saved_localisation import SavedLocalisation
-from infomap_ros.replay.localize_run import looking_along_x
+from infomap_ros.replay.localizing.localize_run import looking_along_x
 
 _LEAST_SIGMA = 1e-4
 """Of a pose that defines the map [m and rad]: in messages a covariance of zero means unknown."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.nodes.ranging.range_sources import check_frame
-from infomap_ros.replay.view_meters import DepthViewMeter, FramedView, StereoViewMeter
+from infomap_ros.replay.measuring.view_meters import DepthViewMeter, FramedView, StereoViewMeter
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -11,9 +11,9 @@ from rclpy.client import Client
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError, TeammatesBusyError
-from infomap_ros.exploration.choice_text import choice_from_text
+from infomap_ros.exploration.records.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice, RobotState
-from infomap_ros.exploration.team_planner import WAITING
+from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common.base import MonitoredNode

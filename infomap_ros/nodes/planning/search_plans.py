@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from infomap_ros.exploration.choice_text import choice_to_text
-from infomap_ros.exploration.target_search import TargetSearchPlanner
+from infomap_ros.exploration.records.choice_text import choice_to_text
+from infomap_ros.exploration.target.target_search import TargetSearchPlanner
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.localization.target.search import TargetSearchConfig

@@ -19,7 +19,7 @@ _PAIRS = 2  # that are looked at in one place; the first may be from the way
 
 
 class TargetSight:
-    """Implements `infomap_ros.exploration.target_hunt.SearchSight`.
+    """Implements `infomap_ros.exploration.target.target_hunt.SearchSight`.
 
     Args:
         node: listens to localization_status.

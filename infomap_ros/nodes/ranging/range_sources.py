@@ -8,7 +8,12 @@ from dataclasses import dataclass
 
 from infomap_ros.errors import FrameError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord
-from infomap_ros.replay.range_meters import DepthMeter, Measurement, RangeMeter, StereoMeter
+from infomap_ros.replay.measuring.range_meters import (
+    DepthMeter,
+    Measurement,
+    RangeMeter,
+    StereoMeter,
+)
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -16,8 +16,8 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.replay.measuring.robot_motion import RobotMotion
 from infomap_ros.replay.messages import decode_joint_state, decode_odometry, decode_text
-from infomap_ros.replay.robot_motion import RobotMotion
 
 _CLOCK_JUMP = 1_000_000_000  # [ns]
 

@@ -8,7 +8,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.common.parameters import parameter_values
-from infomap_ros.simulation.self_localisation import SelfLocalisationConfig
+from infomap_ros.simulation.exploring.self_localisation import SelfLocalisationConfig
 
 IMAGE_RATE = 2.0
 """Pairs per simulated second, so that the arm turns the cameras by little between two [Hz]."""

@@ -9,7 +9,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.replay.messages import TF, encode_transforms
-from infomap_ros.simulation.robot import fixed_frames, moving_frames
+from infomap_ros.simulation.body.robot import fixed_frames, moving_frames
 from infomap_ros.simulation.simulator import Simulator
 
 

@@ -8,7 +8,7 @@ from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.nodes.common import qos

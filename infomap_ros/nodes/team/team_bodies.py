@@ -13,7 +13,7 @@ from functools import partial
 
 from std_msgs.msg import String
 
-from infomap_ros.exploration.team_bodies import BodyInScan, TeamBodies, TeamBodiesConfig
+from infomap_ros.exploration.team.team_bodies import BodyInScan, TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig

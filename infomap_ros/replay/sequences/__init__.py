@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from infomap_ros.errors import BagError, InvalidInputError
+from infomap_ros.replay.bags.writer import BagWriter
 from infomap_ros.replay.sequences.entries import Entries, Entry
 from infomap_ros.replay.sequences.kalibr import kalibr_pairs
 from infomap_ros.replay.sequences.pairs import aloe, motorcycle, rover_pairs
 from infomap_ros.replay.sequences.rgbd import kitchen, rgbd_frames
-from infomap_ros.replay.writer import BagWriter
 
 FORMATS: dict[str, Callable[[Path], Entries]] = {
     "rgbd": rgbd_frames,

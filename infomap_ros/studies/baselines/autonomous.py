@@ -13,11 +13,11 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import turned_views
 from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.studies.baselines.tree import Tree, grow_tree
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategy import Scores
-from infomap_ros.views.surroundings import Surroundings
 
 _NODES = 40
 _EDGE = 0.5  # [ranges]

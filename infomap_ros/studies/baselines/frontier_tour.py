@@ -15,12 +15,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import Frontier, find_frontiers, level_views
 from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
 from infomap_ros.studies.baselines.tour import open_tour
-from infomap_ros.views import sight_kernels
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.sampling import sight_kernels
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategy import Scores
-from infomap_ros.views.surroundings import Surroundings
 
 _LARGEST = 0.35  # a cluster extends so far from its mean [ranges]
 _RINGS = (0.0, 0.25, 0.5, 0.75)  # distances of views from a cluster [ranges]

@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, UNKNOWN
-from infomap_ros.views.orientations import look_rotations
+from infomap_ros.views.sampling.orientations import look_rotations
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.surroundings import Surroundings
 
 _EIGHT = np.ones((3, 3), np.bool_)
 

@@ -11,11 +11,11 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.baselines.frontiers import find_frontiers, turned_views
 from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.strategy import Scores
-from infomap_ros.views.surroundings import Surroundings
 
 _TURNS = 12
 _NOTHING = 0.002  # a view that tells less shows nothing of a frontier [full views]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
 
 _BELOW = -1e9  # of views that a strategy did not propose
 _SAME_TURN = 0.05  # [rad]

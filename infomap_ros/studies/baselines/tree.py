@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE
-from infomap_ros.views import flight_kernels
+from infomap_ros.views.sampling import flight_kernels
+from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
-from infomap_ros.views.surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)

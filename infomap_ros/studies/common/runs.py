@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -104,6 +104,26 @@ def run_all(
                 if progress is not None:
                     progress(done)
     return {task: result for task, result in found.items() if result is not None}
+
+
+Run = TypeVar("Run")
+
+
+def in_all_worlds(
+    runs: Sequence[Run], world: Callable[[Run], Hashable], label: Callable[[Run], str]
+) -> list[Run]:
+    """The runs in worlds that have one of every label, for paired tables.
+
+    Args:
+        runs: of a study that may be unfinished.
+        world: of a run.
+        label: what is compared, a strategy for instance.
+    """
+    labels = {label(run) for run in runs}
+    found: dict[Hashable, set[str]] = {}
+    for run in runs:
+        found.setdefault(world(run), set()).add(label(run))
+    return [run for run in runs if found[world(run)] == labels]
 
 
 def _run_and_keep(task: Task[Result], kept: Kept[Result]) -> Result:

@@ -26,6 +26,7 @@ from infomap_ros.studies.metrics.metrics_study import (
     MetricsStudyConfig,
     Results,
     comparisons,
+    complete,
     overview,
     rows_of,
     summary,
@@ -60,9 +61,10 @@ def metrics(
         kept = Kept(out / "runs", MetricRun)
         with progress_bar("explorations", len(tasks)) as advance:
             results = run_all(tasks, kept, workers(jobs), advance, compute=not draw_only)
-    rows = rows_of(results, config)
-    write_rows(rows, out / "metrics.csv")
+    write_rows(rows_of(results, config), out / "metrics.csv")
     _write_curves(results, out / "metrics_curves.csv")
+    results = complete(results)
+    rows = rows_of(results, config)
     draw_curves(results, config, out / "metrics_curves")
     shares = unknown_shares()
     values = values_by_share(shares)

@@ -15,7 +15,7 @@ from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_sca
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.tasks import WorldName
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views.observation_value import entropy_of
+from infomap_ros.views.information.observation_value import entropy_of
 
 STRATEGY = "largest_information"
 """By which all metrics are compared: it ranks by the rating of eq. (11) alone."""

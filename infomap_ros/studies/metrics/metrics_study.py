@@ -6,20 +6,21 @@ infomap study metrics --out DIR
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.common.bands import Band, band
+from infomap_ros.studies.common.runs import in_all_worlds
 from infomap_ros.studies.common.tables import markdown
 from infomap_ros.studies.metrics.metric_run import MetricRun, MetricTask
 from infomap_ros.studies.planar.explore import ExplorationConfig
 from infomap_ros.studies.planar.measures import area_under_coverage
-from infomap_ros.studies.planar.sensor import SensorConfig
+from infomap_ros.studies.planar.study_config import OneSensorConfig
 from infomap_ros.studies.planar.tasks import WorldName
-from infomap_ros.views.expected_information import METRICS
+from infomap_ros.views.information.expected_information import METRICS
 
 OWN = "expected_entropy_reduction"
 
@@ -27,43 +28,38 @@ Results = Mapping[MetricTask, MetricRun]
 
 
 @dataclass(frozen=True)
-class MetricsStudyConfig:
+class MetricsStudyConfig(OneSensorConfig):
     """Size of the study.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
     worlds: int = parameter(5, "Drawn worlds of each kind.", low=1, high=1000)
-    seed: int = parameter(0, "Of the first world of each kind.", low=0)
     metrics: tuple[str, ...] = parameter(tuple(METRICS), "Names of metrics.")
-    scans: int = parameter(100, "Scans of each exploration.", low=2, high=10_000)
-    reach: float = parameter(
-        1000.0, "Coverage is averaged over so much way.", unit="m", low=1.0, high=1e6
-    )
-    cell: float = parameter(
-        1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
-    )
-    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
-    sensor: SensorConfig = field(default_factory=SensorConfig)
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 def tasks_of(config: MetricsStudyConfig) -> list[MetricTask]:
     """All explorations, world by world and of each kind in turn."""
-    tasks = []
-    for seed in range(config.seed, config.seed + config.worlds):
-        exploration = ExplorationConfig(scans=config.scans, seed=seed, sensor=config.sensor)
-        for kind in config.kinds:
-            world = WorldName(kind, seed, cell=config.cell)
-            tasks += [
-                MetricTask(world, metric, exploration, config.candidates)
-                for metric in config.metrics
-            ]
-    return tasks
+    return [
+        _task(world, metric, config) for world in worlds_of(config) for metric in config.metrics
+    ]
+
+
+def worlds_of(config: MetricsStudyConfig) -> list[WorldName]:
+    """All worlds, of each kind in turn."""
+    return [world for number in range(config.worlds) for world in config.drawn(number)]
+
+
+def _task(world: WorldName, metric: str, config: MetricsStudyConfig) -> MetricTask:
+    exploration = ExplorationConfig(scans=config.scans, seed=world.seed, sensor=config.sensor)
+    return MetricTask(world, metric, exploration, config.candidates)
+
+
+def complete(results: Results) -> dict[MetricTask, MetricRun]:
+    """What was explored by all metrics, for paired tables."""
+    tasks = in_all_worlds(list(results), lambda t: str(t.world), lambda t: t.metric)
+    return {task: results[task] for task in tasks}
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views.expected_information import METRICS, expected_information
-from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.information.expected_information import METRICS, expected_information
+from infomap_ros.views.information.information_config import InformationConfig
 
 _SIDE = 44  # of the empty world [m]
 _MIDDLE = 0.5 * _SIDE + 0.5  # the middle of a cell

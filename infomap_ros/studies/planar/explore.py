@@ -21,10 +21,10 @@ from infomap_ros.views import (
     Situation,
     Teammate,
 )
-from infomap_ros.views.flight import FreeFlight
-from infomap_ros.views.information_config import InformationConfig
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.strategy import Strategy
+from infomap_ros.views.ranking.strategy import Strategy
+from infomap_ros.views.sampling.flight import FreeFlight
 
 _INFORMATION = InformationConfig(
     ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4

@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.common.bands import Band, band
+from infomap_ros.studies.common.runs import in_all_worlds
 from infomap_ros.studies.planar.explore import ExplorationConfig
 from infomap_ros.studies.planar.measures import Saving, area_under_coverage, distance_to, saving
 from infomap_ros.studies.planar.sensor import SensorConfig
+from infomap_ros.studies.planar.study_config import DrawnWorldsConfig, OneSensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray
 
@@ -37,21 +39,17 @@ OWN = ("largest_information", "look_ahead", "view_tour")
 
 
 @dataclass(frozen=True)
-class PlanarStudyConfig:
+class PlanarStudyConfig(OneSensorConfig):
     """Size of the study.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
-    worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
-    seed: int = parameter(0, "Of the first world of each kind.", low=0)
     strategies: tuple[str, ...] = parameter(
         (*PAPER, "look_ahead", *BASELINES),
         "Names of strategies, or dotted paths of classes.",
     )
-    scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
     most_scans: int = parameter(
         600,
         "So many scans may be taken on the way to `share`. Four of the paper's strategies stop "
@@ -62,21 +60,6 @@ class PlanarStudyConfig:
     share: float = parameter(
         0.9, "Share of a world to which distances are compared.", low=0.01, high=1.0
     )
-    reach: float = parameter(
-        1000.0,
-        "Coverage is averaged over so much way.",
-        unit="m",
-        low=1.0,
-        high=1e6,
-    )
-    cell: float = parameter(
-        1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
-    )
-    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
-    sensor: SensorConfig = field(default_factory=SensorConfig)
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
@@ -96,8 +79,7 @@ def tasks_of(config: PlanarStudyConfig, floor_plans: Sequence[Path] = ()) -> lis
     """All explorations, world by world and of each kind in turn."""
     worlds = [WorldName("fig10", config.seed, cell=config.cell)]
     for number in range(config.worlds):
-        seed = config.seed + number
-        worlds += [WorldName(kind, seed, cell=config.cell) for kind in config.kinds]
+        worlds += config.drawn(number)
         if number == 0:
             worlds += [WorldName("floor plans", 0, str(path), config.cell) for path in floor_plans]
     return [_task(world, strategy, config) for world in worlds for strategy in config.strategies]
@@ -117,38 +99,28 @@ def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
 
 
 @dataclass(frozen=True)
-class TeamStudyConfig:
+class TeamStudyConfig(DrawnWorldsConfig):
     """Size of the study of several sensors, Fig. 12.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
-    worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
-    seed: int = parameter(0, "Of the first world of each kind.", low=0)
     strategies: tuple[str, ...] = parameter(
         (*PAPER, "look_ahead"), "Names of strategies, or dotted paths of classes."
     )
     sensors: int = parameter(2, "That explore together.", low=2, high=32)
     scans: int = parameter(40, "Scans of all sensors together.", low=2, high=10_000)
-    cell: float = parameter(
-        1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0
-    )
-    candidates: int = parameter(400, "Candidate views of each choice.", low=10, high=100_000)
     sensor: SensorConfig = field(
         default_factory=lambda: SensorConfig(field_of_view=75.0, max_range=10.0)
     )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 def team_tasks(config: TeamStudyConfig) -> list[Task]:
     """All explorations of the study of several sensors, world by world."""
     worlds = [WorldName("fig10", config.seed, cell=config.cell)]
-    for seed in range(config.seed, config.seed + config.worlds):
-        worlds += [WorldName(kind, seed, cell=config.cell) for kind in config.kinds]
+    for number in range(config.worlds):
+        worlds += config.drawn(number)
     return [
         Task(
             world,
@@ -275,11 +247,7 @@ def least_ways(rows: Sequence[Row], strategy: str) -> tuple[FloatArray, BoolArra
 
 def complete(records: Sequence[Record]) -> list[Record]:
     """The records of the worlds that all strategies have explored, for paired tables."""
-    strategies = {record.task.label for record in records}
-    explored: dict[str, set[str]] = {}
-    for record in records:
-        explored.setdefault(str(record.task.world), set()).add(record.task.label)
-    return [record for record in records if explored[str(record.task.world)] == strategies]
+    return in_all_worlds(records, lambda r: str(r.task.world), lambda r: r.task.label)
 
 
 def kinds_in(rows: Sequence[Row]) -> list[str]:

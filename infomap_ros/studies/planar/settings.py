@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from infomap_ros.views.candidates import CandidateConfig
-from infomap_ros.views.look_ahead import LookAheadConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.orientations import OrientationConfig
-from infomap_ros.views.rating import RatingConfig
+from infomap_ros.views.ranking.look_ahead import LookAheadConfig
+from infomap_ros.views.ranking.rating import RatingConfig
+from infomap_ros.views.ranking.view_tour import ViewTourConfig
+from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.orientations import OrientationConfig
+from infomap_ros.views.sampling.survey import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
-from infomap_ros.views.survey import SurroundingsConfig
-from infomap_ros.views.view_tour import ViewTourConfig
 
 _RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a way of one range costs [full views]
 _REFINED = 80  # views whose information is evaluated exactly

@@ -19,7 +19,7 @@ from infomap_ros.studies.planar.world import PlanarWorld
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 from infomap_ros.views import Teammate
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.strategy import Strategy
+from infomap_ros.views.ranking.strategy import Strategy
 
 _APART = 2.0  # between the sensors at the start [m]
 

@@ -27,6 +27,7 @@ from infomap_ros.studies.rover.explore import RoverExploration
 from infomap_ros.studies.rover.rover_study import (
     Results,
     RoverStudyConfig,
+    complete,
     overview,
     quick,
     rows_of,
@@ -43,6 +44,9 @@ def rover(
     raster_views: Annotated[
         int, typer.Option(help="views of the strategy raster")
     ] = RoverStudyConfig.raster_views,
+    raster_worlds: Annotated[
+        int, typer.Option(help="worlds where it does; elsewhere as many as the others")
+    ] = RoverStudyConfig.raster_worlds,
     jobs: Jobs = 0,
     is_quick: Quick = False,
     draw_only: DrawOnly = False,
@@ -55,7 +59,9 @@ def rover(
 
     sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
     with refusals():
-        config = RoverStudyConfig(worlds=worlds, seed=seed, raster_views=raster_views)
+        config = RoverStudyConfig(
+            worlds=worlds, seed=seed, raster_views=raster_views, raster_worlds=raster_worlds
+        )
         config = quick(config) if is_quick else config
         if strategies:
             config = replace(config, strategies=tuple(strategies.split(",")))
@@ -65,6 +71,7 @@ def rover(
             results = run_all(tasks, kept, workers(jobs), advance, compute=not draw_only)
     write_rows(rows_of(results, config), out / "rover.csv")
     _write_curves(results, out / "rover_curves.csv")
+    results = complete(results)
     all_figures(results, config, out)
     seconds = time.monotonic() - start
     finish("rover", overview(results, config), summary(results, config, seconds), out)

@@ -22,20 +22,20 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation.exploration_run import (
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
     ExplorationRun,
     WorldConfig,
 )
-from infomap_ros.simulation.exploring_robot import ExploringRobotConfig
-from infomap_ros.simulation.simulator import SimulatorConfig
-from infomap_ros.simulation.stereo_camera import StereoCameraConfig
-from infomap_ros.simulation.visible_surface import (
+from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig
+from infomap_ros.simulation.exploring.visible_surface import (
     VisibleSurface,
     VisibleSurfaceConfig,
     covered,
     visible_surface,
 )
+from infomap_ros.simulation.simulator import SimulatorConfig
 
 _ATTEMPTS, _ROUNDS = 60, 8  # views to which motions are planned, and how often others are drawn
 

@@ -18,10 +18,9 @@ from infomap_ros.studies.rover.rover_study import (
     RoverStudyConfig,
     curves_of,
     labels_of,
-    of_strategy,
-    views_of,
 )
 
+_Style = dict[str, Any]
 _UNMAPPED, _MAPPED, _VIEWS = "#cccccc", "#0072B2", "#D55E00"
 
 
@@ -33,17 +32,29 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     for label in labels:
-        own = list(of_strategy(results, label).values())
-        views = views_of(label, config)
-        at = np.arange(1.0, views + 1.0)
-        draw_band(left, at, curves_of(own, views, "points") / 1e3, styles[label], label)
-        draw_band(right, at, curves_of(own, views, "distance"), styles[label], label)
+        own = {task: result for task, result in results.items() if task.label == label}
+        _draw_strategy(left, own, config, ("points", 1e-3), styles[label])
+        _draw_strategy(right, own, config, ("distance", 1.0), styles[label])
     _label(left, "mapped points of the true surface [1000]", config)
     _label(right, "way of the base [m]", config)
     left.legend(fontsize=8)
     worlds = len({task.seed for task in results})
     figure.suptitle(f"Fig. 17 over many worlds: {band_note(worlds)}", fontsize=10)
     save(figure, path)
+
+
+def _draw_strategy(
+    axes: Any, own: Results, config: RoverStudyConfig, value: tuple[str, float], style: _Style
+) -> None:
+    """The mean with its band, and thin lines for the worlds in which more views were taken."""
+    name, scale = value
+    label = next(iter(own)).label
+    at = np.arange(1.0, config.views + 1.0)
+    draw_band(axes, at, scale * curves_of(own.values(), config.views, name), style, label)
+    for task, result in own.items():
+        more = np.arange(config.views, task.views + 1.0)
+        curve = scale * curves_of([result], task.views, name)[0, config.views - 1 :]
+        axes.plot(more, curve, **{**style, "linewidth": 0.8})
 
 
 def _label(axes: Any, name: str, config: RoverStudyConfig) -> None:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.options import Options
-from infomap_ros.views.rating import Ratings
-from infomap_ros.views.strategies import Raster
-from infomap_ros.views.strategy import Scores
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategies import Raster
+from infomap_ros.views.ranking.strategy import Scores
 
 _VOXEL_STEP = 0.0125  # of the camera's range: a voxel of 5 cm for a range of 4 m
 _SHORT_STEP = 0.1  # likewise: about the length of the rover

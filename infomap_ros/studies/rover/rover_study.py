@@ -5,7 +5,7 @@ infomap study rover --out DIR
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.common.bands import Band, band, ratio_band
+from infomap_ros.studies.common.runs import in_all_worlds
 from infomap_ros.studies.common.tables import markdown
 from infomap_ros.studies.rover.explore import RoverConfig, RoverExploration, RoverTask
 
@@ -39,7 +40,13 @@ class RoverStudyConfig:
     )
     views: int = parameter(18, "At so many views strategies are compared.", low=2, high=1000)
     raster_views: int = parameter(
-        41, "So many views the strategy `raster` takes.", low=2, high=1000
+        41,
+        "So many views the strategy `raster` takes in the first `raster_worlds` worlds.",
+        low=2,
+        high=1000,
+    )
+    raster_worlds: int = parameter(
+        1000, "See `raster_views`; in the others it takes `views`.", low=0, high=1000
     )
     rover: RoverConfig = field(default_factory=RoverConfig)
 
@@ -66,17 +73,24 @@ def tasks_of(config: RoverStudyConfig) -> list[RoverTask]:
         RoverTask(
             seed,
             strategy,
-            views_of(strategy, config),
+            views_of(strategy, config, number),
             config.rover,
         )
-        for seed in range(config.seed, config.seed + config.worlds)
+        for number, seed in enumerate(range(config.seed, config.seed + config.worlds))
         for strategy in config.strategies
     ]
 
 
-def views_of(strategy: str, config: RoverStudyConfig) -> int:
-    """How many views a strategy takes."""
-    return max(config.views, config.raster_views) if strategy == RASTERS[0] else config.views
+def views_of(strategy: str, config: RoverStudyConfig, number: int = 0) -> int:
+    """How many views a strategy takes in a world, of which the first has the number 0."""
+    goes_on = strategy == RASTERS[0] and number < config.raster_worlds
+    return max(config.views, config.raster_views) if goes_on else config.views
+
+
+def complete(results: Results) -> dict[RoverTask, RoverExploration]:
+    """What was explored by all strategies, for paired tables."""
+    tasks = in_all_worlds(list(results), lambda task: task.seed, lambda task: task.label)
+    return {task: results[task] for task in tasks}
 
 
 def labels_of(results: Results) -> list[str]:
@@ -104,9 +118,10 @@ def ratio(results: Results, label: str, own_view: int, view: int) -> Band:
         view: number of views of the other.
 
     Returns:
-        The geometric mean over the worlds that both have explored, with its band.
+        The geometric mean over the worlds in which both were to take so many views, with its band.
     """
-    own, other = of_strategy(results, OWN), of_strategy(results, label)
+    asked = {task: result for task, result in results.items() if task.views >= view}
+    own, other = of_strategy(results, OWN), of_strategy(asked, label)
     both = [seed for seed in own if seed in other]
     mine = np.array([own[seed].after(own_view) for seed in both])
     theirs = np.array([other[seed].after(view) for seed in both])
@@ -209,7 +224,7 @@ def _compared_at(label: str, config: RoverStudyConfig) -> list[int]:
     return [config.views, config.raster_views] if takes_many else [config.views]
 
 
-def curves_of(results: Sequence[RoverExploration], views: int, name: str) -> FloatArray:
+def curves_of(results: Iterable[RoverExploration], views: int, name: str) -> FloatArray:
     """Curves of one strategy, one per world, shape (worlds, views); they stay at their end.
 
     Args:

@@ -1,0 +1,130 @@
+"""Line charts as SVG that takes its colours from the page, so that it fits light and dark."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from infomap_ros.exploration.reports.report_page.axes import number, prefix, round_ticks
+
+WIDTH, HEIGHT = 380.0, 220.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 14.0, 30.0, 40.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a chart shows.
+
+    Attributes:
+        title: of the chart, without the unit.
+        unit: of the values; gets an SI prefix where `scaled`.
+        xs: places along the axis.
+        ys: values.
+        x_label: name and unit of the axis.
+        scaled: whether the unit takes an SI prefix.
+        goal: value that the task asks for; None for none.
+        low: least value of the axis; None: as the values ask for.
+        high: likewise largest.
+        stepped: hold each value until the next one.
+    """
+
+    title: str
+    unit: str
+    xs: Sequence[float]
+    ys: Sequence[float]
+    x_label: str
+    scaled: bool = False
+    goal: float | None = None
+    low: float | None = 0.0
+    high: float | None = None
+
+
+class _Frame:
+    """From values to places in the picture."""
+
+    def __init__(self, curve: Curve, points: Sequence[tuple[float, float]]) -> None:
+        ys = [y for _, y in points] + ([] if curve.goal is None else [curve.goal])
+        self.x_low, self.x_high = min(x for x, _ in points), max(x for x, _ in points)
+        self.x_low = min(self.x_low, 0.0)
+        self.x_high = self.x_high if self.x_high > self.x_low else self.x_low + 1.0
+        self.y_low = min(ys) if curve.low is None else curve.low
+        self.y_high = 1.06 * max(ys) if curve.high is None else curve.high
+        self.y_high = self.y_high if self.y_high > self.y_low else self.y_low + 1.0
+
+    def x(self, value: float) -> float:
+        share = (value - self.x_low) / (self.x_high - self.x_low)
+        return round(_LEFT + share * (WIDTH - _LEFT - _RIGHT), 1)
+
+    def y(self, value: float) -> float:
+        share = (value - self.y_low) / (self.y_high - self.y_low)
+        return round(HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM), 1)
+
+
+def line_chart(curve: Curve) -> str:
+    """Draw a curve; values that are not finite are left out.
+
+    Returns:
+        An ``svg`` element, with its points as ``data-points`` for the page's pointer.
+    """
+    points = [(x, y) for x, y in zip(curve.xs, curve.ys, strict=True) if math.isfinite(x + y)]
+    if not points:
+        return f'<p class="empty">{html.escape(curve.title)}: the log tells no value.</p>'
+    factor, name = prefix(max(abs(y) for _, y in points)) if curve.scaled else (1.0, "")
+    points = [(x, y / factor) for x, y in points]
+    goal = None if curve.goal is None else curve.goal / factor
+    unit = f"{name}{curve.unit}"
+    frame = _Frame(_rescaled(curve, goal), points)
+    label = f"{curve.title} [{unit}]" if unit else curve.title
+    trace = " ".join(f"{frame.x(x)},{frame.y(y)}" for x, y in points)
+    parts = [
+        *_grid(frame, curve.x_label),
+        f'<text class="title" x="{_LEFT}" y="16">{html.escape(label)}</text>',
+        "" if goal is None else _goal(frame, goal),
+        f'<polyline class="curve" points="{trace}"/>',
+        *(f'<circle class="dot" cx="{frame.x(x)}" cy="{frame.y(y)}" r="2"/>' for x, y in points),
+    ]
+    marks = json.dumps([[frame.x(x), frame.y(y), _tip(x, y, curve, unit)] for x, y in points])
+    return (
+        f'<svg class="chart" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
+        f'aria-label="{html.escape(f"{label} over {curve.x_label}")}" '
+        f'data-points="{html.escape(marks)}">{"".join(parts)}</svg>'
+    )
+
+
+def _rescaled(curve: Curve, goal: float | None) -> Curve:
+    return Curve(curve.title, "", (), (), "", False, goal, curve.low, curve.high)
+
+
+def _grid(frame: _Frame, x_label: str) -> list[str]:
+    parts = []
+    for tick in round_ticks(frame.y_low, frame.y_high, 4):
+        y = frame.y(tick)
+        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>')
+        parts.append(f'<text class="tick end" x="{_LEFT - 6}" y="{y + 4}">{number(tick)}</text>')
+    for tick in round_ticks(frame.x_low, frame.x_high, 6):
+        x, y = frame.x(tick), HEIGHT - _BOTTOM
+        parts.append(f'<line class="axis" x1="{x}" x2="{x}" y1="{y}" y2="{y + 4}"/>')
+        parts.append(f'<text class="tick mid" x="{x}" y="{y + 16}">{number(tick)}</text>')
+    y = HEIGHT - _BOTTOM
+    parts.append(f'<line class="axis" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>')
+    middle = 0.5 * (_LEFT + WIDTH - _RIGHT)
+    text = html.escape(x_label)
+    parts.append(f'<text class="label mid" x="{middle}" y="{HEIGHT - 6}">{text}</text>')
+    return parts
+
+
+def _goal(frame: _Frame, goal: float) -> str:
+    y = frame.y(goal)
+    return (
+        f'<line class="goal" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>'
+        f'<text class="tick goal-text" x="{_LEFT + 6}" y="{y - 4}">asked for</text>'
+    )
+
+
+def _tip(x: float, y: float, curve: Curve, unit: str) -> str:
+    name, _, rest = curve.x_label.partition(" [")
+    at = f"{name} {number(x)}" + (f" {rest.rstrip(']')}" if rest else "")
+    return f"{number(y, 4)} {unit} at {at}"

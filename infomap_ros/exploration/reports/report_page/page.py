@@ -1,0 +1,78 @@
+"""The page as one file: a template, its style and scripts, and the data inside."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import infomap_ros.exploration.reports.report_page as package
+from infomap_ros.exploration.reports.report_page.scene import pack
+
+# In the order in which they build on each other.
+_SCRIPTS = (
+    *("data.js", "vectors.js", "orbit.js", "drawing.js", "layers.js"),
+    *("overlay.js", "viewer.js", "panel.js", "main.js"),
+)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page.
+
+    Attributes:
+        name: for links to it.
+        heading: its title.
+        body: its HTML; a section with an empty body is left out.
+    """
+
+    name: str
+    heading: str
+    body: str
+
+
+def page(
+    title: str,
+    subtitle: str,
+    lead: str,
+    scene: Mapping[str, Any],
+    sections: Sequence[Section],
+) -> str:
+    """Put the page together.
+
+    Args:
+        title: plain text.
+        subtitle: HTML below it.
+        lead: HTML before the 3-D view.
+        scene: of `scene_of`.
+        sections: what follows the 3-D view.
+    """
+    places, data = pack(scene["arrays"])
+    manifest = json.dumps({**scene["manifest"], "arrays": places}, allow_nan=False)
+    return Template(_asset("page.html")).substitute(
+        title=html.escape(title),
+        subtitle=subtitle,
+        lead=lead,
+        sections="\n".join(_section(section) for section in sections if section.body),
+        style=_asset("page.css"),
+        script="\n".join(_asset(name) for name in _SCRIPTS),
+        data=_data("manifest", "application/json", manifest) + _data("arrays", "text/plain", data),
+    )
+
+
+def _section(section: Section) -> str:
+    heading = html.escape(section.heading)
+    return f'<section id="{section.name}"><h2>{heading}</h2>{section.body}</section>'
+
+
+def _data(name: str, kind: str, text: str) -> str:
+    """Text that a script reads and that cannot end its own element."""
+    return f'<script id="{name}" type="{kind}">{text.replace("<", chr(92) + "u003c")}</script>\n'
+
+
+def _asset(name: str) -> str:
+    return files(package).joinpath("assets", name).read_text(encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Holes in the mapped surface, and views that close them."""

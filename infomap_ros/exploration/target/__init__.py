@@ -1,0 +1,1 @@
+"""The search for the target whose frame is the map."""

@@ -1,0 +1,240 @@
+"""What a robot tells its team of itself, and what it makes of what the others tell.
+
+Knows neither network nor clock: texts are carried by somebody, times are handed in. Several threads
+may use it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.team.team_space import bodies_in_the_way, teammate_of
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.collision.obstacles import Obstacle
+from infomap_ros.motion.robot.solid_extent import body_extent
+from infomap_ros.team.agent_board import AgentBoard
+from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agents import Agent, knows
+from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.versions import next_version
+from infomap_ros.views.situation import Teammate
+
+_MOST_WAYPOINTS = 60
+_LONGEST_STATE = 80
+_MOVED, _TURNED = 0.01, 0.01  # a place [m] or angle [rad] that differs by more is another one
+
+
+@dataclass(frozen=True, eq=False)
+class Presence:
+    """What a robot knows of itself.
+
+    Attributes:
+        stamp: of pose and joints [ns].
+        state: where it is.
+        robot: what it is.
+        camera: its rectified left camera.
+        max_range: how far it sees [m].
+        doing: what it is doing, in words.
+        description: full name of the topic of its robot_description; empty without one.
+    """
+
+    stamp: int
+    state: RobotState
+    robot: RobotModel
+    camera: PinholeCamera
+    max_range: float
+    doing: str = "idle"
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Claim:
+    """A goal view, the way to it, what was known of the others' claims, and when it was told."""
+
+    number: int
+    goal: FloatArray | None = None
+    way: FloatArray | None = None
+    heard: tuple[tuple[int, int], ...] = ()
+    told: int | None = None
+
+
+class Teamwork:
+    """One robot of a team, as far as it knows.
+
+    Args:
+        robot: id of this robot, unique in its team.
+        session: number that it draws at each start, see `team.membership.draw_session`.
+        version: newer than what it told before, see `team.versions.version_at`.
+        config: how robots hear of each other.
+        team: ids of the robots that count; all if empty.
+        key: of the team; without one every message is taken for genuine.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        session: int,
+        version: int,
+        config: AgentsConfig | None = None,
+        team: Collection[int] = (),
+        key: TeamKey | None = None,
+    ) -> None:
+        self.robot, self.config = robot, config or AgentsConfig()
+        self._session, self._version, self._key = session, version, key
+        self._board = AgentBoard(robot, session, self.config, team)
+        self._claim = _Claim(version)
+        self._still: Presence | None = None
+        self._lock = threading.Lock()
+
+    def hear(self, text: str, now: float) -> Agent | None:
+        """Learn what a robot tells of itself; None where it is no news.
+
+        Raises:
+            InvalidInputError: the text is malformed, or says something impossible.
+            UpdateRefusedError: that robot must not write, or not that.
+        """
+        agent = agent_from_text(text, self._key)
+        with self._lock:
+            return agent if self._board.hear(agent, now, self._version) else None
+
+    def tell(self, me: Presence) -> str:
+        """What to tell the others now."""
+        radius, bottom, top = body_extent(me.robot, me.state.joints)
+        with self._lock:
+            self._version = next_version(self._version)
+            claim, state = self._current_claim(me.stamp), me.state
+            if self._still is None or _has_moved(self._still, me):
+                self._still = me
+            agent = Agent(
+                self.robot,
+                self._session,
+                self._version,
+                me.stamp,
+                self._still.stamp,
+                state.T_map_base,
+                state.T_map_camera,
+                state.pose_covariance,
+                me.camera,
+                me.max_range,
+                me.doing[:_LONGEST_STATE],
+                state.joints,
+                claim.goal,
+                np.empty((0, 3)) if claim.way is None else claim.way,
+                claim.number,
+                dict(claim.heard),
+                radius,
+                bottom,
+                top,
+                me.description,
+                me.robot.base_frame,
+            )
+        return agent_to_text(agent, self._key)
+
+    def claim(self, goal: FloatArray, way: FloatArray, known: dict[int, int]) -> None:
+        """From now on this robot is heading for a view.
+
+        Args:
+            goal: ``T_map_camera``, shape (4, 4).
+            way: base poses (x, y, yaw) on the way there, shape (K, 3); those that matter are told.
+            known: claims of the others that were known when it was chosen, of `claims`.
+        """
+        step = max(1, -(-len(way) // _MOST_WAYPOINTS))
+        told = way[::step] if len(way) < 2 else np.concatenate([way[:-1:step], way[-1:]])
+        with self._lock:
+            self._version = next_version(self._version)
+            self._claim = _Claim(self._version, goal, told, tuple(known.items()))
+
+    def give_up(self) -> None:
+        """From now on this robot is heading for nothing."""
+        with self._lock:
+            if self._claim.goal is not None:
+                self._version = next_version(self._version)
+                self._claim = _Claim(self._version)
+
+    def _current_claim(self, stamp: int) -> _Claim:
+        """The claim, without its goal where that was told for the first time too long ago."""
+        claim = self._claim
+        told = stamp if claim.told is None else claim.told
+        if claim.goal is not None and stamp - told > self.config.goal_time * 1e9:
+            claim = _Claim(self._version)
+        self._claim = replace(claim, told=told)
+        return self._claim
+
+    @property
+    def goal(self) -> FloatArray | None:
+        """``T_map_camera`` of the view that this robot is heading for; None without one."""
+        return self._claim.goal
+
+    def claims(self, now: float) -> dict[int, int]:
+        """Claims of the others that are known, by their ids."""
+        with self._lock:
+            return self._board.claims(now)
+
+    def present(self, now: float) -> tuple[Agent, ...]:
+        """The others that were heard lately."""
+        with self._lock:
+            return self._board.present(now)
+
+    def news_since(self, known: dict[int, int], now: float) -> tuple[Agent, ...]:
+        """The others that have claimed another goal since `known`, of `claims`."""
+        agents = self.present(now)
+        return tuple(a for a in agents if a.goal is not None and known.get(a.robot) != a.claim)
+
+    def rivals(self, now: float) -> tuple[Agent, ...]:
+        """The others whose claims go before this robot's present one.
+
+        Neither knew of the other's when it chose, and theirs is the smaller id.
+        """
+        number = self._claim.number
+        return tuple(
+            agent
+            for agent in self.present(now)
+            if agent.goal is not None
+            and agent.robot < self.robot
+            and not knows(agent, self.robot, number)
+            and dict(self._claim.heard).get(agent.robot) != agent.claim
+        )
+
+    def teammates(self, now: float) -> tuple[Teammate, ...]:
+        """The others as the choice of a view sees them."""
+        present = {agent.robot for agent in self.present(now)}
+        return tuple(
+            teammate_of(agent if agent.robot in present else replace(agent, goal=None))
+            for agent in self._remembered(now)
+        )
+
+    def obstacles(self, now: float, state: RobotState, robot: RobotModel) -> Sequence[Obstacle]:
+        """The others' bodies, ways and places, as the motion of this robot sees them."""
+        present = {agent.robot for agent in self.present(now)}
+        radius = body_extent(robot, state.joints)[0]
+        return [
+            obstacle
+            for agent in self._remembered(now)
+            for obstacle in bodies_in_the_way(
+                agent, agent.robot in present, state.T_map_base[:2, 3], radius, self.config
+            )
+        ]
+
+    def _remembered(self, now: float) -> tuple[Agent, ...]:
+        with self._lock:
+            return self._board.remembered(now)
+
+
+def _has_moved(before: Presence, now: Presence) -> bool:
+    """Whether a robot is another, stands elsewhere or otherwise; also where the clock went back."""
+    if now.robot is not before.robot or now.stamp < before.stamp:
+        return True
+    first, second = before.state, now.state
+    change = np.linalg.inv(first.T_map_base) @ second.T_map_base
+    turn = np.linalg.norm(change[:3, :3] - np.eye(3)) / np.sqrt(2.0)
+    joints = [abs(q - first.joints.get(name, np.inf)) for name, q in second.joints.items()]
+    moved = np.linalg.norm(change[:3, 3]) > _MOVED or turn > _TURNED
+    return bool(moved or max(joints, default=0.0) > _TURNED)

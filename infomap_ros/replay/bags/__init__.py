@@ -1,0 +1,1 @@
+"""Bags of any format, whole or damaged, read and written."""

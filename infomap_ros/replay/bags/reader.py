@@ -1,0 +1,229 @@
+"""Bags of any format as records in order of time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+
+from infomap_ros.errors import BagError, MalformedMessageError
+from infomap_ros.geometry.records import Record
+from infomap_ros.replay.bags.blocks import SalvagedSource
+from infomap_ros.replay.bags.salvage import SALVAGERS, open_salvage
+from infomap_ros.replay.bags.source import DAMAGE, BagSource, Channel, RosbagsSource, typestore_of
+from infomap_ros.replay.messages import DECODABLE_TYPES, decode
+
+# Old ROS 1 bags have tf under this name; the content is the same.
+_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message as it is in the bag.
+
+    Attributes:
+        topic: absolute name.
+        type_name: ROS 2 form.
+        stamp: when it was received [ns].
+        data: serialised as CDR (those of ROS 1 bags are converted).
+    """
+
+    topic: str
+    type_name: str
+    stamp: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class BagRecord:
+    """One record with where it came from.
+
+    Attributes:
+        topic: absolute name.
+        received: when the message was received [ns]; `record.stamp` is when it was measured.
+        record: the content.
+    """
+
+    topic: str
+    received: int
+    record: Record
+
+
+class BagReader:
+    """A recorded bag: rosbag2 (folder, ``.mcap`` or ``.db3`` file) or ROS 1 (``.bag``).
+
+    A bag that is truncated or damaged is read as far as it is whole. What is wrong is told in
+    `problems`; messages that are there but malformed are counted in `skipped`.
+
+    Attributes:
+        path: the bag.
+        topics: its topics by name.
+        start: receive time of the first message [ns].
+        end: receive time of the last message [ns].
+        problems: what is damaged, in sentences; grows while reading.
+        skipped: malformed messages by reason.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Open a bag.
+
+        Raises:
+            BagError: there is nothing at `path`, it is no bag, or nothing in it can be read.
+        """
+        self.path = Path(path)
+        self.skipped: Counter[str] = Counter()
+        self.problems: list[str] = []
+        self._source = self._open()
+        self.start, self.end = self._source.start, self._source.end
+        self.topics = _by_topic(self._source.channels)
+        try:
+            self._store = typestore_of(self._source.channels)
+        except DAMAGE as error:
+            raise BagError(f"{self.path.name}: message definitions are damaged: {error}") from error
+
+    def _open(self) -> BagSource:
+        if not self.path.exists():
+            raise BagError(f"there is no bag at {self.path}")
+        if self.path.is_file() and self.path.suffix not in SALVAGERS:
+            raise BagError(
+                f"{self.path.name} is not a bag: expected a rosbag2 folder or a file ending in "
+                f"{', '.join(SALVAGERS)}"
+            )
+        try:
+            return RosbagsSource(self.path)
+        except OSError as error:
+            if not isinstance(error, FileNotFoundError) or not self.path.exists():
+                raise BagError(f"{self.path} cannot be opened: {error}") from error
+            return self._salvage(error)
+        except DAMAGE as error:
+            return self._salvage(error)
+
+    def _salvage(self, error: BaseException) -> SalvagedSource:
+        """Read the bag without its index, after reading it with its index has failed."""
+        source = open_salvage(self.path)
+        if not source.channels:
+            source.close()
+            found = "; ".join(source.problems) or str(error)
+            raise BagError(f"nothing in {self.path.name} can be read: {found}") from error
+        self.problems = source.problems or [f"{self.path.name}: {error}"]
+        return source
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+        """Messages in order of the time at which they were received.
+
+        Args:
+            topics: names; all where not given.
+
+        Raises:
+            BagError: a topic is not in the bag.
+        """
+        to_cdr = self._converter()
+        for channel, stamp, data in self._raw(topics):
+            type_name = _RENAMED.get(channel.type_name, channel.type_name)
+            try:
+                content = to_cdr(data, channel.type_name)
+            except DAMAGE as error:
+                self.skipped[f"{channel.topic}: cannot be deserialised ({error})"] += 1
+                continue
+            yield BagMessage(channel.topic, type_name, stamp, content)
+
+    def _converter(self) -> Callable[[bytes, str], bytes]:
+        if not self._source.is_ros1:
+            return lambda data, _: data
+        # the header of ROS 1 has one field more, which the conversion leaves out
+        store = typestore_of(self._source.channels, omit=["std_msgs/msg/Header"])
+        return lambda data, type_name: bytes(store.ros1_to_cdr(data, type_name))
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+        """Records in order of the time at which their messages were received.
+
+        Args:
+            topics: names; where not given, all topics of a type that is read.
+
+        Raises:
+            BagError: a topic is not in the bag, or is of a type that is not read.
+        """
+        if topics is None:
+            topics = [t.topic for t in self.topics.values() if t.type_name in DECODABLE_TYPES]
+        for topic in topics:
+            if topic in self.topics and self.topics[topic].type_name not in DECODABLE_TYPES:
+                name = self.topics[topic].type_name
+                raise BagError(f"topic {topic} has type {name}, which is not read")
+        for channel, stamp, data in self._raw(topics):
+            try:
+                for record in self._decode(channel, stamp, data):
+                    yield BagRecord(channel.topic, stamp, record)
+            except MalformedMessageError as error:
+                self.skipped[f"{channel.topic}: {error}"] += 1
+
+    def _decode(self, channel: Channel, stamp: int, data: bytes) -> tuple[Record, ...]:
+        name = channel.type_name
+        try:
+            if self._source.is_ros1:
+                message = self._store.deserialize_ros1(data, name)
+            else:
+                message = self._store.deserialize_cdr(data, name)
+        except DAMAGE as error:
+            problem = f"cannot be deserialised ({error})"
+            raise MalformedMessageError(name, problem) from error
+        is_static = channel.topic.endswith("tf_static")
+        return decode(name, message, stamp=stamp, is_static=is_static)
+
+    def _raw(self, topics: Collection[str] | None) -> Iterator[tuple[Channel, int, bytes]]:
+        """Raw messages; where reading by the index fails, the rest without it."""
+        wanted = set(self.topics if topics is None else topics)
+        if missing := sorted(wanted - self.topics.keys()):
+            raise BagError(
+                f"{self.path.name} has no topic {', '.join(missing)}; it has "
+                f"{', '.join(sorted(self.topics)) or 'none'}"
+            )
+        last, at_last = -1, 0
+        try:
+            for channel, stamp, data in self._source.messages(wanted):
+                at_last = at_last + 1 if stamp == last else 1
+                last = stamp
+                yield channel, stamp, data
+        except DAMAGE as error:
+            self.problems.append(f"{self.path.name} is damaged after {last} ns: {error}")
+            yield from self._rest(wanted, last, at_last)
+
+    def _rest(
+        self, wanted: Collection[str], last: int, at_last: int
+    ) -> Iterator[tuple[Channel, int, bytes]]:
+        source = open_salvage(self.path)
+        self.problems += source.problems
+        try:
+            for channel, stamp, data in source.messages(wanted):
+                at_last -= stamp == last
+                if stamp > last or (stamp == last and at_last < 0):
+                    yield channel, stamp, data
+        finally:
+            source.close()
+
+    def close(self) -> None:
+        """Release the files."""
+        self._source.close()
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _by_topic(channels: Collection[Channel]) -> dict[str, Channel]:
+    """One channel a topic, its count summed over those that share the name."""
+    topics: dict[str, Channel] = {}
+    for channel in channels:
+        known = topics.get(channel.topic)
+        count = channel.count + (known.count if known else 0)
+        latched = channel.latched or (known is not None and known.latched)
+        topics[channel.topic] = replace(channel, count=count, latched=latched)
+    return topics

@@ -1,0 +1,1 @@
+"""What commands on bags have in common."""

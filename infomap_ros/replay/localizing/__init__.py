@@ -1,0 +1,1 @@
+"""``infomap localize``: a bag becomes a trajectory."""

@@ -1,0 +1,1 @@
+"""``infomap map``: a bag becomes a map."""

@@ -1,0 +1,177 @@
+"""Images and their calibrations into range clouds: the same for a bag and for live topics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import MalformedMessageError
+from infomap_ros.geometry import (
+    CameraCalibration,
+    ImageRecord,
+    PinholeCamera,
+    StereoRig,
+    rig_from_calibrations,
+)
+from infomap_ros.replay.measuring.pixels import intensity_pixels
+from infomap_ros.replay.messages import IMAGE
+from infomap_ros.stereo import (
+    DepthCameraConfig,
+    DepthCameraSensor,
+    RangeCloud,
+    StereoConfig,
+    StereoRangeSensor,
+    StereoRectifier,
+    is_rectified,
+)
+
+_DEPTH_ENCODINGS = ("32FC1", "16UC1", "mono16")
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A range cloud with its origin.
+
+    Attributes:
+        stamp: of the first image [ns].
+        frame_id: optical frame of the cloud.
+        cloud: what was measured.
+        rig: the stereo rig; None for a depth camera.
+        search: smallest and largest disparity that was searched [px].
+    """
+
+    stamp: int
+    frame_id: str
+    cloud: RangeCloud
+    rig: StereoRig | None = None
+    search: tuple[float, float] = (0.0, 0.0)
+
+
+class RangeMeter(Protocol):
+    """Measures range from the images of one moment."""
+
+    def measure(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> Measurement:
+        """Measure; the stamp and frame are those of the first image.
+
+        Raises:
+            InfomapError: images or calibrations cannot be used.
+        """
+
+    def warm_up(self) -> None:
+        """Use every kernel once, so that it is compiled."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tools:
+    calibrations: tuple[CameraCalibration, ...]
+    sensor: StereoRangeSensor
+    rectifier: StereoRectifier | None
+
+
+class PairPreparation:
+    """Makes rectified pairs, and the sensor for them, from images and their calibrations.
+
+    Args:
+        config: of the sensor.
+        rectify: the images are raw.
+    """
+
+    def __init__(self, config: StereoConfig, *, rectify: bool) -> None:
+        self._config, self._rectify = config, rectify
+        self._tools: _Tools | None = None
+
+    def prepare(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], StereoRangeSensor]:
+        """Rectified left and right image, grey or RGB, and the sensor.
+
+        Raises:
+            InfomapError: images or calibrations cannot be used.
+        """
+        tools = self._tools_for(tuple(calibrations))
+        left, right = (intensity_pixels(image) for image in images)
+        if tools.rectifier is not None:
+            left, right = tools.rectifier.rectify(left, right)
+        return left, right, tools.sensor
+
+    def _tools_for(self, calibrations: tuple[CameraCalibration, ...]) -> _Tools:
+        """Sensor and rectifier of these cameras, made anew when they change."""
+        if self._tools is None or self._tools.calibrations != calibrations:
+            left, right = calibrations
+            raw = self._rectify and not (is_rectified(left) and is_rectified(right))
+            sensor = StereoRangeSensor(rig_from_calibrations(left, right), self._config)
+            rectifier = StereoRectifier(left, right) if raw else None
+            self._tools = _Tools(calibrations, sensor, rectifier)
+        return self._tools
+
+
+class StereoMeter:
+    """Measures by a pair of cameras, left and right; see `RangeMeter`.
+
+    Args:
+        config: of the sensor.
+        rectify: the images are raw.
+    """
+
+    def __init__(self, config: StereoConfig, *, rectify: bool) -> None:
+        self._config = config
+        self._pairs = PairPreparation(config, rectify=rectify)
+
+    def measure(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> Measurement:
+        """See `RangeMeter.measure`."""
+        left, right, sensor = self._pairs.prepare(images, calibrations)
+        cloud = sensor.measure(left, right)
+        search = (float(sensor.search.minimum), float(sensor.search.maximum))
+        return Measurement(images[0].stamp, images[0].frame_id, cloud, sensor.rig, search)
+
+    def warm_up(self) -> None:
+        """See `RangeMeter.warm_up`."""
+        camera = PinholeCamera(160, 40, 100.0, 100.0, 79.5, 19.5)
+        noise = np.random.default_rng(0).integers(0, 256, (40, 164), dtype=np.uint8)
+        left, right = noise[:, 4:], noise[:, :160]
+        sensor = StereoRangeSensor(StereoRig(camera, camera, 0.1), self._config)
+        sensor.measure(left, right)
+        sensor.measure(np.stack([left] * 3, axis=-1), np.stack([right] * 3, axis=-1))
+
+
+class DepthMeter:
+    """Measures by a depth camera, with a registered colour image if there is one.
+
+    See `RangeMeter`.
+
+    Args:
+        config: of the sensor.
+    """
+
+    def __init__(self, config: DepthCameraConfig) -> None:
+        self._config = config
+        self._sensor: DepthCameraSensor | None = None
+        self._calibration: CameraCalibration | None = None
+
+    def measure(
+        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+    ) -> Measurement:
+        """See `RangeMeter.measure`."""
+        depth = images[0]
+        if depth.encoding not in _DEPTH_ENCODINGS:
+            expected = ", ".join(_DEPTH_ENCODINGS)
+            problem = f"encoding '{depth.encoding}' of a depth image, expected {expected}"
+            raise MalformedMessageError(IMAGE, problem)
+        if self._sensor is None or self._calibration != calibrations[0]:
+            self._calibration = calibrations[0]
+            self._sensor = DepthCameraSensor(self._calibration.rectified_camera(), self._config)
+        color = intensity_pixels(images[1]) if len(images) > 1 else None
+        return Measurement(depth.stamp, depth.frame_id, self._sensor.measure(depth.pixels, color))
+
+    def warm_up(self) -> None:
+        """See `RangeMeter.warm_up`."""
+        sensor = DepthCameraSensor(PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5), self._config)
+        sensor.measure(np.full((24, 32), 1.0, np.float32))

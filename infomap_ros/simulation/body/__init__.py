@@ -1,0 +1,1 @@
+"""How a robot stands, drives, moves its arm and touches things."""

@@ -1,0 +1,112 @@
+"""Turns wanted velocities of the base into turns of its wheels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.path_following import PathFollowingConfig
+from infomap_ros.simulation.body.robot_body import RobotBody
+
+_WINDUP = 0.3  # [rad] that a wheel may lag behind its target
+
+
+@dataclass(frozen=True)
+class DriveTrainConfig:
+    """Parameters of the wheels' control."""
+
+    turn_gain: float = parameter(
+        2.4,
+        "How much faster the wheels turn in a curve than they would without slipping sideways: "
+        "1 for two wheels, above for skid steer.",
+        low=0.5,
+        high=5.0,
+    )
+    gyro_gain: float = parameter(
+        2.0, "Gain by which the measured turn rate corrects the wheels.", low=0.0, high=20.0
+    )
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+
+
+class DriveTrain:
+    """Drives the wheels of two sides, with limited acceleration.
+
+    Args:
+        body: the robot.
+        config: the parameters.
+        limits: of speed and acceleration.
+    """
+
+    def __init__(
+        self, body: RobotBody, config: DriveTrainConfig, limits: PathFollowingConfig
+    ) -> None:
+        self._body, self._config, self._limits = body, config, limits
+        wheels = body.trial.wheels
+        self.radius = float(np.mean([wheel.radius for wheel in wheels]))
+        self._sides = np.array([wheel.place[1] for wheel in wheels])
+        base = body.frame(body.setup.base_frame)[:3, :3]
+        axes = [base.T @ body.frame(w.body)[:3, :3] @ w.axis for w in wheels]
+        self._signs = np.array([np.sign(axis[1]) for axis in axes])
+        self.restart()
+
+    def restart(self) -> None:
+        """Stand with the wheels as they are."""
+        self._targets = self._last = self._body.wheel_angles
+        self._speed = self._turn_rate = self._correction = 0.0
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the wheels are told to stand."""
+        return self._speed == 0.0 and self._turn_rate == 0.0
+
+    def update(self, speed: float, turn_rate: float, period: float) -> None:
+        """Move the wheels' targets on.
+
+        Args:
+            speed: wanted, forward [m/s].
+            turn_rate: wanted [rad/s].
+            period: time until the next call [s].
+        """
+        limits, body = self._limits, self._body
+        self._speed = _towards(self._speed, speed, limits.acceleration * period)
+        change = limits.turn_acceleration * period
+        self._turn_rate = _towards(self._turn_rate, turn_rate, change)
+        self._correct(period)
+        turn = self._config.turn_gain * self._turn_rate + self._correction
+        rates = self._signs * (self._speed - self._sides * turn) / self.radius
+        angles = body.wheel_angles
+        lag = np.clip(self._targets + rates * period - angles, -_WINDUP, _WINDUP)
+        self._targets = angles + lag
+        body.command_wheels(self._targets)
+
+    def _correct(self, period: float) -> None:
+        if self._turn_rate == 0.0:
+            self._correction = 0.0
+            return
+        error = self._turn_rate - float(self._body.base_velocity[5])
+        bound = 2.0 * self._config.turn_gain * self._limits.max_turn_rate
+        wanted = self._correction + self._config.gyro_gain * error * period
+        self._correction = float(np.clip(wanted, -bound, bound))
+
+    def way(self) -> float:
+        """Way of the wheels since the last call, mean of both sides [m]."""
+        angles = self._body.wheel_angles
+        turned, self._last = self._signs * (angles - self._last), angles
+        left = self._sides > 0.0
+        return float(0.5 * (turned[left].mean() + turned[~left].mean()) * self.radius)
+
+
+def _towards(value: float, wanted: float, change: float) -> float:
+    return value + float(np.clip(wanted - value, -change, change))
+
+
+def planar(transform: FloatArray) -> FloatArray:
+    """x, y [m] and yaw [rad] of a pose, shape (4, 4) -> (3,)."""
+    yaw = np.arctan2(transform[1, 0], transform[0, 0])
+    return np.array([transform[0, 3], transform[1, 3], yaw])

@@ -1,0 +1,232 @@
+"""The robot description (URDF) inside a MuJoCo world: the URDF is the only truth."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import RobotModelError
+from infomap_ros.geometry import TransformRecord, make_transform, quaternion_from_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.robot_meshes import prepare_meshes, with_absolute_meshes
+from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
+
+import mujoco  # isort: skip  # after the backend has been chosen
+
+LEFT_OPTICAL_FRAME = "left_camera_optical_frame"
+RIGHT_OPTICAL_FRAME = "right_camera_optical_frame"
+
+
+def read_description(path: Path, baseline: float | None = None) -> str:
+    """Read a URDF and, if asked, move its stereo cameras apart.
+
+    Args:
+        path: the URDF file.
+        baseline: distance of the cameras [m]; None keeps the description's.
+
+    Returns:
+        The URDF as text, its mesh files named so that they are found from anywhere.
+
+    Raises:
+        RobotModelError: the file cannot be read, is not XML, or lacks the camera joints.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        if baseline is None:
+            return with_absolute_meshes(text, path)
+        tree = ElementTree.fromstring(text)
+    except (OSError, ElementTree.ParseError) as error:
+        raise RobotModelError(f"robot description {path}: {error}") from error
+    for joint, offset in (("left_camera_joint", 0.5), ("right_camera_joint", -0.5)):
+        origin = tree.find(f"joint[@name='{joint}']/origin")
+        if origin is None:
+            raise RobotModelError(f"robot description {path} has no joint '{joint}' with an origin")
+        x, _, z = origin.get("xyz", "0 0 0").split()
+        origin.set("xyz", f"{x} {offset * baseline:.6g} {z}")
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def fixed_frames(description: str, stamp: int = 0) -> list[TransformRecord]:
+    """The fixed joints of a URDF, as ``/tf_static`` carries them.
+
+    Raises:
+        RobotModelError: the description is not XML or a number in it is malformed.
+    """
+    try:
+        joints = ElementTree.fromstring(description).findall("joint[@type='fixed']")
+        return [
+            TransformRecord(
+                stamp, _link(joint, "parent"), _link(joint, "child"), _origin(joint), is_static=True
+            )
+            for joint in joints
+        ]
+    except (ElementTree.ParseError, ValueError) as error:
+        raise RobotModelError(f"robot description: {error}") from error
+
+
+def moving_frames(description: str) -> list[tuple[str, str]]:
+    """Parent and child link of every joint of a URDF that is not fixed.
+
+    Raises:
+        RobotModelError: the description is not XML.
+    """
+    try:
+        joints = ElementTree.fromstring(description).findall("joint")
+    except ElementTree.ParseError as error:
+        raise RobotModelError(f"robot description: {error}") from error
+    return [(_link(j, "parent"), _link(j, "child")) for j in joints if j.get("type") != "fixed"]
+
+
+def stereo_baseline(description: str) -> float:
+    """Distance of the two camera joints of a URDF [m].
+
+    Raises:
+        RobotModelError: the description lacks a camera, or they are not side by side.
+    """
+    edges = {edge.child_frame_id: edge for edge in fixed_frames(description)}
+    try:
+        left, right = edges["left_camera_frame"], edges["right_camera_frame"]
+    except KeyError as error:
+        raise RobotModelError(f"robot description has no fixed link {error}") from error
+    offset = left.transform[:3, 3] - right.transform[:3, 3]
+    if left.frame_id != right.frame_id or offset[1] <= 0.0 or abs(offset[[0, 2]]).max() > 1e-9:
+        raise RobotModelError(
+            "robot description: the left camera is not straight left of the right"
+        )
+    return float(offset[1])
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def _origin(joint: ElementTree.Element) -> FloatArray:
+    element = joint.find("origin")
+    given = {} if element is None else element.attrib
+    xyz = [float(number) for number in given.get("xyz", "0 0 0").split()]
+    rpy = [float(number) for number in given.get("rpy", "0 0 0").split()]
+    return make_transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+
+
+def load_robot(description: str) -> mujoco.MjSpec:
+    """A robot from its URDF, alone and fixed at its root link, ready to be changed or compiled.
+
+    Visual shapes are drawn, collision shapes collide and are not drawn.
+
+    Args:
+        description: URDF text.
+
+    Raises:
+        RobotModelError: MuJoCo cannot read the description.
+    """
+    try:
+        tree = ElementTree.fromstring(description)
+        options = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
+        options.set("discardvisual", "false")
+        options.set("fusestatic", "false")
+        options.set("strippath", "false")
+        prepare_meshes(tree)
+        robot = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+    except (ElementTree.ParseError, ValueError) as error:
+        raise RobotModelError(f"robot description: {error}") from error
+    for mesh in robot.meshes:
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # some enclose no volume
+    for geom in robot.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.group = COLLISION_GROUP
+    return robot
+
+
+def add_robot(
+    spec: mujoco.MjSpec, description: str, prefix: str = "rover/", material: str = ""
+) -> mujoco.MjsBody:
+    """Put a robot into a world that is being built, free to move.
+
+    Args:
+        spec: the world.
+        description: URDF text, read by `load_robot`.
+        prefix: put before the names of all bodies and joints, so that several robots fit.
+        material: name of a material of `spec` that textures the robot's own colours.
+
+    Returns:
+        The robot's root body.
+
+    Raises:
+        RobotModelError: MuJoCo cannot read the description.
+    """
+    root = attach_robot(spec, load_robot(description), prefix, material)
+    root.add_freejoint(name=f"{prefix}base")
+    return root
+
+
+def attach_robot(
+    spec: mujoco.MjSpec, robot: mujoco.MjSpec, prefix: str, material: str
+) -> mujoco.MjsBody:
+    """Put what `load_robot` read into a world, fixed to it; see `add_robot`."""
+    root = spec.worldbody.add_frame().attach_body(robot.worldbody.first_body(), prefix, "")
+    for geom in spec.geoms:
+        if material and geom.group == 1:
+            geom.material = material
+    return root
+
+
+class RobotState:
+    """Places a robot of a compiled world by base pose and joint angles, without dynamics.
+
+    Args:
+        model: the compiled world.
+        data: its state; changed by `place`.
+        prefix: as given to `add_robot`.
+
+    Raises:
+        RobotModelError: the world has no such robot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, prefix: str = "rover/") -> None:
+        self._model, self._data, self._prefix = model, data, prefix
+        self._addresses: dict[str, int] = {}
+        for index in range(model.njnt):
+            joint = model.joint(index)
+            if joint.name.startswith(prefix):
+                self._addresses[joint.name[len(prefix) :]] = int(joint.qposadr[0])
+        if "base" not in self._addresses:
+            raise RobotModelError(f"the world has no robot with prefix '{prefix}'")
+        self._base = self._addresses.pop("base")
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, in the model's order."""
+        return tuple(self._addresses)
+
+    def place(self, T_world_base: FloatArray, joints: Mapping[str, float]) -> None:
+        """Set base pose, shape (4, 4), and joint angles [rad]; joints not named keep theirs.
+
+        Raises:
+            RobotModelError: a joint is unknown.
+        """
+        unknown = set(joints) - set(self._addresses)
+        if unknown:
+            raise RobotModelError(f"unknown joint: {', '.join(sorted(unknown))}")
+        x, y, z, w = quaternion_from_transform(T_world_base)
+        self._data.qpos[self._base : self._base + 3] = T_world_base[:3, 3]
+        self._data.qpos[self._base + 3 : self._base + 7] = (w, x, y, z)
+        for name, angle in joints.items():
+            self._data.qpos[self._addresses[name]] = angle
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def frame(self, name: str) -> FloatArray:
+        """``T_world_frame``, shape (4, 4), of a link of the description.
+
+        Raises:
+            RobotModelError: the description has no such link.
+        """
+        try:
+            body = self._data.body(self._prefix + name)
+        except KeyError as error:
+            raise RobotModelError(f"the robot has no frame '{name}'") from error
+        return make_transform(np.array(body.xmat).reshape(3, 3), body.xpos)

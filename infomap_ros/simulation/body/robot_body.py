@@ -1,0 +1,196 @@
+"""The moving robot: a compiled world with its state, in the words of the robot description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from infomap_ros.errors import RobotModelError, SimulationError
+from infomap_ros.geometry import make_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.dynamics import DynamicsConfig, add_dynamics
+from infomap_ros.simulation.body.robot import add_robot
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.teammate_body import TeammateBody, add_teammate
+from infomap_ros.simulation.body.trial import TrialModel, measure_robot
+from infomap_ros.simulation.worlds.builder import World
+
+import mujoco  # isort: skip  # after the backend has been chosen
+
+PREFIX = "robot/"
+
+_DROP = 0.004  # [m] above the ground at the start
+
+
+class RobotBody:
+    """A robot with springs and servos in a copy of a world.
+
+    Holds the state; `advance` is the only thing that changes it over time.
+
+    Args:
+        world: where it is put; left alone.
+        description: URDF text.
+        setup: names of the robot's parts.
+        config: parameters of the forces.
+        teammates: URDF texts of the other robots in the world, by name.
+
+    Attributes:
+        model: the compiled world with the robot.
+        data: its state.
+        trial: the robot, measured alone.
+        servos: names of the joints with position servos, the order of `targets`.
+        teammates: the other robots, by name.
+
+    Raises:
+        RobotModelError: the description is malformed or lacks a part.
+        SimulationError: MuJoCo refuses the world with the robot.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        description: str,
+        setup: RobotSetupConfig,
+        config: DynamicsConfig,
+        teammates: Mapping[str, str] | None = None,
+    ) -> None:
+        others = {f"{name}/": text for name, text in (teammates or {}).items()}
+        self.trial: TrialModel = measure_robot(description, setup)
+        self.setup, self.config = setup, config
+        spec = world.spec.copy()
+        material = "paint" if spec.material("paint") else ""
+        add_robot(spec, description, PREFIX, material)
+        add_dynamics(spec, PREFIX, setup, self.trial, config)
+        for prefix, text in others.items():
+            add_teammate(spec, text, prefix, material)
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            raise SimulationError(f"MuJoCo refuses the world: {error}") from error
+        self.data = mujoco.MjData(self.model)
+        self.servos = tuple(self.trial.home)
+        self._q, self._v = self._addresses(self.servos)
+        self._wheel_q, self._wheel_v = self._addresses(setup.wheels)
+        self._servo_inputs = self._inputs(self.servos)
+        self._wheel_inputs = self._inputs(setup.wheels)
+        self._base_q = int(self.model.joint(f"{PREFIX}base").qposadr[0])
+        self._base_v = int(self.model.joint(f"{PREFIX}base").dofadr[0])
+        self._base = self._body(setup.base_frame)
+        self.teammates = {
+            prefix[:-1]: TeammateBody(self.model, self.data, text, prefix, setup.base_frame)
+            for prefix, text in others.items()
+        }
+        self._place(world)
+
+    def _addresses(self, joints: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        found = [self.model.joint(PREFIX + name) for name in joints]
+        return (
+            np.array([joint.qposadr[0] for joint in found], dtype=np.intp),
+            np.array([joint.dofadr[0] for joint in found], dtype=np.intp),
+        )
+
+    def _inputs(self, joints: tuple[str, ...]) -> np.ndarray:
+        return np.array([self.model.actuator(PREFIX + name).id for name in joints], dtype=np.intp)
+
+    def _body(self, link: str) -> int:
+        try:
+            return int(self.model.body(PREFIX + link).id)
+        except KeyError as error:
+            raise RobotModelError(f"the robot has no frame '{link}'") from error
+
+    def _place(self, world: World) -> None:
+        """Put the robot just above the highest ground below its wheels, arm at home."""
+        x, y, yaw = world.start
+        places = np.array([wheel.place for wheel in self.trial.wheels])
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        ground = world.terrain.height(places[:, :2] @ turn.T + (x, y))
+        lowest = np.array([wheel.radius for wheel in self.trial.wheels]) - places[:, 2]
+        base = self._base_q
+        self.data.qpos[base : base + 3] = x, y, float((ground + lowest).max()) + _DROP
+        self.data.qpos[base + 3 : base + 7] = np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)
+        home = np.array([self.trial.home[name] for name in self.servos])
+        self.data.qpos[self._q] = home
+        self.data.ctrl[self._servo_inputs] = home
+        mujoco.mj_forward(self.model, self.data)
+
+    def state(self) -> dict[str, FloatArray]:
+        """Where everything is and what the motors are told: arrays ``positions``, ``targets``."""
+        return {"positions": np.array(self.data.qpos), "targets": np.array(self.data.ctrl)}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Stand at rest as `state` says.
+
+        Raises:
+            SimulationError: it is the state of another robot or world.
+        """
+        nothing = np.zeros(0)
+        positions, targets = state.get("positions", nothing), state.get("targets", nothing)
+        if positions.shape != self.data.qpos.shape or targets.shape != self.data.ctrl.shape:
+            raise SimulationError("the saved state is that of another robot or world")
+        self.data.qpos[:], self.data.ctrl[:] = positions, targets
+        self.data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    def advance(self) -> None:
+        """Simulate one control period; the weight of the arm is held by its servos."""
+        self.data.qfrc_applied[self._v] = self.data.qfrc_bias[self._v]
+        mujoco.mj_step(self.model, self.data, self.config.steps)
+
+    def appearance(self) -> FloatArray:
+        """Changes when anything in the world has moved, shape (K,)."""
+        others = [mate.placement for mate in self.teammates.values()]
+        return np.concatenate([self.data.qpos, *others])
+
+    def command_servos(self, positions: FloatArray) -> None:
+        """Set the servos' targets [rad or m], in the order of `servos`."""
+        self.data.ctrl[self._servo_inputs] = positions
+
+    def command_wheels(self, angles: FloatArray) -> None:
+        """Set the wheels' targets [rad], left wheels first."""
+        self.data.ctrl[self._wheel_inputs] = angles
+
+    @property
+    def targets(self) -> FloatArray:
+        """What the servos are told to hold [rad or m], in the order of `servos`."""
+        return np.array(self.data.ctrl[self._servo_inputs])
+
+    @property
+    def positions(self) -> FloatArray:
+        """Positions of the servo joints [rad or m]."""
+        return np.array(self.data.qpos[self._q])
+
+    @property
+    def wheel_angles(self) -> FloatArray:
+        """Angles of the wheels [rad], left wheels first."""
+        return np.array(self.data.qpos[self._wheel_q])
+
+    @property
+    def base_velocity(self) -> FloatArray:
+        """Linear (world frame, [m/s]) and angular (base frame, [rad/s]) velocity, shape (6,)."""
+        return np.array(self.data.qvel[self._base_v : self._base_v + 6])
+
+    def joint_positions(self) -> Mapping[str, float]:
+        """All joints of the description that can move, by name [rad or m]; locked ones are 0."""
+        servos = dict(zip(self.servos, self.positions.tolist(), strict=True))
+        wheels = dict(zip(self.setup.wheels, self.wheel_angles.tolist(), strict=True))
+        return {**servos, **wheels, **dict.fromkeys(self.trial.locked, 0.0)}
+
+    def joint_speed(self) -> float:
+        """Speed of the fastest servo joint or wheel [rad/s or m/s]."""
+        return float(np.abs(self.data.qvel[np.concatenate([self._v, self._wheel_v])]).max())
+
+    def base_pose(self) -> FloatArray:
+        """``T_world_base``, shape (4, 4)."""
+        return self._pose(self._base)
+
+    def frame(self, link: str) -> FloatArray:
+        """``T_world_frame`` of a link, shape (4, 4).
+
+        Raises:
+            RobotModelError: the robot has no such link.
+        """
+        return self._pose(self._body(link))
+
+    def _pose(self, body: int) -> FloatArray:
+        return make_transform(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])

@@ -1,0 +1,189 @@
+"""Dead reckoning as a robot does it: wheel encoders for the way, a gyroscope for the turns.
+
+What the wheels slip, the encoders do not see. Roll and pitch come from the gyroscope, corrected by
+gravity; heading comes from the gyroscope alone and drifts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import SimulationError
+from infomap_ros.geometry import make_transform, skew
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.odometry import OdometryEstimate
+
+_STANDSTILL = np.diag([1e-6] * 6)
+_COUNTED = ("scale", "gyro_scale", "position", "heading", "noise", "way", "turned")
+
+
+@dataclass(frozen=True)
+class WheelOdometryConfig:
+    """Parameters of the dead reckoning."""
+
+    scale_error: float = parameter(
+        0.01, "Standard deviation of the wheel radius' error, as share.", low=0.0, high=0.5
+    )
+    encoder_noise: float = parameter(
+        0.004, "Noise of the way after 1 m, grows with its root.", unit="m", low=0.0, high=1.0
+    )
+    slip: float = parameter(
+        0.05, "Slip that is to be expected, as share of the way.", low=0.0, high=1.0
+    )
+    side_slip: float = parameter(
+        0.04,
+        "Slip in any direction after 1 m, grows with its root.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    turn_slip: float = parameter(
+        0.05,
+        "Slip in any direction after a turn of 1 rad, grows with its root.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    gyro_scale_error: float = parameter(
+        0.005, "Standard deviation of the gyroscope's scale, as share.", low=0.0, high=0.5
+    )
+    gyro_noise: float = parameter(
+        0.003,
+        "Noise of a turn after 1 rad or 1 m, grows with its root.",
+        unit="rad",
+        low=0.0,
+        high=1.0,
+    )
+    tilt_noise: float = parameter(
+        0.002, "Standard deviation of roll and pitch.", unit="rad", low=0.0, high=0.5
+    )
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+
+
+class WheelOdometry:
+    """Integrates encoders and gyroscope; the odom frame is the first base pose, made level.
+
+    The origin of odom is the first place of the base, its z axis is vertical, its x axis points
+    where the base does.
+
+    Args:
+        config: the parameters.
+        T_world_base: the first true pose, shape (4, 4).
+        rng: source of the errors.
+    """
+
+    def __init__(
+        self, config: WheelOdometryConfig, T_world_base: FloatArray, rng: np.random.Generator
+    ) -> None:
+        self._config, self._rng = config, rng
+        self._scale = 1.0 + rng.normal(0.0, config.scale_error)
+        self._gyro_scale = 1.0 + rng.normal(0.0, config.gyro_scale_error)
+        heading = np.arctan2(T_world_base[1, 0], T_world_base[0, 0])
+        level = make_transform(Rotation.from_euler("z", heading).as_matrix(), T_world_base[:3, 3])
+        self.T_world_odom: FloatArray = level
+        self._last = T_world_base
+        self._position = np.zeros(3)
+        self._heading = 0.0
+        self._noise = np.zeros((6, 6))
+        self._noise[3:5, 3:5] = np.eye(2) * config.tilt_noise**2
+        self._way = np.zeros(3)
+        self._turned = 0.0
+        self._twist = np.zeros(6)
+        self._sigma = np.zeros(6)
+
+    def step(self, T_world_base: FloatArray, way: float, duration: float) -> None:
+        """Advance by one reading.
+
+        Args:
+            T_world_base: the present true pose, shape (4, 4): what the gyroscope and gravity feel.
+            way: mean turn of the wheels since the last reading times their radius [m].
+            duration: since the last reading [s].
+        """
+        config = self._config
+        motion = self._last[:3, :3].T @ T_world_base[:3, :3]
+        self._last = T_world_base
+        yaw = float(np.arctan2(motion[1, 0], motion[0, 0]))
+        effort = abs(way) + abs(yaw)
+        sigma_way = config.encoder_noise * np.sqrt(abs(way))
+        sigma_turn = config.gyro_noise * np.sqrt(effort)
+        measured = self._scale * way + self._rng.normal(0.0, sigma_way)
+        turn = self._gyro_scale * yaw + self._rng.normal(0.0, sigma_turn)
+        self._heading += turn
+        rotation = self._rotation(T_world_base)
+        step = rotation @ (measured, 0.0, 0.0)
+        self._position = self._position + step
+        self._spread(rotation, step, sigma_way, abs(yaw), sigma_turn)
+        self._way += step
+        self._turned += turn
+        self._twist = np.array([measured, 0.0, 0.0, 0.0, 0.0, turn]) / max(duration, 1e-9)
+
+    def state(self) -> dict[str, FloatArray]:
+        """What it has counted so far, and its own errors, as arrays by name."""
+        return {name: np.array(getattr(self, f"_{name}")) for name in _COUNTED} | {
+            "T_world_odom": self.T_world_odom
+        }
+
+    def restore(self, state: Mapping[str, FloatArray], T_world_base: FloatArray) -> None:
+        """Count on from `state`, with the base at a true pose, shape (4, 4).
+
+        Raises:
+            SimulationError: an array is missing or has another shape.
+        """
+        for name, own in self.state().items():
+            if name not in state or state[name].shape != own.shape:
+                raise SimulationError(f"the saved odometry has no {name} of shape {own.shape}")
+        for name in _COUNTED:
+            value = state[name]
+            setattr(self, f"_{name}", float(value) if value.ndim == 0 else np.array(value))
+        self.T_world_odom, self._last = np.array(state["T_world_odom"]), T_world_base
+
+    def planar_pose(self) -> FloatArray:
+        """x, y [m], yaw [rad] in odom, shape (3,)."""
+        return np.array([self._position[0], self._position[1], self._heading])
+
+    def estimate(self) -> OdometryEstimate:
+        """The present estimate; roll and pitch carry the noise of this reading."""
+        tilt = self._rng.normal(0.0, self._config.tilt_noise, 2)
+        noise = Rotation.from_rotvec((*tilt, 0.0)).as_matrix()
+        pose = make_transform(noise @ self._rotation(self._last), self._position)
+        slip = (self._config.slip * self._twist[0]) ** 2 + (0.02 * self._twist[5]) ** 2
+        rate = np.diag([slip, slip, slip, 1e-5, 1e-5, (0.02 * self._twist[5]) ** 2])
+        return OdometryEstimate(pose, self._covariance(), self._twist.copy(), rate + _STANDSTILL)
+
+    def _rotation(self, T_world_base: FloatArray) -> FloatArray:
+        """True roll and pitch under the heading that is believed."""
+        truth = T_world_base[:3, :3]
+        heading = np.arctan2(truth[1, 0], truth[0, 0])
+        cosine, sine = np.cos(self._heading - heading), np.sin(self._heading - heading)
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray(turn @ truth)
+
+    def _spread(
+        self, rotation: FloatArray, step: FloatArray, way: float, yaw: float, turn: float
+    ) -> None:
+        """First-order propagation: dt' = dt - [step] dtheta + R n."""
+        forward = np.eye(6)
+        forward[:3, 3:] = -skew(step)
+        own = np.diag([way**2, 0.0, 0.0])
+        slip = self._config.side_slip**2 * float(np.linalg.norm(step))
+        own += np.diag([1.0, 1.0, 0.1]) * (slip + self._config.turn_slip**2 * yaw)
+        self._noise = forward @ self._noise @ forward.T
+        self._noise[:3, :3] += rotation @ own @ rotation.T
+        self._noise[5, 5] += turn**2
+
+    def _covariance(self) -> FloatArray:
+        """Noise, and the scale errors, which are the same all the time."""
+        config = self._config
+        scale = np.concatenate([self._way, np.zeros(3)])
+        share = np.hypot(config.scale_error, config.slip)
+        covariance = self._noise + np.outer(scale, scale) * share**2 + _STANDSTILL
+        covariance[5, 5] += (config.gyro_scale_error * self._turned) ** 2
+        return np.asarray(covariance)

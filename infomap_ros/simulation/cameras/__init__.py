@@ -1,0 +1,1 @@
+"""What the cameras of a robot take."""

@@ -1,0 +1,187 @@
+"""A stereo camera as it leaves the workshop: lens distortion, and not quite aligned.
+
+The frames ``*_optical_frame`` of the robot description are those of the rectified images. Each raw
+camera is turned against its frame by a small rotation, which its camera info tells
+(``p_rectified = R @ p_raw``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import (
+    CameraCalibration,
+    PinholeCamera,
+    StereoRig,
+    make_transform,
+    rig_from_calibrations,
+)
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.cameras.rendering import Renderer
+
+import mujoco  # isort: skip  # after the backend has been chosen
+
+_LUMINANCE = np.array((0.299, 0.587, 0.114), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class StereoCameraConfig:
+    """Parameters of the stereo camera."""
+
+    width: int = parameter(512, "Image width", unit="px", low=16, high=4096)
+    height: int = parameter(384, "Image height", unit="px", low=16, high=4096)
+    field_of_view: float = parameter(
+        1.30, "Horizontal opening of the rectified image", unit="rad", low=0.1, high=2.2
+    )
+    distortion: tuple[float, ...] = parameter(
+        (-0.17, 0.045, 0.0006, -0.0004, -0.005),
+        "plumb_bob coefficients k1 k2 p1 p2 k3 of the left lens; the right one differs slightly",
+        low=-2.0,
+        high=2.0,
+    )
+    misalignment: float = parameter(
+        0.006, "Standard deviation of each raw camera's rotation", unit="rad", low=0.0, high=0.1
+    )
+    supersampling: int = parameter(
+        2, "Samples per pixel and direction; more means cleaner edges", low=1, high=4
+    )
+    seed: int = parameter(3, "Seed of what differs from camera to camera", low=0)
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+
+
+class StereoCamera:
+    """Takes pairs of raw images in a world, noise excluded.
+
+    Args:
+        config: the parameters.
+        baseline: distance of the optical centres [m].
+    """
+
+    def __init__(self, config: StereoCameraConfig, baseline: float) -> None:
+        self.config = config
+        rng = np.random.default_rng(config.seed)
+        rectified = _rectified_camera(config)
+        self.left = _calibration(config, rectified, 0.0, rng)
+        self.right = _calibration(config, rectified, -rectified.fx * baseline, rng)
+        self.rig: StereoRig = rig_from_calibrations(self.left, self.right)
+        self._left_rays = self._subpixel_rays(self.left)
+        self._right_rays = self._subpixel_rays(self.right)
+        self.render_camera = self._wide_camera(rectified)
+
+    def renderer(self, model: mujoco.MjModel) -> Renderer:
+        """A renderer of the size that `capture` needs."""
+        return Renderer(model, self.render_camera.width, self.render_camera.height)
+
+    def capture(
+        self,
+        renderer: Renderer,
+        data: mujoco.MjData,
+        T_world_left: FloatArray,
+        T_world_right: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Take a raw pair.
+
+        Args:
+            renderer: made by `renderer`.
+            data: state of the world.
+            T_world_left: pose of the left optical (rectified) frame, shape (4, 4).
+            T_world_right: pose of the right one.
+
+        Returns:
+            Light on the pixels of left and right, shape (H, W) each; 1 = white in full light.
+        """
+        left = self._image(renderer, data, T_world_left, self.left, self._left_rays)
+        right = self._image(renderer, data, T_world_right, self.right, self._right_rays)
+        return left, right
+
+    def _image(
+        self,
+        renderer: Renderer,
+        data: mujoco.MjData,
+        T_world_rectified: FloatArray,
+        calibration: CameraCalibration,
+        rays: FloatArray,
+    ) -> FloatArray:
+        T_world_raw = T_world_rectified @ make_transform(calibration.rectification, np.zeros(3))
+        grey = renderer.color(data, T_world_raw, self.render_camera) @ _LUMINANCE / 255.0
+        wide = self.render_camera
+        u = (wide.fx * rays[..., 0] + wide.cx).astype(np.float32)
+        v = (wide.fy * rays[..., 1] + wide.cy).astype(np.float32)
+        fine = cv2.remap(grey, u, v, cv2.INTER_LINEAR)
+        size = (self.config.width, self.config.height)
+        return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+    def _subpixel_rays(self, calibration: CameraCalibration) -> FloatArray:
+        """Rays (x, y, 1) of the samples within each pixel, shape (n H, n W, 2)."""
+        n = self.config.supersampling
+        u = (np.arange(n * calibration.width) + 0.5) / n - 0.5
+        v = (np.arange(n * calibration.height) + 0.5) / n - 0.5
+        return undistort(np.stack(np.meshgrid(u, v), axis=-1), calibration)
+
+    def _wide_camera(self, rectified: PinholeCamera) -> PinholeCamera:
+        """The pinhole camera that sees all that both raw cameras see."""
+        rays = np.concatenate([self._left_rays.reshape(-1, 2), self._right_rays.reshape(-1, 2)])
+        focal = rectified.fx * self.config.supersampling
+        low, high = focal * rays.min(axis=0) - 2.0, focal * rays.max(axis=0) + 2.0
+        width, height = np.ceil(high - low).astype(int) + 1
+        cx, cy = -float(low[0]), -float(low[1])
+        return PinholeCamera(int(width), int(height), focal, focal, cx, cy)
+
+
+def undistort(pixels: FloatArray, calibration: CameraCalibration) -> FloatArray:
+    """Rays of raw pixels through a plumb_bob lens (Brown 1966), by fixed-point iteration.
+
+    Args:
+        pixels: (u, v) of the raw image, shape (..., 2) [px].
+        calibration: of the raw camera.
+
+    Returns:
+        (x, y) at z = 1 in the raw camera frame, shape (..., 2).
+    """
+    k = calibration.intrinsics
+    k1, k2, p1, p2, k3 = calibration.distortion
+    distorted_x = (pixels[..., 0] - k[0, 2]) / k[0, 0]
+    distorted_y = (pixels[..., 1] - k[1, 2]) / k[1, 1]
+    x, y = distorted_x.copy(), distorted_y.copy()
+    for _ in range(40):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        shift_x = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        shift_y = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        x, y = (distorted_x - shift_x) / radial, (distorted_y - shift_y) / radial
+    return np.stack([x, y], axis=-1)
+
+
+def _rectified_camera(config: StereoCameraConfig) -> PinholeCamera:
+    focal = float(0.5 * config.width / np.tan(0.5 * config.field_of_view))
+    middle = (0.5 * (config.width - 1), 0.5 * (config.height - 1))
+    return PinholeCamera(config.width, config.height, focal, focal, *middle)
+
+
+def _calibration(
+    config: StereoCameraConfig, rectified: PinholeCamera, shift: float, rng: np.random.Generator
+) -> CameraCalibration:
+    """A camera with its own small deviations; `shift` is P[0, 3] [px m]."""
+    intrinsics = rectified.matrix
+    intrinsics[[0, 1], [0, 1]] *= 1.0 + rng.normal(0.0, 0.004) + rng.normal(0.0, 0.0005, 2)
+    intrinsics[:2, 2] += rng.normal(0.0, 0.006 * config.width, 2)
+    projection: NDArray[np.float64] = np.zeros((3, 4))
+    projection[:, :3], projection[0, 3] = rectified.matrix, shift
+    return CameraCalibration(
+        config.width,
+        config.height,
+        "plumb_bob",
+        np.asarray(config.distortion) * (1.0 + rng.normal(0.0, 0.03, 5)),
+        intrinsics,
+        Rotation.from_rotvec(rng.normal(0.0, config.misalignment, 3)).as_matrix(),
+        projection,
+    )

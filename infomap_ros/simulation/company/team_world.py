@@ -1,0 +1,117 @@
+"""Several simulated robots in one world and one time, in one process."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from infomap_ros.simulation.company.turns import Turns
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.worlds.builder import World
+
+ABREAST = 1.0  # [m] between robots that start side by side
+
+
+class TeamSimulator(Simulator):
+    """A `Simulator` that lets the others have their turn after each step."""
+
+    after_step: Callable[[], None] | None = None
+
+    def step(self, duration: float) -> None:
+        """Simulate for a while [s], then wait until the others have come as far.
+
+        Raises:
+            InvalidInputError: as `Simulator.step`.
+            SwitchedOff: this robot is switched off.
+        """
+        super().step(duration)
+        if self.after_step is not None:
+            self.after_step()
+
+
+class TeamWorld:
+    """Robots that see each other, and stand in each other's way.
+
+    Args:
+        world: where.
+        description: URDF text of all robots.
+        config: of each robot; the seeds and starts become different ones.
+        robots: how many; they have numbers from 0 on.
+        on_step: called after each step of a robot, when the others have come as far, with its
+            number.
+
+    Attributes:
+        simulators: of the robots.
+        turns: in which they run.
+
+    Raises:
+        RobotModelError: as `Simulator`.
+        SimulationError: likewise.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        description: str,
+        config: SimulatorConfig,
+        robots: int,
+        on_step: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        names = self._names = tuple(f"robot_{number}" for number in range(robots))
+        self.turns, self._on_step = Turns(names), on_step
+        self.simulators: list[TeamSimulator] = []
+        for number, start in enumerate(starts_abreast(world.start, robots)):
+            own = dataclasses.replace(config, seed=config.seed + 1000 * number, start=start)
+            others = {name: description for name in names if name != names[number]}
+            simulator = TeamSimulator(world, description, own, others)
+            simulator.after_step = partial(self._after_step, number)
+            self.simulators.append(simulator)
+        for number in range(robots):
+            self._place_others(number)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the robots, by their numbers."""
+        return self._names
+
+    @property
+    def contacts(self) -> int:
+        """Forbidden contacts of all robots."""
+        return sum(simulator.contacts for simulator in self.simulators)
+
+    def close(self) -> None:
+        """Free what drawing needs."""
+        for simulator in self.simulators:
+            simulator.close()
+
+    def _after_step(self, number: int) -> None:
+        self.turns.pass_on(self._names[number], self.simulators[number].time)
+        self._place_others(number)
+        self._on_step(number)
+
+    def _place_others(self, number: int) -> None:
+        own = self.simulators[number]
+        for name, other in zip(self._names, self.simulators, strict=True):
+            if other is not own:
+                own.place_teammate(name, other.true_pose(), other.true_joints())
+
+
+def starts_abreast(
+    start: tuple[float, float, float], robots: int, distance: float = ABREAST
+) -> list[tuple[float, float, float]]:
+    """Places for robots side by side about a start, all with its heading.
+
+    Args:
+        start: x, y [m], yaw [rad].
+        robots: how many.
+        distance: between two of them [m].
+
+    Returns:
+        x, y [m], yaw [rad] of each, from the right to the left.
+    """
+    x, y, yaw = start
+    offsets = distance * (np.arange(robots) - 0.5 * (robots - 1))
+    return [(float(x - o * np.sin(yaw)), float(y + o * np.cos(yaw)), yaw) for o in offsets]

@@ -1,0 +1,266 @@
+"""An exploration in the simulator, in one process and without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.exploration.control import Control
+from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
+from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.records.run_log import RunLogFile
+from infomap_ros.exploration.reports.report import write_report
+from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.files.export import write_ply
+from infomap_ros.motion import RobotModel
+from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.exploring.pose_audit import PoseAudit
+from infomap_ros.simulation.exploring.self_localisation import SelfLocalisation
+from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import make_world
+
+LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Which world is explored, and by which robot.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    name: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
+    seed: int = parameter(1, "Seed of the world and of all noise.", low=0)
+    size: float = parameter(
+        0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
+    )
+    description: str = parameter(
+        "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class ExplorationOptions:
+    """Everything that can be set of a simulated exploration."""
+
+    world: WorldConfig = field(default_factory=WorldConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+    map: VoxelMapConfig = field(default_factory=VoxelMapConfig)
+    planner: ViewPlannerConfig = field(default_factory=ViewPlannerConfig)
+    robot: ExploringRobotConfig = field(default_factory=ExploringRobotConfig)
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+    prediction: ErrorPredictionConfig = field(default_factory=ErrorPredictionConfig)
+
+
+class _MapPlanner:
+    """A `ViewPlanner` with its map: implements `infomap_ros.exploration.robot.Planner`."""
+
+    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap, audit: PoseAudit) -> None:
+        self._planner, self._map, self._audit = planner, voxel_map, audit
+
+    def choose(self, state: RobotState) -> Choice:
+        choice = self._planner.choose(self._map, state)
+        terms = choice.explanation.get("terms", {})
+        if "localisation_error" in terms:
+            self._audit.expect(state.pose_covariance, float(terms["localisation_error"]))
+        return choice
+
+    def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
+        return self._planner.way_home(self._map, state, base, joints)
+
+    def failed(self, pose: FloatArray, reason: str) -> None:
+        self._planner.failed(pose, reason)
+
+
+class ExplorationRun:
+    """Builds world, robot, map and planner, explores, and writes what came of it.
+
+    Args:
+        options: of everything.
+        out: folder for the results.
+        on_entry: called with each entry of the run log.
+
+    Attributes:
+        map: what has been mapped.
+        T_world_map: where the map's frame truly is, shape (4, 4).
+        audit: how wrong the poses were.
+        simulator: with its ground truth.
+        control: for requests while it runs.
+
+    Raises:
+        InfomapError: world or robot cannot be made.
+        OSError: the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        options: ExplorationOptions,
+        out: Path,
+        on_entry: Callable[[Mapping[str, Any]], None] | None = None,
+    ) -> None:
+        self.options, self._out = options, out
+        out.mkdir(parents=True, exist_ok=True)
+        seed = options.world.seed
+        description = _description(options.world.description)
+        settings = dataclasses.replace(options.simulator, seed=seed)
+        size: dict[str, Any] = {"size": options.world.size} if options.world.size else {}
+        world = make_world(options.world.name, seed, **size)
+        self.simulator = Simulator(world, description, settings)
+        self.T_world_map = map_frame(world, options.robot)
+        task = task_in(world, options.task, self.T_world_map)
+        frames = settings.robot
+        robot = RobotModel.from_urdf(
+            description, frames.left_camera_frame, frames.base_frame, mimics=frames.leaders
+        )
+        self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
+        self.audit = PoseAudit(self.simulator, self.T_world_map)
+        self._robot = SimulatedRobot(
+            self.simulator, robot, self.map, options.robot, self.audit.note
+        )
+        rig, error = self._robot.poses.rig, _localisation_error(self._robot, options)
+        planner = ViewPlanner(robot, rig, task, options.planner, error)
+        self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
+        self.control = Control()
+        self._exploration = Exploration(
+            self._robot, _MapPlanner(planner, self.map, self.audit), task, self._log, self.control
+        )
+        self._write_start(task)
+
+    def run(self) -> Ending:
+        """Explore to the end."""
+        self._begin = time.monotonic()
+        return self._exploration.run()
+
+    def write_results(self, ending: Ending) -> dict[str, object]:
+        """Write map file, .ply, summary and report; returns the summary.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        self.map.save(self._out / MAP_FILE)
+        write_ply(self.map, self._out / PLY_FILE)
+        summary = self.summary(ending)
+        text = json.dumps(summary, indent=1) + "\n"
+        (self._out / SUMMARY_FILE).write_text(text, encoding="utf-8")
+        world = self.options.world
+        title = f"Exploring {world.name}, seed {world.seed}"
+        write_report(
+            self._out / REPORT_FILE, self._out / LOG_FILE, self.map, title, figures=summary
+        )
+        return summary
+
+    def summary(self, ending: Ending) -> dict[str, object]:
+        """Figures of the run, flat."""
+        mission, progress = self._exploration.mission, self._exploration.progress
+        known, sigma = (progress.known_fraction, progress.mean_sigma) if progress else (0.0, None)
+        return {
+            "world": self.options.world.name,
+            "seed": self.options.world.seed,
+            "end": ending.reason.value,
+            "detail": ending.detail,
+            "views": mission.views,
+            "distance": round(mission.distance, 2),
+            "known_fraction": round(known, 4),
+            "mean_sigma": sigma,
+            "contacts": self.simulator.contacts,
+            "simulated_seconds": round(self.simulator.time, 1),
+            "seconds": round(time.monotonic() - self._begin, 1),
+            "known_voxels": self.map.known_voxels,
+            "surface_voxels": self.map.surface_voxels,
+            "memory_bytes": self.map.memory_bytes(),
+            "voxel_size": self.map.config.voxel_size,
+            "pose_source": self.options.robot.pose_source,
+            **self.audit.figures(),
+        }
+
+    def close(self) -> None:
+        """Free what drawing needs."""
+        self.simulator.close()
+
+    def _write_start(self, task: TaskConfig) -> None:
+        options, camera = self.options, self._robot.poses.rig.left
+        names = ("width", "height", "fx", "fy", "cx", "cy")
+        self._log.write(
+            "start",
+            task=dataclasses.asdict(task),
+            robot=Path(options.world.description).stem,
+            world=f"{options.world.name} {options.world.seed}",
+            strategy=options.planner.strategy,
+            voxel_size=options.map.voxel_size,
+            camera={name: getattr(camera, name) for name in names},
+            max_range=options.planner.max_range,
+        )
+
+
+def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = None) -> TaskConfig:
+    """The task with the world's own region, unless another than the default was asked for.
+
+    Args:
+        world: with its region.
+        task: as asked for, in the map's frame.
+        T_world_map: where the map's frame is, shape (4, 4); the world's where not given. The
+            region becomes the box about the world's region.
+    """
+    default = TaskConfig()
+    if (task.region_low, task.region_high) != (default.region_low, default.region_high):
+        return task
+    corners = np.array(list(itertools.product(*world.region.T)))
+    if T_world_map is not None:
+        corners = transform_points(invert_transform(T_world_map), corners)
+    low, high = (tuple(map(float, end)) for end in (corners.min(axis=0), corners.max(axis=0)))
+    return dataclasses.replace(task, region_low=low, region_high=high)
+
+
+def map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
+    """Where the frame of a robot's map truly is, shape (4, 4): at the target, if it localises.
+
+    Raises:
+        InvalidInputError: there is no target to localise by.
+    """
+    if robot.pose_source == "simulator":
+        return np.eye(4)
+    if world.T_world_target is None:
+        raise InvalidInputError("world", "has no target to localise by")
+    T_target_map = invert_transform(robot.localization.target.T_map_target)
+    return np.asarray(world.T_world_target @ T_target_map)
+
+
+def _localisation_error(
+    robot: SimulatedRobot, options: ExplorationOptions
+) -> FiducialLocalisationError | None:
+    """What the rating takes for LE; None, for drift, where poses come from the simulator."""
+    poses = robot.poses
+    if not isinstance(poses, SelfLocalisation):
+        return None
+    sigma = options.robot.stereo.pixel_sigma
+    return FiducialLocalisationError(poses.rig, sigma, poses.fiducials, options.prediction)
+
+
+def _description(place: str) -> str:
+    """Text of a robot description."""
+    path = Path(place)
+    return read_description(path if path.is_file() else find_share(place))

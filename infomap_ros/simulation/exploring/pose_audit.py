@@ -1,0 +1,116 @@
+"""What only the simulator knows of a robot's poses; for evaluation, never for the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.geometry import invert_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
+from infomap_ros.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class AuditedPose:
+    """A pose that the robot believed, and how wrong it was.
+
+    Attributes:
+        stamp: [ns].
+        pose: as the robot had it.
+        error: true minus believed, (dt, dtheta) of `geometry.transforms` in the map, shape (6,).
+    """
+
+    stamp: int
+    pose: CameraPose
+    error: FloatArray
+
+    @property
+    def nees(self) -> float:
+        """Normalised estimation error squared: 6 on average where the covariance is true."""
+        return float(self.error @ np.linalg.solve(self.pose.covariance, self.error))
+
+
+@dataclass(frozen=True)
+class PredictedSigma:
+    """A position sigma that was predicted for a view, and what came of it.
+
+    Attributes:
+        before: root of the trace of the position covariance when the view was chosen [m].
+        predicted: likewise for the arrival [m].
+        claimed: likewise as the robot had it on arrival [m].
+        error: distance between the true and the believed position on arrival [m].
+    """
+
+    before: float
+    predicted: float
+    claimed: float
+    error: float
+
+
+class PoseAudit:
+    """Compares the poses of scans with the truth as they are taken.
+
+    Args:
+        simulator: knows the truth.
+        T_world_map: where the map's frame truly is, shape (4, 4).
+
+    Attributes:
+        poses: of all scans so far.
+        predictions: of the views that were reached.
+    """
+
+    def __init__(self, simulator: Simulator, T_world_map: FloatArray) -> None:
+        self._simulator, self._T_map_world = simulator, invert_transform(T_world_map)
+        self.poses: list[AuditedPose] = []
+        self.predictions: list[PredictedSigma] = []
+        self._expected: tuple[float, float] | None = None
+
+    def note(self, scan: PosedScan) -> None:
+        """Compare the pose of a scan that has been taken just now."""
+        audited = self.audit(scan.stamp, scan.pose)
+        self.poses.append(audited)
+        if self._expected is not None:
+            claimed = position_sigma(scan.pose.covariance)
+            distance = float(np.linalg.norm(audited.error[:3]))
+            self.predictions.append(PredictedSigma(*self._expected, claimed, distance))
+            self._expected = None
+
+    def expect(self, before: FloatArray, growth: float) -> None:
+        """A view was chosen.
+
+        Args:
+            before: covariance of the camera's pose then, shape (6, 6).
+            growth: predicted growth of the position sigma on the way [m].
+        """
+        sigma = position_sigma(before)
+        self._expected = sigma, sigma + growth
+
+    def audit(self, stamp: int, pose: CameraPose) -> AuditedPose:
+        """Compare a pose that the robot believes now with the truth."""
+        truth = self._T_map_world @ self._simulator.true_camera_pose()
+        turn = Rotation.from_matrix(truth[:3, :3] @ pose.transform[:3, :3].T).as_rotvec()
+        error = np.concatenate([truth[:3, 3] - pose.transform[:3, 3], turn])
+        return AuditedPose(stamp, pose, error)
+
+    def figures(self) -> dict[str, float]:
+        """Errors of the poses of all scans, flat: rms [m, rad], at the end, and mean NEES."""
+        if not self.poses:
+            return {}
+        errors = np.stack([pose.error for pose in self.poses])
+        distances = np.linalg.norm(errors[:, :3], axis=1)
+        angles = np.linalg.norm(errors[:, 3:], axis=1)
+        return {
+            "pose_error_rms": round(float(np.sqrt(np.mean(distances**2))), 5),
+            "pose_error_end": round(float(distances[-1]), 5),
+            "pose_error_largest": round(float(distances.max()), 5),
+            "pose_turn_rms": round(float(np.sqrt(np.mean(angles**2))), 5),
+            "pose_nees": round(float(np.mean([pose.nees for pose in self.poses])), 2),
+        }
+
+
+def position_sigma(covariance: FloatArray) -> float:
+    """Root of the trace of the position block of a pose covariance, shape (6, 6) -> [m]."""
+    return float(np.sqrt(np.trace(covariance[:3, :3])))

@@ -1,0 +1,1 @@
+"""Worlds from a seed: ground, rocks, rooms, textures, and their true surface."""

@@ -1,0 +1,1 @@
+"""What a view is expected to tell about the map, in bits."""

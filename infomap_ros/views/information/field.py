@@ -1,0 +1,177 @@
+"""The map as rays see it: one small code per voxel, and whole blocks where all voxels agree.
+
+Rays of many views run through the same part of the map, so it is prepared once. A code says all
+that matters to a view: how likely the voxel hides what is behind it, and, through a table by
+distance, what it has to tell. Most blocks of a map are empty or unknown throughout, or were seen
+through by the same scans; such a block is one entry of a dense directory, and a ray crosses it in
+one step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.block_kernels import find_block
+from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
+from infomap_ros.views.information.codes import EMPTY, SOLID, UNCERTAIN, UNKNOWN, CodeBook
+
+_TABLE_QUANTA = 64
+_LARGEST = 1 << 27
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleField:
+    """Part of a map, prepared for rays.
+
+    Attributes:
+        directory: per block of 8 x 8 x 8 voxels the row in `codes`, or -1 - code where all voxels
+            of the block have the same; int32, indexed [x, y, z]. Beyond it everything is unknown.
+        first: block coordinates of ``directory[0, 0, 0]``, shape (3,).
+        codes: per voxel, uint8, shape (rows, 512), in the order of `mapping.keys.local_index`.
+        voxel_size: [m].
+    """
+
+    directory: NDArray[np.int32]
+    first: NDArray[np.int64]
+    codes: NDArray[np.uint8]
+    voxel_size: float
+
+    def relative(self, points: ArrayLike) -> FloatArray:
+        """Points, shape (..., 3) [m, map], as the rays count them: [voxels] from `first`."""
+        return np.asarray(np.asarray(points) / self.voxel_size - self.first * BLOCK_SIDE)
+
+
+@cache
+def workers_of(threads: int) -> Workers:
+    """Threads that share the work; kept, because starting them costs more than many a view."""
+    return Workers(threads)
+
+
+def visible_field(
+    m: VoxelMap, low: ArrayLike, high: ArrayLike, book: CodeBook, threads: int = 1
+) -> VisibleField:
+    """Prepare the part of a map that lies in a box.
+
+    Args:
+        m: the map.
+        low: corner of the box, shape (3,), map frame [m].
+        high: opposite corner.
+        book: of codes.
+        threads: that share the blocks.
+
+    Raises:
+        InvalidInputError: the box is none, or too large for a dense directory of blocks.
+    """
+    corners = np.stack([float_array(low, "low"), float_array(high, "high")])
+    if corners.shape != (2, 3) or not np.isfinite(corners).all() or (corners[1] < corners[0]).any():
+        raise InvalidInputError("field", f"{corners.tolist()} is not a box")
+    size, bounds = m.config.voxel_size, m.bounds()
+    if bounds is None:
+        bounds = (np.zeros(3, np.int64), np.zeros(3, np.int64))
+    first = np.maximum(np.floor(corners[0] / size).astype(np.int64), bounds[0]) // BLOCK_SIDE
+    last = np.minimum(np.floor(corners[1] / size).astype(np.int64), bounds[1]) // BLOCK_SIDE
+    shape = np.maximum(last - first + 1, 1)
+    if float(np.prod(shape.astype(float))) > _LARGEST:
+        raise InvalidInputError("field", f"of {shape.tolist()} blocks is too large")
+    directory = np.full(tuple(shape), -1 - UNKNOWN, np.int32)
+    blocks, table = m._storage.blocks, _evidence_codes(book)
+    rows = _enter_blocks(blocks, first, table, directory)
+    codes = np.empty((rows, BLOCK_VOXELS), np.uint8)
+
+    def fill(_: int, start: int, end: int) -> None:
+        corner = first + np.array([start, 0, 0])
+        _fill_codes(blocks, corner, table, directory[start:end], codes)
+
+    workers_of(threads).run(fill, len(directory))
+    return VisibleField(directory, first, codes, size)
+
+
+def _evidence_codes(book: CodeBook) -> NDArray[np.uint8]:
+    """Code of known voxels by evidence, from -_TABLE_QUANTA to _TABLE_QUANTA."""
+    quanta = np.arange(-_TABLE_QUANTA, _TABLE_QUANTA + 1)
+    codes = UNCERTAIN + book.limit + quanta
+    codes[quanta < -book.limit], codes[quanta > book.limit] = EMPTY, SOLID
+    return codes.astype(np.uint8)
+
+
+@njit(cache=True, nogil=True)
+def _code(table: Any, quanta: int) -> Any:
+    return table[min(max(quanta, -_TABLE_QUANTA), _TABLE_QUANTA) + _TABLE_QUANTA]
+
+
+@njit(cache=True, nogil=True)
+def _enter_blocks(blocks: Any, first: Any, table: Any, directory: Any) -> int:
+    """Enter what is known of each block: its one code, or its row; returns the number of rows."""
+    nx, ny, nz = directory.shape
+    kinds, bases, rows = blocks.kind, blocks.base, 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                slot = find_block(blocks, pack(first[0] + i, first[1] + j, first[2] + k))
+                if slot < 0 or kinds[slot] == UNSEEN:
+                    continue
+                if kinds[slot] == UNIFORM:
+                    directory[i, j, k] = -1 - np.int32(_code(table, np.int64(bases[slot])))
+                else:
+                    directory[i, j, k] = rows
+                    rows += 1
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _fill_codes(blocks: Any, first: Any, table: Any, directory: Any, codes: Any) -> None:
+    """Fill the rows; blocks all of whose voxels turn out alike lose theirs again."""
+    nx, ny, nz = directory.shape
+    kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
+    narrow, wide = blocks.narrow, blocks.wide
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                row = directory[i, j, k]
+                if row < 0:
+                    continue
+                slot = find_block(blocks, pack(first[0] + i, first[1] + j, first[2] + k))
+                base, plane = np.int64(bases[slot]), planes[slot]
+                if kinds[slot] == NARROW:
+                    alike = _fill_row(narrow[plane], NARROW_UNKNOWN, base, table, codes[row])
+                else:
+                    alike = _fill_row(wide[plane], WIDE_UNKNOWN, base, table, codes[row])
+                if alike:
+                    directory[i, j, k] = -1 - np.int32(codes[row, 0])
+
+
+@njit(cache=True, nogil=True)
+def _fill_row(deltas: Any, unknown: int, base: int, table: Any, row: Any) -> bool:
+    """Codes of one block; returns whether all are the same."""
+    low, high = np.uint8(255), np.uint8(0)
+    for local in range(BLOCK_VOXELS):
+        delta = np.int64(deltas[local])
+        code = np.uint8(UNKNOWN) if delta == unknown else _code(table, base + delta)
+        row[local] = code
+        low, high = min(low, code), max(high, code)
+    return low == high
+
+
+@njit(cache=True, nogil=True)
+def code_at(directory: Any, codes: Any, x: int, y: int, z: int) -> Any:
+    """Code of a voxel, by its index relative to the directory."""
+    nx, ny, nz = directory.shape
+    i, j, k = x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS
+    if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
+        return np.int64(UNKNOWN)
+    entry = np.int64(directory[i, j, k])
+    if entry < 0:
+        return -1 - entry
+    return np.int64(codes[entry, local_index(x, y, z)])

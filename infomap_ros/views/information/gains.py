@@ -1,0 +1,101 @@
+"""What the steps of a ray tell, prepared for a map and a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.views.information.codes import CodeBook
+from infomap_ros.views.information.field import VisibleField, visible_field
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.observation_value import surface_bits, voxel_bits
+from infomap_ros.views.information.predicted_field import with_predictions
+from infomap_ros.views.information.surface_field import with_surfaces
+
+_LEAST_STEPS = 64
+_STEPS_IN_PLANE = 4  # per voxel; a longer step may miss the corner of the one voxel that hides
+
+
+def code_book(config: InformationConfig) -> CodeBook:
+    """Codes by what counts as certain and as precise."""
+    return CodeBook(config.certain_probability, config.wanted_sigma)
+
+
+def shell_volumes(edges: FloatArray, planar: bool) -> FloatArray:
+    """Voxels per steradian between distances, shape (n + 1,) [voxels] -> (n,); in a plane per rad.
+
+    In a plane a ray stands for a sector of one layer of voxels: r dr instead of r^2 dr.
+    """
+    power = 2 if planar else 3
+    return np.asarray(np.diff(edges**power) / power)
+
+
+@dataclass(frozen=True, eq=False)
+class GainTable:
+    """What the steps of a ray tell, by the code of the voxel in which they are.
+
+    Attributes:
+        gains: bits per steradian (in a plane per radian), shape (steps, codes), float32.
+        before: sum over the steps before, shape (steps + 1, codes), float32.
+        clear: probability that a step's way does not hide what is behind it, shape (codes,).
+        step: length of a step [voxels].
+    """
+
+    gains: NDArray[np.float32]
+    before: NDArray[np.float32]
+    clear: FloatArray
+    step: float
+
+
+def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> GainTable:
+    """Gains for a map's voxel size and evidence.
+
+    Args:
+        m: the map.
+        max_range: [m].
+        config: of the sensor.
+    """
+    return _gain_table(m.config, max_range, config)
+
+
+@lru_cache(maxsize=16)
+def _gain_table(grid: VoxelMapConfig, max_range: float, config: InformationConfig) -> GainTable:
+    reach = max_range / grid.voxel_size
+    steps = max(math.ceil(reach * (_STEPS_IN_PLANE if config.planar else 1)), _LEAST_STEPS)
+    edges = np.linspace(0.0, reach, steps + 1)
+    middle = 0.5 * (edges[:-1] + edges[1:]) * grid.voxel_size
+    book = code_book(config)
+    p = book.probabilities()
+    bits = voxel_bits(p, middle[:, None], grid, config)
+    bits[:, (p == 0.0) | (p == 1.0)] = 0.0
+    bits[:, book.known()] *= config.known_weight
+    bits += surface_bits(book.sigmas(), middle[:, None], grid, config)
+    bits[middle < config.min_range] = 0.0
+    gains = bits * shell_volumes(edges, config.planar)[:, None]
+    before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
+    step = reach / steps
+    clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
+    clear[~book.known()] *= (1.0 - config.unknown_occlusion) ** (1.0 / steps)
+    return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
+
+
+def field_around(
+    m: VoxelMap,
+    positions: FloatArray,
+    max_range: float,
+    config: InformationConfig,
+    threads: int = 1,
+) -> VisibleField:
+    """The part of a map that can be seen from positions, shape (M, 3) [m], within `max_range`."""
+    low, high = positions.min(axis=0) - max_range, positions.max(axis=0) + max_range
+    book = code_book(config)
+    field = visible_field(m, low, high, book, threads)
+    if config.predict_unknown:
+        field = with_predictions(field, m, book)
+    return with_surfaces(field, m, book) if config.wanted_sigma > 0.0 else field

@@ -1,0 +1,1 @@
+"""Which views come first: the rating of one, and strategies over many."""

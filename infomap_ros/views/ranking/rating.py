@@ -1,0 +1,173 @@
+"""The rating of candidate views, eqs. (10) and (11) of Sujan and Dubowsky 2005."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.terms import (
+    Distance,
+    Information,
+    InterestTerm,
+    LocalisationErrorTerm,
+    RatingTerm,
+    Repetition,
+    Risk,
+    TeammatesTerm,
+)
+
+_COUNTED = 4  # the first terms say what of the information counts
+
+
+@dataclass(frozen=True)
+class RatingConfig:
+    """Weights of the rating.
+
+    Ratings count in full views: 1 is what the camera would be told by a view into nothing but
+    unknown space. Bits per voxel grow with the third power of the resolution and with the field of
+    view; measured against a full view they do neither, so weights keep their meaning.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    information_weight: float = parameter(
+        1.0, "w_NI of eq. (11), also for what interests add and others take.", low=0.0, high=1e6
+    )
+    distance_weight: float = parameter(
+        0.01,
+        "w_d of eq. (11): so many full views must a unit of distance bring to be worth while.",
+        low=0.0,
+        high=1e6,
+    )
+    localisation_weight: float = parameter(
+        0.05,
+        "w_LE of eq. (11): full views per metre of position sigma (or per bit) that the way costs.",
+        low=0.0,
+        high=1e6,
+    )
+    position_weights: tuple[float, ...] = parameter(
+        (1.0, 1.0, 1.0),
+        "Weight of the way along x, y and z of the map in the distance of eq. (10).",
+        unit="1/m",
+        low=0.0,
+        high=1e6,
+    )
+    rotation_weights: tuple[float, ...] = parameter(
+        (0.2, 0.2, 0.2),
+        "Weight of the turn about x, y and z of the map in the distance of eq. (10).",
+        unit="1/rad",
+        low=0.0,
+        high=1e6,
+    )
+    repetition_weight: float = parameter(
+        1.0,
+        "Weight of what views like it have promised before and not told, against w_NI.",
+        low=0.0,
+        high=1e6,
+    )
+    repetition_distance: float = parameter(
+        1.5, "Distance over which views become unlike.", unit="m", low=0.001, high=1000.0
+    )
+    repetition_azimuth: float = parameter(
+        0.6, "Turn over which views become unlike.", unit="rad", low=0.001, high=10.0
+    )
+    repetition_elevation: float = parameter(
+        0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
+    )
+    teammate_sigma: float = parameter(
+        0.5,
+        "Width of the Gaussian by which the risk falls off around a teammate.",
+        unit="m",
+        low=0.01,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        for name in ("position_weights", "rotation_weights"):
+            if len(getattr(self, name)) != 3:
+                raise ConfigError(name, getattr(self, name), "three numbers, for x, y and z")
+
+
+@dataclass(frozen=True, eq=False)
+class Ratings:
+    """Ratings of views.
+
+    Attributes:
+        terms: value of each term by name, in its own unit, shape (M,) each.
+        ratings: RF of eq. (11), shape (M,) [full views].
+        shares: what counts of the information, by interests, teammates and repetition, shape (M,)
+            [full views].
+        config: the weights.
+    """
+
+    terms: dict[str, FloatArray]
+    ratings: FloatArray
+    shares: FloatArray
+    config: RatingConfig
+
+
+class Rating:
+    """Rates views by eq. (11), with more terms than its three where these are asked for.
+
+    ``RF = (sum_k w_k t_k) (1 - P)``. The printed product would rate a risky view higher than a
+    safe one wherever costs exceed gains; there the sum is multiplied by ``1 + P`` instead.
+    """
+
+    def __init__(
+        self,
+        config: RatingConfig | None = None,
+        camera_radius: float = 0.1,
+        localisation_error: LocalisationError | None = None,
+        more_terms: Sequence[tuple[RatingTerm, float]] = (),
+    ) -> None:
+        """Set the terms up.
+
+        Args:
+            config: weights.
+            camera_radius: of the ball that is looked at for risk [m].
+            localisation_error: model of LE; odometry drift where not given.
+            more_terms: further terms with their weights: full views per unit of the term, or, for
+                a term in bits, a factor like `information_weight`; negative for costs.
+        """
+        self.config = config or RatingConfig()
+        weight = self.config.information_weight
+        distance = Distance(self.config.position_weights, self.config.rotation_weights)
+        repetition = Repetition(
+            self.config.repetition_distance,
+            self.config.repetition_azimuth,
+            self.config.repetition_elevation,
+        )
+        self._terms: list[tuple[RatingTerm, float]] = [
+            (Information(), weight),
+            (InterestTerm(), weight),
+            (TeammatesTerm(), weight),
+            (repetition, weight * self.config.repetition_weight),
+            (distance, -self.config.distance_weight),
+            (LocalisationErrorTerm(localisation_error), -self.config.localisation_weight),
+            *more_terms,
+        ]
+        self._risk = Risk(camera_radius, self.config.teammate_sigma)
+
+    def rate(self, options: Options) -> Ratings:
+        """Rate views."""
+        values = {term.name: term(options) for term, _ in self._terms}
+        total = np.zeros(len(options))
+        for term, weight in self._terms:
+            unit = options.full_view if term.unit == "bits" else 1.0
+            total += weight * values[term.name] / unit
+        risk = self._risk(options)
+        values[self._risk.name] = risk
+        shares = np.zeros(len(options))
+        for term, weight in self._terms[:_COUNTED]:
+            share = weight / max(self.config.information_weight, 1e-12)
+            shares += share * values[term.name] / options.full_view
+        return Ratings(values, total - risk * np.abs(total), shares, self.config)

@@ -1,0 +1,198 @@
+"""Terms of the rating: what a view gives, what it costs, and how risky it is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import FREE, LOG_ODDS_QUANTUM
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
+from infomap_ros.views.ranking.localisation_error import (
+    LocalisationError,
+    OdometryDrift,
+    rotation_vectors,
+)
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.sampling.surroundings import Surroundings
+
+
+class RatingTerm(Protocol):
+    """One term of the sum in eq. (11).
+
+    Attributes:
+        name: key in a rated view's terms.
+        unit: of its values. Values in "bits", or whatever the source of the information counts
+            in, are divided by the information of a full unknown view before they are weighted.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Value of the term for each view, shape (M,)."""
+
+
+class Information:
+    """NI of eq. (11): what the view is expected to tell about the task's region."""
+
+    name, unit = "information", "bits"
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Information of each view, shape (M,)."""
+        return options.information
+
+
+class InterestTerm:
+    """What interests add to the information, or take from it.
+
+    The information of a view is spread over what a few of its rays see in the task's region that
+    is not known to be empty; each place counts with its weight.
+    """
+
+    name, unit = "interest", "bits"
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Added information of each view, shape (M,); negative where less is wanted."""
+        if not options.situation.interests:
+            return np.zeros(len(options))
+        return np.asarray(options.information * (options.glances.wanted - 1.0))
+
+
+class TeammatesTerm:
+    """What teammates are about to see themselves, as a loss of the information that is wanted."""
+
+    name, unit = "teammates", "bits"
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Lost information of each view, shape (M,), at most 0."""
+        if not options.situation.teammates:
+            return np.zeros(len(options))
+        return np.asarray(options.information * options.glances.wanted * (options.left - 1.0))
+
+
+class Repetition:
+    """What views like it have promised before, and not told.
+
+    A view takes out of the map's unknown space what it sees. What the very same view is still
+    expected to tell, the sensor did not measure: sky, mirrors, walls without texture, or voxels
+    that no scan makes certain. A view like it will not tell that either, so it is taken off, the
+    less the more the two differ in position and direction (a Gaussian). Elevation counts most, as
+    the sky is in every azimuth.
+    """
+
+    name, unit = "repetition", "bits"
+
+    def __init__(self, distance: float, azimuth: float, elevation: float) -> None:
+        """Widths of the Gaussian [m], [rad], [rad]."""
+        self._distance, self._azimuth, self._elevation = distance, azimuth, elevation
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Lost information of each view, shape (M,), at most 0."""
+        lost = np.zeros(len(options))
+        azimuths, elevations = _directions(options.poses)
+        for pose, left in zip(options.recent_views, options.left_over, strict=True):
+            azimuth, elevation = _directions(pose[None])
+            gaps = np.linalg.norm(options.positions - pose[:3, 3], axis=1) / self._distance
+            turn = np.remainder(azimuths - azimuth + np.pi, 2.0 * np.pi) - np.pi
+            turn *= np.cos(0.5 * (elevations + elevation)) / self._azimuth
+            tilt = (elevations - elevation) / self._elevation
+            lost = np.maximum(lost, left * np.exp(-0.5 * (gaps**2 + turn**2 + tilt**2)))
+        return np.asarray(-np.minimum(lost, options.information))
+
+
+def _directions(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth and elevation of the optical axes of poses, (M, 4, 4) -> (M,) each [rad]."""
+    axes = poses[:, :3, 2]
+    return np.arctan2(axes[:, 1], axes[:, 0]), np.arcsin(np.clip(axes[:, 2], -1.0, 1.0))
+
+
+class Distance:
+    """d of eq. (10): weighted distance over the degrees of freedom of the camera.
+
+    ``d = sqrt(sum (w_i (c_i - c'_i))^2)``, so alpha_i of the paper is ``w_i^2``. The position part
+    is stretched by how much longer the way through known free space is than the straight line.
+    """
+
+    name, unit = "distance", "weighted m and rad"
+
+    def __init__(self, position_weights: ArrayLike, rotation_weights: ArrayLike) -> None:
+        """Weights of x, y, z [1/m] and of the rotation about x, y, z of the map [1/rad]."""
+        self._position, self._rotation = np.array(position_weights), np.array(rotation_weights)
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Distance of each view, shape (M,)."""
+        return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
+
+    def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Distance from one pose, (4, 4), to others, (M, 4, 4), over ways of `lengths` (M,) [m]."""
+        offsets = poses[:, :3, 3] - start[:3, 3]
+        straight = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
+        detour = np.maximum(np.where(np.isfinite(lengths), lengths, straight) / straight, 1.0)
+        moved = detour * np.linalg.norm(offsets * self._position, axis=1)
+        turns = rotation_vectors(start, poses)
+        return np.hypot(moved, np.linalg.norm(turns * self._rotation, axis=1))
+
+
+class LocalisationErrorTerm:
+    """LE of eq. (11), by a model that can be replaced."""
+
+    name, unit = "localisation_error", "m"
+
+    def __init__(self, model: LocalisationError | None = None) -> None:
+        self._model = model or OdometryDrift()
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Accumulated localisation error of each view, shape (M,)."""
+        straight = np.linalg.norm(options.positions - options.situation.position, axis=1)
+        lengths = np.where(np.isfinite(options.path_lengths), options.path_lengths, straight)
+        return self._model(options.situation, options.poses, lengths)
+
+
+class Risk:
+    """P of eq. (11): the probability that the camera's place is occupied, or a teammate's.
+
+    The largest probability of occupancy within the camera's ball; the voxels of a ball are seen
+    together and thus far from independent. Nearness to a teammate, or to the view that it is
+    heading for, counts as a probability that falls off like a Gaussian.
+    """
+
+    name, unit = "risk", ""
+
+    def __init__(self, camera_radius: float, teammate_sigma: float) -> None:
+        """Radius of the ball [m] and width of the Gaussian [m]."""
+        self._radius, self._sigma = camera_radius, teammate_sigma
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Risk of each view, shape (M,), within [0, 1]."""
+        situation, positions = options.situation, options.positions
+        safe = 1.0 - _occupancy(options.surroundings, positions, self._radius)
+        here = np.linalg.norm(positions - situation.position, axis=1) < 1e-6
+        safe[here] = 1.0  # it stands there unharmed
+        for mate in situation.teammates:
+            for place, radius in mate.places():
+                gaps = np.maximum(np.linalg.norm(positions - place, axis=1) - radius, 0.0)
+                safe *= 1.0 - np.exp(-0.5 * (gaps / self._sigma) ** 2)
+        return np.asarray(1.0 - safe)
+
+
+def _occupancy(surroundings: Surroundings, positions: FloatArray, radius: float) -> FloatArray:
+    """Largest probability of occupancy within `radius` of positions, (N, 3) -> (N,)."""
+    window = surroundings.window
+    reach = int(radius / window.voxel_size + 1e-6)
+    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1)
+    steps = steps.reshape(-1, 3)
+    steps = steps[(steps**2).sum(axis=1) <= (radius / window.voxel_size) ** 2 + 1e-6]
+    places, index = np.unique(window.positions_of(positions), axis=0, return_inverse=True)
+    near = np.clip(places[:, None] + steps, 0, np.array(window.quanta.shape) - 1)
+    where = tuple(np.moveaxis(near, -1, 0))
+    quanta = window.quanta[where].astype(np.float64)
+    quanta[quanta == UNKNOWN_QUANTA] = 0.0
+    probability = 1.0 / (1.0 + np.exp(-np.clip(quanta * LOG_ODDS_QUANTUM, -700.0, 700.0)))
+    own_body = (surroundings.states[where] == FREE) & (window.quanta[where] == UNKNOWN_QUANTA)
+    probability[own_body] = 0.0
+    return np.asarray(probability.max(axis=1)[np.ravel(index)])

@@ -67,6 +67,8 @@ def explore(name: str, seed: int, out: Path, settings: list[str]) -> dict[str, A
         "rms_sigmas": round(errors.root_mean_square, 3),
         "median_error": round(float(np.median(errors.distances)), 5),
         "predictions": [dataclasses.astuple(each) for each in run.audit.predictions],
+        "scan_nees": [round(each.nees, 2) for each in run.audit.poses],
+        "scan_errors": [round(float(np.linalg.norm(e.error[:3])), 5) for e in run.audit.poses],
         "touched": sorted({f"{c.link} {c.other}" for c in run.simulator.contact_events}),
     }
 

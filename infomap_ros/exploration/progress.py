@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ _GOES_ON = OccupancyThresholds().surface_margin + 1  # [voxels] that a surface i
 _WALL = 1.0  # [m] of surface in a column, at which it is a wall,
 _WALL_SHARE = 0.6  # or such a share of the region's height where that is less
 _GAP = 0.2  # [m] width of gaps in walls that count as closed
+_VOICES = 4  # surface voxels that must agree on where a surface goes on
 _Mask = NDArray[np.bool_]
 
 
@@ -49,7 +51,8 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
     - expanse: columns of the region without any surface, between which and the robot stands no
       wall. What lies behind closed walls is not missing.
     - detail: unknown voxels on the border of the free space that go on where a known surface with
-      the same free side ends, in its plane or one voxel beside it. The border of free space
+      the same free side ends, in its plane or one voxel beside it. Several voxels of that surface
+      must be near: a false match that floats in the air goes on nowhere. The border of free space
       elsewhere is air that was not seen.
 
     A large hole in a known surface counts with its rim alone, so the fraction errs towards 1 where
@@ -105,7 +108,7 @@ def count_surface(
             known |= surface
             beside = [2 * _GOES_ON + 1] * 3
             beside[axis] = 3
-            detail |= unknown & faces_free & ndimage.maximum_filter(surface, size=beside)
+            detail |= unknown & faces_free & (_count_near(surface, beside) >= _VOICES)
     has_surface = occupied.any(axis=2)
     expanse = ~has_surface & (states != OCCUPIED).any(axis=2)
     expanse &= _component(~_walls(occupied, voxel_size), start[:2])
@@ -134,6 +137,14 @@ def _component(mask: _Mask, start: NDArray[np.int64]) -> _Mask:
         places = np.argwhere(mask)
         label = labels[tuple(places[np.argmin(((places - start) ** 2).sum(axis=1))])]
     return np.asarray(labels == label)
+
+
+def _count_near(mask: _Mask, sizes: Sequence[int]) -> NDArray[np.int64]:
+    """How many voxels of `mask` are in a box of odd sizes [voxels] about each voxel."""
+    counts = mask.astype(np.int64)
+    for axis, size in enumerate(sizes):
+        counts = ndimage.correlate1d(counts, np.ones(size, np.int64), axis, mode="constant")
+    return np.asarray(counts)
 
 
 def _neighbours(mask: _Mask, axis: int, step: int) -> _Mask:

@@ -81,6 +81,14 @@ def test_unknown_space_above_free_space_is_not_missing_surface() -> None:
     assert count_surface(states, START, SIZE) == (400, 0)
 
 
+def test_false_match_that_floats_in_the_air_goes_on_nowhere() -> None:
+    states = floor(slice(None))
+    states[:, :, 6:] = UNKNOWN
+    states[9, 9:12, 6] = OCCUPIED
+    known, missing = count_surface(states, START, SIZE)
+    assert (known, missing) == (403, 0)
+
+
 def test_nothing_known_counts_as_nothing() -> None:
     states = np.full((5, 5, 5), UNKNOWN, np.uint8)
     known, missing = count_surface(states, np.array([2, 2, 2]), SIZE)

@@ -99,6 +99,9 @@ class _MapPlanner:
 class ExplorationRun:
     """Builds world, robot, map and planner, explores, and writes what came of it.
 
+    The task's budget of time is that of the simulated world, so that the end does not depend on
+    the machine.
+
     Args:
         options: of everything.
         out: folder for the results.
@@ -146,7 +149,12 @@ class ExplorationRun:
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
         self._exploration = Exploration(
-            self._robot, _MapPlanner(planner, self.map, self.audit), task, self._log, self.control
+            self._robot,
+            _MapPlanner(planner, self.map, self.audit),
+            task,
+            self._log,
+            self.control,
+            clock=lambda: self.simulator.time,
         )
         self._write_start(task)
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infomap_ros.errors import ProcessError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.live import demo_team
 from infomap_ros.nodes.live.demo_team import sum_of_maps
+from infomap_ros.nodes.live.kernels import compile_kernels
 from infomap_ros.nodes.live.live_team import LiveTeam
 
 
@@ -49,6 +51,27 @@ def test_the_map_of_all_is_the_sum_of_what_each_saw(tmp_path: Path) -> None:
     sums = sum(np.where(k, m.log_odds(places), 0.0) for k, m in zip(known, maps, strict=True))
     both = known.any(axis=0)
     np.testing.assert_allclose(shared.log_odds(places)[both], sums[both], atol=0.1)
+
+
+@pytest.mark.parametrize(("status", "complaint"), [(0, ""), (3, "out of disk")])
+def test_it_is_told_what_is_compiled_and_why_it_could_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int, complaint: str
+) -> None:
+    python = tmp_path / "python"
+    python.write_text(
+        f"#!/bin/sh\necho range; echo a warning; echo map {complaint}; exit {status}\n"
+    )
+    python.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(python))
+    told: list[str] = []
+
+    if status:
+        with pytest.raises(ProcessError, match="map out of disk"):
+            compile_kernels(told.append)
+    else:
+        compile_kernels(told.append)
+
+    assert told == ["1 of 4, range", "2 of 4, map"][: 1 if status else 2]
 
 
 def test_an_impossible_world_ends_with_one_line(

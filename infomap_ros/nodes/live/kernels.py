@@ -1,0 +1,62 @@
+"""Compile what the nodes need once, before several processes need it at the same time.
+
+Each process would compile by itself what is not in the cache yet; twelve of them get into each
+other's way. Where all is in the cache, this takes some seconds.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+
+from infomap_ros.errors import ProcessError
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
+from infomap_ros.nodes.fusion import map_warm_up
+from infomap_ros.nodes.locating import localization_warm_up
+from infomap_ros.nodes.planning import plan_warm_up
+from infomap_ros.nodes.ranging.range_sources import RangeSource
+from infomap_ros.stereo import StereoConfig
+
+STEPS: Mapping[str, Callable[[], object]] = {
+    "range": lambda: RangeSource.of_stereo(StereoConfig(), rectify=True).seconds_to_warm_up(),
+    "map": lambda: map_warm_up.warm_up(1),
+    "localisation": localization_warm_up.warm_up,
+    "planning": lambda: plan_warm_up.warm_up(ViewPlannerConfig(threads=1)),
+}
+"""What is compiled, in its order, by name."""
+
+
+def compile_kernels(tell: Callable[[str], None]) -> None:
+    """Run this module as a process of its own, whose memory is gone afterwards.
+
+    Args:
+        tell: told each step before it begins.
+
+    Raises:
+        ProcessError: it failed; with the last lines that it wrote.
+    """
+    command = [sys.executable, "-m", "infomap_ros.nodes.live.kernels"]
+    lines: list[str] = []
+    with subprocess.Popen(
+        command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        for line in process.stdout or ():
+            lines.append(line.rstrip())
+            if lines[-1] in STEPS:
+                number = list(STEPS).index(lines[-1]) + 1
+                tell(f"{number} of {len(STEPS)}, {lines[-1]}")
+    if process.returncode:
+        raise ProcessError("kernels cannot be compiled:\n  " + "\n  ".join(lines[-5:]))
+
+
+def main() -> int:
+    """Compile everything; prints each step's name before it."""
+    for name, compile_them in STEPS.items():
+        print(name, flush=True)
+        compile_them()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -45,8 +45,14 @@ from infomap_ros.nodes.locating.view_gate import Look, ViewGate
 from infomap_ros.nodes.locating.view_sources import ViewSource
 from infomap_ros.nodes.robot.image_inputs import ImageInputs
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.team.map_moves import check_is_later, describe_move, listen_to_moves
+from infomap_ros.nodes.team.map_moves import (
+    MoveSeal,
+    check_is_later,
+    describe_move,
+    listen_to_moves,
+)
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+from infomap_ros.team.authentication import TeamKey
 
 
 class FiducialLocalizationNode(MonitoredNode):
@@ -82,7 +88,8 @@ class FiducialLocalizationNode(MonitoredNode):
         self._moved = self._seen = 0  # stamps [ns]
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
-            listen_to_moves(self, frame, self._worker, self._move_map)
+            seal = MoveSeal(TeamKey.of_team(config.team_key), config.robot_id)
+            listen_to_moves(self, frame, self._worker, self._move_map, seal=seal)
         self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
         topics = self._source.image_topics, self._source.info_topics
         waiting = config.pairing_tolerance, config.queue_size
@@ -113,9 +120,14 @@ class FiducialLocalizationNode(MonitoredNode):
         self._worker.submit(partial(self._work, look))
 
     def _on_clock_jump(self) -> None:
-        follower = self._follower
-        again = follower.lose_track if self._config.resume else follower.reset
-        self._worker.submit_always(again)
+        self._worker.submit_always(self._begin_again)
+
+    def _begin_again(self) -> None:
+        self._moved = 0
+        if self._config.resume:
+            self._follower.lose_track()
+        else:
+            self._follower.reset()
 
     def _work(self, look: Look) -> None:
         self.guard(self._source.image_topics[0], partial(self._locate, look))
@@ -126,6 +138,7 @@ class FiducialLocalizationNode(MonitoredNode):
         result = self._follower.follow(framed.view, look.posture, look.body)
         self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
         self._seen = result.stamp
+        self._moved = self._moved or result.stamp  # what was found before the start is old
         self._teammates.look(framed.view, result)
 
     def _move_map(self, told: PoseRecord) -> None:

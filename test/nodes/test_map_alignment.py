@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from visualization_msgs.msg import MarkerArray
 
+from infomap_ros.errors import UpdateRefusedError
 from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,
@@ -24,10 +27,12 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.replay.messages import decode_pose_with_covariance, encode_pose
+from infomap_ros.nodes.team.map_moves import MoveSeal
+from infomap_ros.replay.messages import encode_pose
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent
+from infomap_ros.team.authentication import TeamKey
 from test.localization.tag_scenes import BoardView, pose_error, seen_from
 from test.nodes.test_fiducial_localization import Stage
 
@@ -63,13 +68,15 @@ class SightNode(MonitoredNode):
 class Meeting:
     """A robot that sees the tag on the back of robot 2 from some places."""
 
-    def __init__(self, graph: Any, robot_id: int, rng: np.random.Generator) -> None:
-        self.graph, self.rng = graph, rng
-        self.node = graph.add(SightNode, robot_id=robot_id, **TAGS)
+    def __init__(
+        self, graph: Any, robot_id: int, rng: np.random.Generator, key_file: str = ""
+    ) -> None:
+        self.graph, self.rng, self.key = graph, rng, TeamKey.of_team(key_file)
+        self.node = graph.add(SightNode, robot_id=robot_id, team_key=key_file, **TAGS)
         self.agents = graph.publisher(MarkerArray, "team/agents")
         self.told = graph.collect(PoseWithCovarianceStamped, "/rover2/map_alignment", qos.stream())
         graph.connect(self.agents)
-        self.version = 0
+        self.version = self.said = 0
 
     def meet(self, stamp: int, T_theirs_mine: np.ndarray) -> None:
         """See the teammate, and then hear from it where it was."""
@@ -83,17 +90,18 @@ class Meeting:
         self.node.worker.submit_always(lambda: self.node.sight.look(view, result))
         base = T_theirs_mine @ T_map_camera @ T_camera_base
         for at in (stamp - SECOND // 10, stamp + SECOND // 10):
-            self.version += 1
+            self.version, self.said = self.version + 1, self.said + 1
             camera = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
             agent = Agent(
                 2, 7, self.version, at, at, base, base, 1e-6 * np.eye(6), camera, 4.0, "looking",
                 description="/rover2/robot_description",
             )  # fmt: skip
-            message = encode_agent(TYPES, "map", agent, agent_to_text(agent), 2.0)
+            text = agent_to_text(agent, self.key)
+            message = encode_agent(TYPES, "map", agent, text, 2.0)
             self.agents.publish(message)
         seen = self.node.resolve_topic_name("team/agents")
         stream = self.node.health._streams[seen]
-        self.graph.spin_until(lambda: stream.count >= self.version, "agents")
+        self.graph.spin_until(lambda: stream.count >= self.said, "agents")
 
 
 def check(found: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> None:
@@ -115,16 +123,30 @@ def test_of_two_robots_the_one_with_the_larger_id_moves_its_map(
     assert not meeting.told
 
 
-def test_the_other_one_tells_its_teammate(graph: Any, rng: np.random.Generator) -> None:
-    meeting = Meeting(graph, 1, rng)
+@pytest.mark.parametrize("secret", ["", "sixteen bytes or more"])
+def test_the_other_one_tells_its_teammate(
+    graph: Any, rng: np.random.Generator, tmp_path: Path, secret: str
+) -> None:
+    (tmp_path / "key").write_text(secret)
+    meeting = Meeting(graph, 1, rng, str(tmp_path / "key") if secret else "")
     for number in range(3):
         meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
     graph.spin_until(lambda: meeting.told, "the message")
-    move = decode_pose_with_covariance(meeting.told[0])
+    move = MoveSeal(meeting.key, 2).open(meeting.told[0])
     assert (move.frame_id, move.stamp) == ("map", 12 * SECOND)
     assert move.covariance is not None
     check(move.transform, move.covariance, invert_transform(T_THEIRS_MINE))
     assert not meeting.node.moves
+
+
+def test_words_that_no_robot_can_say_next_are_not_believed(
+    graph: Any, rng: np.random.Generator
+) -> None:
+    meeting = Meeting(graph, 3, rng)
+    meeting.meet(10 * SECOND, T_THEIRS_MINE)
+    meeting.version += 1 << 25
+    meeting.meet(11 * SECOND, T_THEIRS_MINE)
+    assert meeting.node.health.drops() == {"version far ahead": 2}
 
 
 def test_robots_with_one_map_move_nothing(graph: Any, rng: np.random.Generator) -> None:
@@ -135,12 +157,43 @@ def test_robots_with_one_map_move_nothing(graph: Any, rng: np.random.Generator) 
     assert not meeting.node.moves and not meeting.told
 
 
+def alignment(stamp: int) -> PoseWithCovarianceStamped:
+    pose = PoseRecord(stamp, "map", T_THEIRS_MINE, 1e-4 * np.eye(6))
+    return encode_pose(TYPES, pose)
+
+
+def changed(message: PoseWithCovarianceStamped) -> PoseWithCovarianceStamped:
+    message.pose.covariance[0] *= 0.5
+    return message
+
+
+def test_only_the_team_moves_a_map_that_has_a_key() -> None:
+    ours, others = TeamKey(b"secret of this team"), TeamKey(b"secret of another one")
+    seal = MoveSeal(ours, 2)
+    wrong = {
+        "unsigned": alignment(SECOND),
+        "of strangers": MoveSeal(others, 2).sign(alignment(SECOND)),
+        "for another robot": MoveSeal(ours, 3).sign(alignment(SECOND)),
+        "changed": changed(seal.sign(alignment(SECOND))),
+        "good at any time": seal.sign(alignment(0)),
+    }
+    for message in wrong.values():
+        with pytest.raises(UpdateRefusedError, match="not of this team"):
+            seal.open(message)
+    for opened in (
+        seal.open(seal.sign(alignment(SECOND))),
+        MoveSeal(None, 2).open(seal.sign(alignment(SECOND))),
+        MoveSeal(None, 2).open(alignment(0)),
+    ):
+        assert opened.frame_id == "map"
+        np.testing.assert_allclose(opened.transform, T_THEIRS_MINE, atol=1e-12)
+
+
 def aligned(stage: Stage, stamp: int = 0) -> None:
     topic = "map_alignment"
     publisher = stage.graph.publisher(PoseWithCovarianceStamped, topic)
     stage.graph.connect(publisher)
-    pose = PoseRecord(stamp, "map", T_THEIRS_MINE, 1e-4 * np.eye(6))
-    publisher.publish(encode_pose(TYPES, pose))
+    publisher.publish(alignment(stamp))
 
 
 def test_a_map_is_moved_by_hand_and_the_camera_goes_on_in_it(graph: Any) -> None:

@@ -8,6 +8,7 @@ moves it, and the other one is told.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -32,8 +33,9 @@ from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, describe_move
+from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
 from infomap_ros.replay.messages import encode_pose
+from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.authentication import TeamKey
@@ -74,7 +76,8 @@ class TeammateSight:
     ) -> None:
         self._node, self._worker, self._move, self._stays = node, worker, move, stays
         self._config, who = node.config(TeamTagsConfig), node.config(FiducialLocalizationConfig)
-        self._robot, self._team = who.robot_id, who.team
+        self._robot = who.robot_id
+        self._board = AgentBoard(who.robot_id, None, team=who.team)
         self._key = TeamKey.of_team(who.team_key)
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)
@@ -115,8 +118,7 @@ class TeammateSight:
 
     def _receive(self, text: str) -> None:
         agent = agent_from_text(text, self._key)
-        is_counted = not self._team or agent.robot in self._team
-        if agent.robot != self._robot and is_counted:
+        if self._board.hear(agent, time.monotonic()):
             self._worker.submit_always(partial(self._hear, agent))
 
     def _hear(self, agent: Agent) -> None:
@@ -169,7 +171,8 @@ class TeammateSight:
             self._node.drop("alignment", f"robot {robot} does not say how its topics are called")
             return
         record = PoseRecord(stamp, self._frame, back.T_a_b, back.covariance)
-        mate.tell.publish(encode_pose(self._types, record))
+        message = encode_pose(self._types, record)
+        mate.tell.publish(MoveSeal(self._key, robot).sign(message))
         self._node.get_logger().info(f"told robot {robot} to move {describe_move(back.T_a_b)}")
 
     def _publisher(self, namespace: str) -> Publisher:

@@ -27,10 +27,17 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.team.keep_clear import (
+    PAUSE,
+    KeepClearConfig,
+    KeepsClear,
+    Surroundings,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
@@ -39,6 +46,7 @@ from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlann
 from infomap_ros.nodes.planning.ros_robot import RosRobot, RosRobotConfig
 from infomap_ros.nodes.planning.target_sight import TargetSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.teammates_near import TeammatesNear, TeammatesNearConfig
 
 _STATUS_PERIOD = 0.5  # [s]
 
@@ -78,6 +86,8 @@ class ExplorerNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
+        (KeepClearConfig, "keep_clear."),
+        (TeammatesNearConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -85,6 +95,7 @@ class ExplorerNode(MonitoredNode):
         self._config = self.config(ExplorerConfig)
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
         self._robot = RosRobot(self, self._tracker)
+        self._teammates = TeammatesNear(self)
         self._sight = TargetSight(self, self._tracker)
         self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
@@ -135,7 +146,7 @@ class ExplorerNode(MonitoredNode):
         log = RunLogFile(Path(self._config.log_file).absolute(), append=goes_on)
         self._log = log
         self._exploration = Exploration(
-            self._robot,
+            KeepsClear(self._robot, self._surroundings(), self.config(KeepClearConfig)),
             self._planner,
             self.config(TaskConfig),
             log,
@@ -147,6 +158,21 @@ class ExplorerNode(MonitoredNode):
         self._thread = threading.Thread(target=self._explore, name="exploration", daemon=True)
         self._thread.start()
         return f"going on after {mission.views} views" if goes_on else "exploration begins"
+
+    def _surroundings(self) -> Surroundings:
+        """Teammates are in the map: who still looks for its target does not know where they are."""
+        tracker, robot = self._tracker, self._robot
+        return Surroundings(
+            robot.place,
+            lambda: body_extent(tracker.robot, tracker.joint_positions())[0],
+            lambda: () if robot.in_odometry else self._teammates.present(),
+            lambda: tracker.wait_until(lambda: False, PAUSE, self._stopped),
+            self._say,
+        )
+
+    def _say(self, state: str, reason: str) -> None:
+        if self._exploration is not None:
+            self._exploration.say(state, reason)
 
     def _explore(self) -> None:
         """The thread of the loop."""

@@ -20,7 +20,7 @@ ROBOT_ARGUMENTS = {
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
 }
-_MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization")
+_MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization", "explorer")
 
 
 class RobotLaunch:

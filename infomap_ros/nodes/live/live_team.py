@@ -20,7 +20,8 @@ from infomap_ros.nodes.live.processes import NodeProcesses
 from infomap_ros.nodes.team.team_topics import SHARED
 from infomap_ros.simulation.company.team_world import starts_abreast
 
-_IN_TEAM = ("map_fusion", "next_best_view")
+_SHARING = ("map_fusion", "next_best_view")
+_IN_TEAM = (*_SHARING, "explorer")
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
 
@@ -87,10 +88,11 @@ class LiveTeam(LiveGraph):
         member = {
             "robot_id": number + 1,
             "team": list(range(1, len(self.names) + 1)),
-            "team_map.simulated_loss": loss,
         }
         for node in _IN_TEAM:
             nodes[node] |= member
+        for node in _SHARING:
+            nodes[node]["team_map.simulated_loss"] = loss
         return {node: {**values, **given.get(node, {})} for node, values in nodes.items()}
 
     def start(self) -> None:

@@ -121,10 +121,10 @@ class RosRobot:
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Send the path and wait until the base rests at its end."""
         self._send_path(poses)
-        travelled = [self._base()]
+        travelled = [self.place()]
 
         def arrived() -> bool:
-            travelled.append(self._base())
+            travelled.append(self.place())
             left, turn = _away(travelled[-1], poses[-1])
             near = left <= self._config.position_tolerance
             return near and turn <= self._config.heading_tolerance
@@ -133,11 +133,22 @@ class RosRobot:
         path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
         if done:
             return Motion("", path)
-        here = self._base()
+        here = self.place()
         self._send_path(np.array([here]))  # stay
         left, turn = _away(here, poses[-1])
         stopped = f"the base has stopped {left:.2f} m and {turn:.2f} rad from its goal"
         return Motion(_broken_off(interrupted, stopped), path)
+
+    def place(self) -> tuple[float, float, float]:
+        """Where the base is, or was when that was last known: messages may be lost on the way.
+
+        Returns:
+            x, y [m] and yaw [rad], in the frame in which ways are given.
+        """
+        state = self._tracker.known_state(self.in_odometry)
+        if state is not None:
+            self._last_base = planar_pose(state.T_map_base)
+        return self._last_base
 
     @property
     def _tolerance(self) -> float:
@@ -161,7 +172,7 @@ class RosRobot:
     def _whereabouts(self) -> FloatArray:
         """Base pose and joint positions, to see whether anything moves [m, rad]."""
         joints = self._tracker.joint_positions()
-        return np.array([*self._base(), *(joints[name] for name in sorted(joints))])
+        return np.array([*self.place(), *(joints[name] for name in sorted(joints))])
 
     def _on_update(self, message: PointCloud2) -> None:
         stamp, _ = MessageFields(message, POINT_CLOUD).header()
@@ -172,13 +183,6 @@ class RosRobot:
 
     def _now(self) -> int:
         return int(self._clock.now().nanoseconds)
-
-    def _base(self) -> tuple[float, float, float]:
-        """Where the base is, or was when that was last known: messages may be lost on the way."""
-        state = self._tracker.known_state(self.in_odometry)
-        if state is not None:
-            self._last_base = planar_pose(state.T_map_base)
-        return self._last_base
 
     def _farthest(self, goal: dict[str, float]) -> tuple[str, float]:
         """The joint that is farthest from its goal, and how far [rad or m]."""

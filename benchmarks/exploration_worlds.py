@@ -69,7 +69,7 @@ def explore(name: str, seed: int, out: Path, settings: list[str]) -> dict[str, A
         "predictions": [dataclasses.astuple(each) for each in run.audit.predictions],
         "scan_nees": [round(each.nees, 2) for each in run.audit.poses],
         "scan_errors": [round(float(np.linalg.norm(e.error[:3])), 5) for e in run.audit.poses],
-        "touched": sorted({f"{c.link} {c.other}" for c in run.simulator.contact_events}),
+        "touched": [dataclasses.astuple(contact) for contact in run.simulator.contact_events],
     }
 
 

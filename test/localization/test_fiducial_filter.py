@@ -436,3 +436,18 @@ def test_a_start_must_be_a_pose_with_a_covariance() -> None:
         FiducialFilter(CAMERA).start(np.zeros((4, 4)), np.eye(6))
     with pytest.raises(InvalidInputError, match="covariance"):
         FiducialFilter(CAMERA).start(np.eye(4), np.eye(5))
+
+
+@pytest.mark.parametrize("sigma", [1e3, 1e6, 1e9])
+def test_a_camera_that_may_be_anywhere_at_all_is_no_error(sigma: float) -> None:
+    """Beside such a covariance the noise of an image vanishes in rounding."""
+    rng = np.random.default_rng(5)
+    points = wall(30, rng)
+    pose_filter = FiducialFilter(CAMERA)
+    pose_filter.start(np.eye(4), np.zeros((6, 6)))
+    pose_filter.add(observe(points, np.eye(4), rng))
+    pose_filter.predict(MotionPrior(np.eye(4), np.diag([sigma**2] * 3 + [1.0] * 3)))
+    moved = looking(np.array([0.1, 0.0, 0.0]), 0.0) @ invert_transform(looking(np.zeros(3), 0.0))
+    update = pose_filter.update(observe(points, moved, rng))
+    if update.is_consistent:
+        assert pose_error(pose_filter.pose[0], moved)[:3] == pytest.approx(np.zeros(3), abs=0.1)

@@ -176,10 +176,10 @@ def examine(
     for _ in range(_ROUNDS):
         if np.count_nonzero(members) < _LEAST:
             return None
-        correction = correct(sight.select(members), np.ones(int(members.sum())))
-        if correction is None:
+        compared = _compared(sight, members)
+        if compared is None:
             return None
-        innovations = innovations_from(sight, members, correction)
+        correction, innovations = compared
         used, members = members, group.admitted & ((innovations**2).sum(axis=1) <= gates)
         if np.array_equal(used, members):
             break
@@ -194,6 +194,21 @@ def examine(
         _motion_nis(correction, noise, expectation.motion_covariance),
         innovations,
     )
+
+
+def _compared(sight: Sight, members: BoolArray) -> tuple[Correction, FloatArray] | None:
+    """The correction by some fiducials, and how far all are from what these say.
+
+    None where one of them comes to lie behind the camera, or where so little is known of the pose
+    that beside its covariance the noise of the image vanishes in rounding.
+    """
+    try:
+        correction = correct(sight.select(members), np.ones(int(members.sum())))
+        if correction is None:
+            return None
+        return correction, innovations_from(sight, members, correction)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _motion_nis(correction: Correction, noise: FloatArray, covariance: FloatArray) -> float:

@@ -17,7 +17,12 @@ from infomap_ros.cli import app
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
-from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, explore
+from infomap_ros.studies.planar.explore import (
+    INFORMATION,
+    Exploration,
+    ExplorationConfig,
+    explore,
+)
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
@@ -30,6 +35,11 @@ from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_sca
 from infomap_ros.studies.planar.tasks import Record, run_tasks
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
+from infomap_ros.views import ExpectedInformation, Situation
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
+from infomap_ros.views.vain_looks import VainLooksConfig
 
 TUTORIAL = Path(__file__).resolve().parents[2] / "docs" / "tutorial_own_strategy.md"
 SHORT = ExplorationConfig(scans=5)
@@ -96,6 +106,42 @@ def test_only_worlds_that_all_have_explored_are_compared() -> None:
     records = [Record(task, nothing) for task in tasks_of(config)]
     assert complete(records) == records
     assert complete(records[:5]) == records[:4]
+
+
+class Watching:
+    """Takes the view with the largest rating, and keeps what it is asked."""
+
+    needs_worth = False
+
+    def __init__(self) -> None:
+        self.asked: list[Situation] = []
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        self.asked.append(options.situation)
+        return Scores(ratings.ratings)
+
+
+def test_what_a_view_promised_in_vain_is_not_expected_again(world: PlanarWorld) -> None:
+    strategy, information = Watching(), ExpectedInformation(config=INFORMATION)
+    explore(world, strategy, replace(SHORT, scans=7), vain=VainLooksConfig(patience=0.01))
+    promised, again = 0.0, 0.0
+    for situation in strategy.asked:
+        pose = situation.T_map_camera[None]
+        left = information.gains(replace(situation, promising=None), pose)[0]
+        still = information.gains(situation, pose)[0]
+        promised += left.total
+        again += float(still.gains[np.isin(still.keys, left.keys)].sum())
+    assert promised > 1.0
+    assert again < 0.25 * promised  # of voxels at the very end of the range
+
+
+def test_only_the_own_strategies_give_voxels_up() -> None:
+    strategies = (*PlanarStudyConfig.strategies, "my_strategy.Thrifty")
+    tasks = tasks_of(PlanarStudyConfig(worlds=0, strategies=strategies))
+    with_it = [task for task in tasks if task.vain is not None]
+    assert [task.label for task in with_it] == ["largest_information", "look_ahead", "Thrifty"]
+    without = replace(with_it[0], vain=None)
+    assert "vain" in with_it[0].fingerprint() and "vain" not in without.fingerprint()
 
 
 def test_results_are_kept_and_not_computed_again(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import process_time
 
 import numpy as np
@@ -25,10 +25,11 @@ from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.strategy import Strategy
 from infomap_ros.views.sampling.flight import FreeFlight
+from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
 
-_INFORMATION = InformationConfig(
-    ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4
-)  # at most half a voxel of 1 m between rays at 15 m
+INFORMATION = InformationConfig(ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4)
+"""How it is judged what views tell: at most half a voxel of 1 m between rays at 15 m, no noise."""
+
 _DRAWS = 5  # of candidates, before an exploration ends
 
 
@@ -104,6 +105,8 @@ class PlanarExplorer:
         choice: configuration of the choice; that of the studies by default.
         start: where it begins, shape (2,) [m]; the world's start by default.
         metric: what counts as information, one of `views.METRICS`.
+        vain: when voxels are given up that views promised to inform and did not; without it none
+            are.
     """
 
     def __init__(
@@ -114,6 +117,7 @@ class PlanarExplorer:
         choice: NextBestViewConfig | None = None,
         start: FloatArray | None = None,
         metric: str = "expected_entropy_reduction",
+        vain: VainLooksConfig | None = None,
     ) -> None:
         self.world, self.config = world, config
         self.map = VoxelMap(config.sensor.map_config(world.cell))
@@ -122,9 +126,10 @@ class PlanarExplorer:
             world.cell,
             strategy=strategy if isinstance(strategy, str) else "",
         )
-        information = ExpectedInformation(metric, _INFORMATION, threads=1)
+        self._information = ExpectedInformation(metric, INFORMATION, threads=1)
+        self._vain = None if vain is None else VainLooks(vain)
         self._thresholds = settings.surroundings.thresholds
-        self._choice = NextBestView(settings, strategy, information)
+        self._choice = NextBestView(settings, strategy, self._information)
         self._rng = np.random.default_rng(config.seed)
         place = world.start if start is None else start
         self.pose = level_pose(place, float(self._rng.uniform(-np.pi, np.pi)), world.cell)
@@ -165,9 +170,16 @@ class PlanarExplorer:
     def move(self, situation: Situation) -> tuple[FloatArray | None, str]:
         """Choose the next view and fly there; candidates are drawn again where none will do.
 
+        What the last view is still expected to tell is in vain: see `views.vain_looks`.
+
         Returns:
             Corners of the way, shape (N, 3) [m]; None where there is no view, and why.
         """
+        if self._vain is not None:
+            left = self._information.gains(situation, self.pose[None])[0]
+            self._vain.note(left.keys, situation.voxel_map, self.pose[:3, 3], situation.max_range)
+            promising = self._vain.without_them(situation.voxel_map)
+            situation = replace(situation, promising=promising)
         flight = FreeFlight(situation.voxel_map, self.pose, situation.heights, self._thresholds)
         for _ in range(_DRAWS):
             decision = self._choice.select(situation, flight, self._rng)
@@ -188,6 +200,7 @@ def explore(
     choice: NextBestViewConfig | None = None,
     progress: Callable[[int], None] | None = None,
     metric: str = "expected_entropy_reduction",
+    vain: VainLooksConfig | None = None,
 ) -> Exploration:
     """Explore a world with one sensor.
 
@@ -198,9 +211,10 @@ def explore(
         choice: configuration of the choice; that of the studies by default.
         progress: called with the number of scans taken.
         metric: what counts as information, one of `views.METRICS`.
+        vain: see `PlanarExplorer`.
     """
     settings = config or ExplorationConfig()
-    sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric)
+    sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric, vain=vain)
     rows: list[tuple[float, float, float]] = []
     way, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
     while not ended:

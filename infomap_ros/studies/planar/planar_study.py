@@ -21,6 +21,7 @@ from infomap_ros.studies.planar.sensor import SensorConfig
 from infomap_ros.studies.planar.study_config import DrawnWorldsConfig, OneSensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray
+from infomap_ros.views.vain_looks import VainLooksConfig
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""
@@ -33,6 +34,8 @@ BASELINES = (
     f"{_HERE}.autonomous.AutonomousExploration",
 )
 """What the package's strategies are compared with, by dotted path."""
+
+_ONE_LOOK = 0.3  # a voxel that a look from up to 0.84 of the range left unknown is given up
 
 OWN = ("largest_information", "look_ahead", "view_tour")
 """The package's own strategies, which all others are compared with."""
@@ -60,6 +63,7 @@ class PlanarStudyConfig(OneSensorConfig):
     share: float = parameter(
         0.9, "Share of a world to which distances are compared.", low=0.01, high=1.0
     )
+    vain: VainLooksConfig = field(default_factory=lambda: VainLooksConfig(patience=_ONE_LOOK))
 
 
 def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
@@ -95,7 +99,8 @@ def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
         seed=world.seed,
         sensor=config.sensor,
     )
-    return Task(world, strategy, exploration, config.candidates)
+    vain = None if stops or strategy in BASELINES else config.vain
+    return Task(world, strategy, exploration, config.candidates, vain=vain)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
+from infomap_ros.views.vain_looks import VainLooksConfig
 
 
 def label_of(strategy: str) -> str:
@@ -58,6 +59,7 @@ class Task:
         config: sensor, number of scans, seed.
         candidates: number of candidate views.
         sensors: that explore together.
+        vain: when voxels are given up that views promised to inform and did not; None: never.
     """
 
     world: WorldName
@@ -65,6 +67,7 @@ class Task:
     config: ExplorationConfig
     candidates: int
     sensors: int = 1
+    vain: VainLooksConfig | None = None
 
     @property
     def label(self) -> str:
@@ -78,7 +81,8 @@ class Task:
 
     def fingerprint(self) -> str:
         """All that the result depends on, but for the code; a result with another one is stale."""
-        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+        values = {name: v for name, v in dataclasses.asdict(self).items() if v is not None}
+        return json.dumps(values, sort_keys=True)
 
     def run(self) -> Exploration:
         """Explore."""
@@ -86,7 +90,7 @@ class Task:
         choice = planar_choice(sensor.max_range, self.world.cell, self.candidates, self.strategy)
         if self.sensors > 1:
             return explore_together(world, self.strategy, self.config, choice, self.sensors)
-        return explore(world, self.strategy, self.config, choice)
+        return explore(world, self.strategy, self.config, choice, vain=self.vain)
 
 
 @dataclass(frozen=True, eq=False)

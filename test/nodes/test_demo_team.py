@@ -71,7 +71,7 @@ def test_it_is_told_what_is_compiled_and_why_it_could_not(
     else:
         compile_kernels(told.append)
 
-    assert told == ["1 of 4, range", "2 of 4, map"][: 1 if status else 2]
+    assert told == ["1 of 5, range", "2 of 5, map"][: 1 if status else 2]
 
 
 def test_an_impossible_world_ends_with_one_line(

@@ -28,6 +28,7 @@ class Localisation:
         tracked: number of fiducials that the pose rests on.
         is_keyframe: whether the pose was kept, see `Localizer.keyframes`.
         target_seen: whether the target corrected the pose.
+        contradicted: whether known fiducials are missed that ought to be in view.
     """
 
     stamp: int
@@ -38,6 +39,7 @@ class Localisation:
     tracked: int = 0
     is_keyframe: bool = False
     target_seen: bool = False
+    contradicted: bool = False
 
 
 @dataclass(frozen=True)

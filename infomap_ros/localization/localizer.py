@@ -294,6 +294,5 @@ class Localizer(KnownMap):
         if is_keyframe:
             self._filter.keep_pose(view.stamp)
             self._keyframe = pose
-        return Localisation(
-            view.stamp, self._state, pose, covariance, reason, tracked, is_keyframe, target_seen
-        )
+        told = pose, covariance, reason, tracked, is_keyframe, target_seen
+        return Localisation(view.stamp, self._state, *told, self._contradicted > 0.0)

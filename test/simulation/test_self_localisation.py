@@ -10,6 +10,9 @@ import pytest
 from infomap_ros.errors import InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.localization.fiducials.range_view import StereoView
+from infomap_ros.localization.localisation import Localisation, State
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
@@ -87,6 +90,43 @@ def test_without_the_target_in_view_it_does_not_start(explored: ExplorationRun) 
     blind = SelfLocalisation(explored.simulator, poses._robot, explored.options.robot.stereo)
     with pytest.raises(PoseUnavailableError, match="no pair was taken"):
         blind.pose()
+
+
+@pytest.mark.parametrize(
+    ("told", "pairs", "is_told"),
+    [
+        ([("tracking", False)], 1, True),
+        ([("coasting", False), ("coasting", False), ("tracking", False)], 3, True),
+        ([("coasting", False), ("coasting", True)], 2, False),
+        ([("coasting", False)] * 4, 4, False),
+        ([("lost", False)], 1, False),
+    ],
+)
+def test_a_view_without_known_fiducials_is_taken_again(
+    explored: ExplorationRun,
+    monkeypatch: pytest.MonkeyPatch,
+    told: list[tuple[State, bool]],
+    pairs: int,
+    is_told: bool,
+) -> None:
+    poses = explored._robot.poses
+    assert isinstance(poses, SelfLocalisation)
+    see, taken = poses.see, list[StereoView]()
+
+    def seen(voxel_map: VoxelMap | None = None) -> StereoView:
+        state, contradicted = told[len(taken)]
+        taken.append(see(voxel_map))
+        poses.last = Localisation(0, state, None, None, contradicted=contradicted)
+        return taken[-1]
+
+    monkeypatch.setattr(poses, "see", seen)
+    explored.simulator.step(0.1)
+    if is_told:
+        assert poses.take_scan(explored.map).stamp == taken[-1].stamp
+    else:
+        with pytest.raises(PoseUnavailableError):
+            poses.take_scan(explored.map)
+    assert len(taken) == pairs
 
 
 def test_a_world_without_target_is_refused() -> None:

@@ -26,6 +26,8 @@ from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.simulation.worlds.target_board import WORLD_BOARD
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 
+_PAUSE = 0.1  # [s] between two pairs from one place
+
 
 def _board_of_the_worlds() -> TargetConfig:
     return TargetConfig(kind="tags", tags=TagTargetConfig(board=WORLD_BOARD))
@@ -63,6 +65,13 @@ class SelfLocalisationConfig:
     )
     pair_angle: float = parameter(
         0.25, "Likewise after this turn of the camera.", unit="rad", low=0.01, high=3.0
+    )
+    more_pairs: int = parameter(
+        3,
+        "So many pairs more are taken at a view whose pose no known fiducials tell: new ones are "
+        "chosen there, and tie what follows to the pose that odometry and joints tell.",
+        low=0,
+        high=100,
     )
     target: TargetConfig = field(default_factory=_board_of_the_worlds)
     motion: DeadReckoningConfig = field(default_factory=_rover_on_rough_ground)
@@ -141,7 +150,7 @@ class SelfLocalisation:
             PoseUnavailableError: it is not in view.
         """
         for _ in range(self.config.first_pairs):
-            self._simulator.step(0.1)
+            self._simulator.step(_PAUSE)
             self.see()
         if self._known is None:
             raise PoseUnavailableError(f"the first pose is not known: {self._problem()}")
@@ -158,13 +167,18 @@ class SelfLocalisation:
         return pose.moved(self._kinematics.since(posture, self._measured_posture()))
 
     def take_scan(self, voxel_map: VoxelMap) -> PosedScan:
-        """Take a stereo pair now, and localise by it.
+        """Take a stereo pair now, and localise by it; take another one where it tells too little.
 
         Raises:
-            PoseUnavailableError: it does not tell from where it was taken.
+            PoseUnavailableError: none tells from where it was taken.
             SimulationError: this machine cannot draw images.
         """
         view = self.see(voxel_map)
+        for _ in range(self.config.more_pairs):
+            if self.last is None or self.last.state != "coasting" or self.last.contradicted:
+                break
+            self._simulator.step(_PAUSE)
+            view = self.see(voxel_map)
         if self._known is None or self.last is None or self.last.state != "tracking":
             raise PoseUnavailableError(f"where the camera is is not known: {self._problem()}")
         return PosedScan(view.stamp, view.cloud(), self._known[0])

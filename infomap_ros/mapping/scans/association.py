@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 
 NEAREST = 1e-6
@@ -42,7 +42,7 @@ class Sensor(NamedTuple):
     limit: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotated(r: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rotate a vector by a rotation given row by row."""
     return (
@@ -52,7 +52,7 @@ def rotated(r: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def voxel_position(sensor: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Map position of a point of the sensor frame [m], in voxels."""
     t, inverse = sensor.position, sensor.inverse_size
@@ -60,13 +60,13 @@ def voxel_position(sensor: Any, x: float, y: float, z: float) -> tuple[float, fl
     return (mx + t[0]) * inverse, (my + t[1]) * inverse, (mz + t[2]) * inverse
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def within_limit(x: float, y: float, z: float) -> bool:
     """Whether a position, in voxels, and its surroundings can be packed into keys."""
     return max(abs(x), max(abs(y), abs(z))) < COORDINATE_LIMIT - 128.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def variance_along(covariances: Any, row: int, columns: Any, x: float, y: float, z: float) -> float:
     """Variance of a point along a direction; covariance in any layout named by `columns`."""
     xx, xy, xz = (
@@ -82,7 +82,7 @@ def variance_along(covariances: Any, row: int, columns: Any, x: float, y: float,
     return xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pose_variance_along(pose_covariance: Any, arm: Any, direction: Any) -> float:
     """Variance that the pose's error gives a point along a direction, both in the map frame.
 
@@ -106,7 +106,7 @@ def pose_variance_along(pose_covariance: Any, arm: Any, direction: Any) -> float
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def set_reach(
     sensor: Any,
     pose_covariance: Any,

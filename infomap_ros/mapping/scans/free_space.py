@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.association import rotated
 from infomap_ros.mapping.scans.pyramid import least, level_for, most
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
@@ -51,21 +52,21 @@ class View(NamedTuple):
     size: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def to_camera(view: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Camera coordinates of a point of the map [m]."""
     t = view.position
     return rotated(view.inverse_rotation, x - t[0], y - t[1], z - t[2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def far_extent(view: Any, half: float) -> float:
     """How far a cube of half edge `half` reaches beyond its centre along the optical axis."""
     r = view.inverse_rotation
     return half * (abs(r[6]) + abs(r[7]) + abs(r[8]))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float) -> int:
     """FREE, MIXED or 0 (nothing free) for the cube at camera coordinates, half edge `half` [m]."""
     reach = far_extent(view, half)
@@ -142,7 +143,7 @@ def find_free_blocks(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _descend(
     view: Any, pyramid: Any, stack: Any, blocks: Any, states: Any, found: int, limit: int
 ) -> int:

@@ -17,8 +17,9 @@ from infomap_ros.mapping.scans import (
     see_through,
     traversal,
 )
-from infomap_ros.mapping.scans.organised import TILE, gather_organised
+from infomap_ros.mapping.scans.organised import gather_organised
 from infomap_ros.mapping.scans.scan_input import Scan
+from infomap_ros.mapping.scans.tiles import TILE, empty_groups
 from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, COORDINATE_LIMIT
 from infomap_ros.mapping.voxels.storage import FreeBlocks
@@ -34,6 +35,7 @@ class ScanGatherer:
         self._config = config
         self._workers = workers
         self._parts = [scan.empty_rows() for _ in range(workers.count)]
+        self._groups = [empty_groups() for _ in range(workers.count)]
         self._pyramid = pyramid.empty_pyramid(2, 2)
         self._image_size = (2, 2)
         self._blocks = np.empty((4096, 3), np.int32)
@@ -73,6 +75,8 @@ class ScanGatherer:
         ground = shape[0] * shape[1]
         lower = levels.lower[:ground].reshape(shape)
         upper = levels.upper[:ground].reshape(shape)
+        lower.fill(np.inf)
+        upper.fill(-np.inf)
         part_tallies = np.zeros((len(self._parts), 4), np.int64)
 
         def gather(part: int, first: int, last: int) -> bool:
@@ -89,6 +93,7 @@ class ScanGatherer:
                 lower,
                 upper,
                 part_tallies[part],
+                self._groups[part],
             )
 
         def gather_strips(part: int, strips: list[tuple[int, int]]) -> None:
@@ -103,17 +108,16 @@ class ScanGatherer:
         pyramid.build_pyramid(levels)
         pyramid.spread_pyramid(levels)
         tallies += part_tallies.sum(axis=0)
-        return self._separated_parts(), self._see(measured)
+        return self._parts, self._see(measured)
 
-    def _separated_parts(self) -> list[scan.ScanRows]:
-        """The parts of the scan, no voxel in two of them."""
+    def _separate_parts(self) -> None:
+        """Leave no voxel in two parts of the scan."""
         for last, source in enumerate(self._parts):
             for target in self._parts[:last]:
                 scan.absorb_rows(source, target)
-        return self._parts
 
     def _see(self, measured: Scan) -> FreeBlocks:
-        """Blocks and voxels that an organised scan sees through."""
+        """Blocks and voxels that an organised scan sees through; separates the parts meanwhile."""
         camera, config = measured.camera, self._config
         assert camera is not None
         inverse = invert_transform(measured.transform)
@@ -128,17 +132,12 @@ class ScanGatherer:
             camera.height,
             config.voxel_size,
         )
-        lowest, highest = _frustum_blocks(measured, config)
-        limit = int(config.memory_limit * 1e9 / _FREE_BLOCK_BYTES)
-        while True:
-            states = np.empty(len(self._blocks), np.uint8)
-            count = free_space.find_free_blocks(
-                view, self._pyramid, lowest, highest, _TOP_LEVEL, self._blocks, states, limit
-            )
-            if count <= len(self._blocks):
-                break
-            self._check_block_count(count)
-            self._blocks = np.empty((count + count // 4, 3), np.int32)
+        found: list[NDArray[np.uint8]] = []
+        self._workers.together(
+            lambda: found.append(self._find_blocks(view, measured)), self._separate_parts
+        )
+        states = found[0]
+        count = len(states)
         bits = np.empty((count, 8), np.uint64)
 
         def see(_: int, first: int, last: int) -> None:
@@ -148,6 +147,20 @@ class ScanGatherer:
 
         self._workers.run(see, count)
         return FreeBlocks(self._blocks[:count], bits)
+
+    def _find_blocks(self, view: free_space.View, measured: Scan) -> NDArray[np.uint8]:
+        """List the blocks that may be free in part in `_blocks`; returns their states."""
+        lowest, highest = _frustum_blocks(measured, self._config)
+        limit = int(self._config.memory_limit * 1e9 / _FREE_BLOCK_BYTES)
+        while True:
+            states = np.empty(len(self._blocks), np.uint8)
+            count = free_space.find_free_blocks(
+                view, self._pyramid, lowest, highest, _TOP_LEVEL, self._blocks, states, limit
+            )
+            if count <= len(self._blocks):
+                return states[:count]
+            self._check_block_count(count)
+            self._blocks = np.empty((count + count // 4, 3), np.int32)
 
     def _cloud_cells(self, measured: Scan) -> scan.ScanRows:
         """Normals of an unorganised scan."""

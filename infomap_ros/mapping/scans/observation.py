@@ -27,11 +27,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.mapping.scans.scan import row_centre
-from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, invert_symmetric
+from infomap_ros.geometry.kernel import kernel
+from infomap_ros.mapping.scans.association import pose_variance_along
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, inverse_symmetric
+from infomap_ros.mapping.voxels.keys import unpack
 from infomap_ros.mapping.voxels.surface import side_of
 
 _AGREEMENT = 0.7
@@ -45,8 +46,11 @@ _LEAST_SHARE = 0.03
 nothing of it: such estimates take memory and hardly ever come to lie in their voxels. The rule asks
 the scan alone, so that scans may come in any order."""
 
+_FAR_SIGMAS = 1.9
+"""Beyond a voxel by this many standard deviations, a surface lies in it with less than that."""
 
-@njit(cache=True, nogil=True)
+
+@kernel
 def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
     """``scale * R S R^T`` as (xx, xy, xz, yy, yz, zz); R row by row, S in the same order."""
     ax, ay, az = (
@@ -74,7 +78,7 @@ def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pose_covariance(p: Any, x: float, y: float, z: float) -> Any:
     """``J C_pose J^T`` for a point at arm (x, y, z) [m] from the sensor, map frame.
 
@@ -111,14 +115,14 @@ def _pose_covariance(p: Any, x: float, y: float, z: float) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _variance_along(c: Any, nx: float, ny: float, nz: float) -> float:
     """``n^T C n`` of C = (xx, xy, xz, yy, yz, zz)."""
     variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
     return variance + 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _plane_matrix(along: float, across: float, nx: float, ny: float, nz: float) -> Any:
     """``along n n^T + across (I - n n^T)`` as (xx, xy, xz, yy, yz, zz)."""
     d = along - across
@@ -132,7 +136,7 @@ def _plane_matrix(along: float, across: float, nx: float, ny: float, nz: float) 
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _covariance_sums(sums: Any, row: int) -> Any:
     """Sum of the points' covariances of a row, in double precision."""
     return (
@@ -145,32 +149,13 @@ def _covariance_sums(sums: Any, row: int) -> Any:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sum(a: Any, b: Any) -> Any:
     """Sum of two symmetric matrices given by their upper triangles."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5])
 
 
-@njit(cache=True, nogil=True)
-def _share_inside(
-    distance: float, nx: float, ny: float, nz: float, variance: float, size: float
-) -> float:
-    """Probability that the surface lies in the voxel, along the normal.
-
-    Args:
-        distance: from the voxel's centre to the surface, along the normal [m].
-        nx: unit normal, likewise ny and nz.
-        ny: see nx.
-        nz: see nx.
-        variance: of that distance [m^2].
-        size: of the voxel [m].
-    """
-    half = 0.5 * size * (abs(nx) + abs(ny) + abs(nz))
-    scale = 1.0 / math.sqrt(2.0 * variance)
-    return 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
-
-
-@njit(cache=True, nogil=True)
+@kernel
 def observe_rows(
     rows: Any,
     sensor: Any,
@@ -199,8 +184,8 @@ def observe_rows(
         hits: receives the evidence of each row [quanta], int32.
         sides: receives the side from which the surface is seen, uint8.
     """
-    inverse, centre = np.empty(6), np.empty(3)
     sums, t, size = rows.sums, sensor.position, sensor.size
+    patch = size * size / 12.0
     for row in range(first, last):
         information[row, 0] = 0.0
         hits[row] = 0
@@ -208,40 +193,85 @@ def observe_rows(
         if count == 0.0:
             continue
         share = 1.0 / count
-        row_centre(rows.keys[row], size, centre)
+        x, y, z = unpack(rows.keys[row])
         ox, oy, oz = sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share
+        arm = (
+            (x + 0.5) * size + ox - t[0],
+            (y + 0.5) * size + oy - t[1],
+            (z + 0.5) * size + oz - t[2],
+        )
         nx, ny, nz = np.float64(sums[row, 10]), np.float64(sums[row, 11]), np.float64(sums[row, 12])
         sides[row] = side_of(nx, ny, nz)
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
-        smooth = length > _AGREEMENT * count
-        scale = 1.0 / length if smooth else 0.0
-        nx, ny, nz = nx * scale, ny * scale, nz * scale
-        points = _covariance_sums(sums, row)
-        total = _sum(
-            _rotate_symmetric(
-                sensor.rotation, points, (correlation + (1.0 - correlation) * share) * share
-            ),
-            _pose_covariance(
-                pose_covariance, centre[0] + ox - t[0], centre[1] + oy - t[1], centre[2] + oz - t[2]
-            ),
-        )
-        inside, patch = min(1.0, np.float64(sums[row, 13])), size * size / 12.0
-        if not invert_symmetric(_sum(total, (patch, 0.0, 0.0, patch, 0.0, patch)), inverse):
+        scatter = (correlation + (1.0 - correlation) * share) * share
+        if length > _AGREEMENT * count:
+            normal = (nx / length, ny / length, nz / length)
+            variance = _smooth_variance(sums, row, sensor.rotation, scatter, normal, patch)
+            variance += max(0.0, pose_variance_along(pose_covariance, arm, normal))
+            inside, inverse = _observe_smooth((ox, oy, oz), normal, variance, size, patch)
+        else:
+            total = _sum(
+                _rotate_symmetric(sensor.rotation, _covariance_sums(sums, row), scatter),
+                _pose_covariance(pose_covariance, arm[0], arm[1], arm[2]),
+            )
+            inside, inverse = _observe_edge(total, min(1.0, np.float64(sums[row, 13])), patch)
+        if inverse[0] == 0.0:
             continue
-        if smooth:
-            variance = _variance_along(total, nx, ny, nz)
-            if not variance > _LEAST_VARIANCE:
-                continue
-            inside = _share_inside(ox * nx + oy * ny + oz * nz, nx, ny, nz, variance, size)
-            if inside < _LEAST_SHARE:
-                continue
-            inverse[:] = _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
         hits[row] = int(hit_quanta * inside + 0.5)
         for i in range(6):
             information[row, i] = inverse[i]
         information[row, 6] = inverse[0] * ox + inverse[1] * oy + inverse[2] * oz
         information[row, 7] = inverse[1] * ox + inverse[3] * oy + inverse[4] * oz
         information[row, 8] = inverse[2] * ox + inverse[4] * oy + inverse[5] * oz
+
+
+@kernel
+def _smooth_variance(sums: Any, row: int, r: Any, scale: float, normal: Any, patch: float) -> float:
+    """``scale * n^T R S R^T n`` of the points' covariances S of a row.
+
+    -inf where ``scale * S`` is not positive even with `patch` added to each variance [m^2].
+    """
+    total, spare = _covariance_sums(sums, row), patch / scale
+    if not _is_positive(
+        total[0] + spare, total[1], total[2], total[3] + spare, total[4], total[5] + spare
+    ):
+        return -np.inf
+    nx, ny, nz = normal
+    x = r[0] * nx + r[3] * ny + r[6] * nz
+    y = r[1] * nx + r[4] * ny + r[7] * nz
+    z = r[2] * nx + r[5] * ny + r[8] * nz
+    return scale * max(0.0, _variance_along(total, x, y, z))
+
+
+@kernel
+def _is_positive(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> bool:
+    """Whether a symmetric matrix is positive definite."""
+    minor, c0, c1, c2 = xx * yy - xy * xy, yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    return xx > 0.0 and minor > 0.0 and xx * c0 + xy * c1 + xz * c2 > 0.0
+
+
+@kernel
+def _observe_smooth(offset: Any, normal: Any, variance: float, size: float, patch: float) -> Any:
+    """Probability that the surface lies in a voxel, and the information; zeros where it is none."""
+    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if not variance > _LEAST_VARIANCE:
+        return 0.0, nothing
+    nx, ny, nz = normal
+    distance = abs(offset[0] * nx + offset[1] * ny + offset[2] * nz)
+    half = 0.5 * size * (abs(nx) + abs(ny) + abs(nz))
+    if distance - half > 0.0 and (distance - half) ** 2 > _FAR_SIGMAS**2 * variance:
+        return 0.0, nothing
+    scale = 1.0 / math.sqrt(2.0 * variance)
+    inside = 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
+    if inside < _LEAST_SHARE:
+        return 0.0, nothing
+    return inside, _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
+
+
+@kernel
+def _observe_edge(total: Any, inside: float, patch: float) -> Any:
+    """As `_observe_smooth`, for a voxel without a normal and the covariance of its points."""
+    return inside, inverse_symmetric(_sum(total, (patch, 0.0, 0.0, patch, 0.0, patch)))
 
 
 def empty_observations(

@@ -11,29 +11,28 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.association import (
     NEAREST,
     rotated,
     set_reach,
     variance_along,
-    voxel_position,
-    within_limit,
 )
-from infomap_ros.mapping.scans.scan import GROUP_SIZE, add_group
+from infomap_ros.mapping.scans.plain_tiles import gather_plain_tile
+from infomap_ros.mapping.scans.scan import add_group
+from infomap_ros.mapping.scans.tiles import TILE, gather_tile
 
-TILE = 8
 _LARGEST_WINDOW = 24
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _usable(points: Any, v: int, u: int) -> bool:
     z = points[v, u, 2]
     return z > NEAREST and np.isfinite(z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bend(points: Any, v: int, u: int, dv: int, du: int) -> float:
     """Deviation of the depth at a pixel from the line through its two neighbours [m].
 
@@ -48,7 +47,7 @@ def _bend(points: Any, v: int, u: int, dv: int, du: int) -> float:
     return abs(2.0 * before * after / (before + after) - points[v, u, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tile_normal(
     points: Any, v: int, u: int, focal: float, size: float, sigma: float, out: Any
 ) -> None:
@@ -88,7 +87,7 @@ def tile_normal(
         out[0], out[1], out[2] = nx / length, ny / length, nz / length
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
     """A usable pixel of a tile, as near its middle as there is; (-1, -1) when there is none."""
     height, width = points.shape[0], points.shape[1]
@@ -105,7 +104,7 @@ def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
     return best_v, best_u
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gather_organised(
     rows: Any,
     sensor: Any,
@@ -119,6 +118,7 @@ def gather_organised(
     lower: Any,
     upper: Any,
     tallies: Any,
+    groups: Any,
 ) -> bool:
     """Gather the image rows [first_row, last_row) of an organised scan.
 
@@ -133,152 +133,109 @@ def gather_organised(
         first_row: multiple of 8.
         last_row: multiple of 8 or H.
         lower: depth up to which all measured pixels of a 2 x 2 cell see through, shape
-            (ceil(H/2), ceil(W/2)); inf where the cell has no measurement.
-        upper: the same for the farthest-seeing pixel; -inf where there is none.
+            (ceil(H/2), ceil(W/2)); begins as inf and stays so where nothing was measured.
+        upper: the same for the farthest-seeing pixel; begins as -inf.
         tallies: int64, shape (4,): points taken, out of range, beyond the coordinate limit, with
             a covariance that is not positive.
+        groups: a `TileGroups` to work with.
 
     Returns:
         False when the scratch storage is full.
     """
     width = points.shape[1]
-    table, keys, sums, used = rows.table, rows.keys, rows.sums, rows.used
-    reach, axis, normal = np.zeros(3), np.zeros(3), np.zeros(3)
-    groups = np.zeros((TILE * TILE + 1, GROUP_SIZE))
+    reach, axis, normal, group = groups.reach, groups.axis, groups.normal, groups.one
     shared = len(covariances) == 1
-    lower[first_row >> 1 : (last_row + 1) >> 1] = np.inf
-    upper[first_row >> 1 : (last_row + 1) >> 1] = -np.inf
     for v0 in range(first_row, last_row, TILE):
         for u0 in range(0, width, TILE):
             v, u = _tile_centre(points, v0, u0)
-            margin = 0.0
-            if v >= 0:
-                row = 0 if shared else v * width + u
-                x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
-                norm = np.sqrt(x * x + y * y + z * z)
-                dx, dy, dz = x / norm, y / norm, z / norm
-                along = max(0.0, variance_along(covariances, row, columns, dx, dy, dz))
-                tile_normal(points, v, u, focal, sensor.size, np.sqrt(along), normal)
-                set_reach(
-                    sensor,
-                    pose_covariance,
-                    x,
-                    y,
-                    z,
-                    covariances,
-                    row,
-                    columns,
-                    normal,
-                    reach,
-                    axis,
-                )
-                margin = _depth_margin(sensor, pose_covariance, along, dx, dy, dz)
-            _gather_tile(
+            if v < 0:
+                continue
+            row = 0 if shared else v * width + u
+            x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
+            norm = np.sqrt(x * x + y * y + z * z)
+            dx, dy, dz = x / norm, y / norm, z / norm
+            along = max(0.0, variance_along(covariances, row, columns, dx, dy, dz))
+            tile_normal(points, v, u, focal, sensor.size, np.sqrt(along), normal)
+            set_reach(
+                sensor,
+                pose_covariance,
+                x,
+                y,
+                z,
+                covariances,
+                row,
+                columns,
+                normal,
+                reach,
+                axis,
+            )
+            margin = _depth_margin(sensor, pose_covariance, along, dx, dy, dz)
+            count = gather_plain_tile(
                 sensor, points, covariances, columns, v0, u0, margin, groups, lower, upper, tallies
             )
-            slot = 0
-            while groups[slot, 0] > 0.0:
-                if not add_group(table, keys, sums, used, sensor, reach, axis, groups, slot):
-                    return False
-                slot += 1
+            if count < 0:
+                count = gather_tile(
+                    sensor,
+                    points,
+                    covariances,
+                    columns,
+                    v0,
+                    u0,
+                    margin,
+                    groups,
+                    lower,
+                    upper,
+                    tallies,
+                )
+            if not _add_groups(rows, sensor.size, reach, axis, groups, count, group, tallies):
+                return False
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _add_groups(
+    rows: Any,
+    size: float,
+    reach: Any,
+    axis: Any,
+    groups: Any,
+    count: int,
+    group: Any,
+    tallies: Any,
+) -> bool:
+    """Give the groups of a tile to the rows; False when their storage is full.
+
+    Args:
+        rows: a `ScanRows`.
+        size: of a voxel [m].
+        reach: half the association segment, map frame [voxels].
+        axis: unit normal, map frame.
+        groups: a `TileGroups`.
+        count: number of groups.
+        group: memory for one, as `add_group` takes it.
+        tallies: receives the number of points taken.
+    """
+    table, cubes, places = rows.table, rows.cubes, rows.places
+    keys, sums, used = rows.keys, rows.sums, rows.used
+    group_keys, group_sums = groups.keys, groups.sums
+    for i in range(count):
+        points = group_sums[i, 0]
+        group[0] = points
+        for n in range(3):
+            group[1 + n] = group_sums[i, 1 + n] * size
+            group[10 + n] = axis[n] * points
+        for n in range(4, 10):
+            group[n] = group_sums[i, n]
+        tallies[0] += int(points)
+        if not add_group(table, cubes, places, keys, sums, used, size, reach, group_keys[i], group):
+            return False
+    return True
+
+
+@kernel
 def _depth_margin(sensor: Any, c: Any, variance: float, dx: float, dy: float, dz: float) -> float:
     """What is taken off a measured depth before space counts as empty [m]."""
     mx, my, mz = rotated(sensor.rotation, dx, dy, dz)
     pose = mx * mx * c[0, 0] + my * my * c[1, 1] + mz * mz * c[2, 2]
     pose += 2.0 * (mx * my * c[0, 1] + mx * mz * c[0, 2] + my * mz * c[1, 2])
     return sensor.sigmas * np.sqrt(variance + max(pose, 0.0)) * dz
-
-
-@njit(cache=True, nogil=True)
-def _slot_of(groups: Any, i: float, j: float, k: float) -> Any:
-    """Slot of the group of voxel (i, j, k), made if need be."""
-    slot = 0
-    while groups[slot, 0] > 0.0:
-        if groups[slot, 1] == i and groups[slot, 2] == j and groups[slot, 3] == k:
-            return slot
-        slot += 1
-    groups[slot, 1], groups[slot, 2], groups[slot, 3] = i, j, k
-    return slot
-
-
-@njit(cache=True, nogil=True)
-def _add_run(groups: Any, i: float, j: float, k: float, run: Any) -> None:
-    """Add consecutive points of voxel (i, j, k) to its group.
-
-    Args:
-        groups: of the tile, a free slot has no points.
-        i: voxel, likewise j and k.
-        j: see i.
-        k: see i.
-        run: number of points, sums of their offsets (3) and covariances (6).
-    """
-    if run[0] == 0.0:
-        return
-    slot = _slot_of(groups, i, j, k)
-    groups[slot, 0] += run[0]
-    for n in range(1, 10):
-        groups[slot, 3 + n] += run[n]
-
-
-@njit(cache=True, nogil=True)
-def _gather_tile(
-    sensor: Any,
-    points: Any,
-    covariances: Any,
-    columns: Any,
-    v0: int,
-    u0: int,
-    margin: float,
-    groups: Any,
-    lower: Any,
-    upper: Any,
-    tallies: Any,
-) -> None:
-    """Sort the points of one tile into `groups`; see `gather_organised`."""
-    height, width = points.shape[0], points.shape[1]
-    c0, c1, c2, c3, c4, c5 = columns
-    squared_range = sensor.max_range**2
-    stride = 0 if len(covariances) == 1 else 1
-    i = j = k = np.inf
-    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
-    for v in range(v0, min(v0 + TILE, height)):
-        for u in range(u0, min(u0 + TILE, width)):
-            x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
-            squared = x * x + y * y + z * z
-            if not (z > NEAREST and squared < np.inf):
-                continue
-            depth = z - margin
-            if squared > squared_range:
-                depth = z * sensor.max_range / np.sqrt(squared)
-                tallies[1] += 1
-            else:
-                row = stride * (v * width + u)
-                a, d, f = covariances[row, c0], covariances[row, c3], covariances[row, c5]
-                if not (a > 0.0 and d > 0.0 and f > 0.0 and a + d + f < np.inf):
-                    tallies[3] += 1
-                    continue
-                mx, my, mz = voxel_position(sensor, x, y, z)
-                if not within_limit(mx, my, mz):
-                    tallies[2] += 1
-                    continue
-                dx, dy, dz = mx - i, my - j, mz - k
-                if not (0.0 <= dx < 1.0 and 0.0 <= dy < 1.0 and 0.0 <= dz < 1.0):
-                    _add_run(groups, i, j, k, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz))
-                    tallies[0] += int(count)
-                    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
-                    i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
-                    dx, dy, dz = mx - i, my - j, mz - k
-                count += 1.0
-                ox, oy, oz = ox + (dx - 0.5), oy + (dy - 0.5), oz + (dz - 0.5)
-                xx, yy, zz = xx + a, yy + d, zz + f
-                xy += covariances[row, c1]
-                xz += covariances[row, c2]
-                yz += covariances[row, c4]
-            lower[v >> 1, u >> 1] = min(lower[v >> 1, u >> 1], depth)
-            upper[v >> 1, u >> 1] = max(upper[v >> 1, u >> 1], depth)
-    _add_run(groups, i, j, k, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz))
-    tallies[0] += int(count)

@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from infomap_ros.geometry.kernel import kernel
 
 
 class Pyramid(NamedTuple):
@@ -56,7 +57,7 @@ def empty_pyramid(width: int, height: int) -> Pyramid:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def build_pyramid(pyramid: Any) -> None:
     """Fill the levels above the ground level, whose `lower` and `upper` are given.
 
@@ -92,7 +93,7 @@ def build_pyramid(pyramid: Any) -> None:
                 upper[cell] = high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_pyramid(pyramid: Any) -> None:
     """Fill `safe` from `lower`, on all levels."""
     lower, safe = pyramid.lower, pyramid.safe
@@ -116,7 +117,7 @@ def spread_pyramid(pyramid: Any) -> None:
                 columns_before, columns_here = columns_here, columns_next
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def level_for(pyramid: Any, extent: float) -> int:
     """Lowest level whose cells are at least `extent` pixels wide."""
     level, cell = 0, 2.0
@@ -126,7 +127,7 @@ def level_for(pyramid: Any, extent: float) -> int:
     return level
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def least(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int) -> float:
     """Smallest value of the cells that cover the pixels [u0, u1] x [v0, v1]."""
     smallest = np.inf
@@ -138,7 +139,7 @@ def least(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: 
     return smallest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def most(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int) -> float:
     """Largest value of the cells that cover the pixels [u0, u1] x [v0, v1]."""
     largest = -np.inf

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.free_space import (
     FREE,
     HALF_DIAGONAL,
@@ -23,13 +23,13 @@ _CLOSE = 4.0
 """Blocks nearer than this many voxels choose the pyramid level voxel by voxel."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def footprint_level(view: Any, pyramid: Any, depth: float) -> int:
     """Level whose 3 x 3 neighbourhoods hold the footprint of a voxel at this depth [m]."""
     return level_for(pyramid, HALF_DIAGONAL * view.size * max(view.fx, view.fy) / depth)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_free_voxels(
     view: Any, pyramid: Any, blocks: Any, states: Any, first: int, last: int, bits: Any
 ) -> None:
@@ -71,7 +71,7 @@ def find_free_voxels(
             _test_voxels(view, pyramid, level, x, y, z, extent, bits, block)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _test_block(
     view: Any,
     pyramid: Any,
@@ -126,7 +126,7 @@ def _test_block(
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _test_voxels(
     view: Any,
     pyramid: Any,
@@ -145,26 +145,26 @@ def _test_voxels(
     width, height = view.width, view.height
     safe, start, cells = pyramid.safe, pyramid.starts[level], pyramid.widths[level]
     shift = level + 1
+    first = np.uint64(start)
     for dz in range(BLOCK_SIDE):
         word = np.uint64(0)
         oz = (dz - 3.5) * size
-        for dy in range(BLOCK_SIDE):
-            oy = (dy - 3.5) * size
-            px, py, pz = x + b * oy + c * oz, y + e * oy + f * oz, z + h * oy + i * oz
-            for dx in range(BLOCK_SIDE):
-                ox = (dx - 3.5) * size
-                depth = pz + g * ox
-                inverse = 1.0 / depth
-                u = fx * (px + a * ox) * inverse + left
-                v = fy * (py + d * ox) * inverse + top
-                if u >= 0.0 and v >= 0.0 and u < width and v < height:
-                    cell = start + (int(v) >> shift) * cells + (int(u) >> shift)
-                    if safe[cell] > depth + extent:
-                        word |= _ONE << np.uint64(dy * BLOCK_SIDE + dx)
+        px, py, pz = x + c * oz, y + f * oz, z + i * oz
+        for n in range(BLOCK_SIDE * BLOCK_SIDE):  # without a branch, for eight voxels at once
+            ox, oy = ((n & 7) - 3.5) * size, ((n >> 3) - 3.5) * size
+            depth = pz + h * oy + g * ox
+            inverse = 1.0 / depth
+            u = fx * (px + b * oy + a * ox) * inverse + left
+            v = fy * (py + e * oy + d * ox) * inverse + top
+            is_seen = (u >= 0.0) & (v >= 0.0) & (u < width) & (v < height)
+            column, row = np.int64(u if is_seen else 0.0), np.int64(v if is_seen else 0.0)
+            cell = (row >> shift) * cells + (column >> shift)
+            is_free = is_seen & (safe[first + np.uint64(cell)] > depth + extent)
+            word |= np.uint64(is_free) << np.uint64(n)
         bits[block, dz] = word
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _test_close_block(
     view: Any, pyramid: Any, x: float, y: float, z: float, extent: float, bits: Any, block: int
 ) -> None:

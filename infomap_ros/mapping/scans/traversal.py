@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from infomap_ros.mapping.scans.association import NEAREST, set_reach, voxel_position, within_limit
 from infomap_ros.mapping.scans.cloud_normals import CELL_VOXELS, normal_at
 from infomap_ros.mapping.scans.scan import (
-    GROUP_SIZE,
     INSIDE,
+    SUM_COLUMNS,
     add_group,
     axis_start,
     row_centre,
@@ -57,9 +57,10 @@ def gather_cloud(
     Returns:
         False when the scratch storage is full.
     """
-    table, keys, sums, used = rows.table, rows.keys, rows.sums, rows.used
+    table, cubes, places = rows.table, rows.cubes, rows.places
+    keys, sums, used = rows.keys, rows.sums, rows.used
     reach, axis, direction = np.zeros(3), np.zeros(3), np.zeros(3)
-    group = np.zeros((1, GROUP_SIZE))
+    group = np.zeros(SUM_COLUMNS, np.float32)
     shared = len(covariances) == 1
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -81,18 +82,22 @@ def gather_cloud(
         if not within_limit(mx, my, mz):
             tallies[2] += 1
             continue
-        group[0, 0] = 1.0
-        group[0, 1], group[0, 2], group[0, 3] = np.floor(mx), np.floor(my), np.floor(mz)
-        group[0, 4], group[0, 5] = mx - group[0, 1] - 0.5, my - group[0, 2] - 0.5
-        group[0, 6] = mz - group[0, 3] - 0.5
+        fx, fy, fz = np.floor(mx), np.floor(my), np.floor(mz)
+        group[0] = 1.0
+        group[1] = (mx - fx - 0.5) * sensor.size
+        group[2] = (my - fy - 0.5) * sensor.size
+        group[3] = (mz - fz - 0.5) * sensor.size
         for n in range(6):
-            group[0, 7 + n] = covariances[row, columns[n]]
-        xx, yy, zz = group[0, 7], group[0, 10], group[0, 12]
+            group[4 + n] = covariances[row, columns[n]]
+        for n in range(3):
+            group[10 + n] = axis[n]
+        xx, yy, zz = group[4], group[7], group[9]
         if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
             tallies[3] += 1
             continue
         tallies[0] += 1
-        if not add_group(table, keys, sums, used, sensor, reach, axis, group, 0):
+        key = pack(int(fx), int(fy), int(fz))
+        if not add_group(table, cubes, places, keys, sums, used, sensor.size, reach, key, group):
             return False
     return True
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.block_kernels import (
     add_quanta,
     add_quanta_to_all,
@@ -27,7 +27,7 @@ _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def enter_rows(
     blocks: Any,
     rows: Any,
@@ -90,7 +90,7 @@ def enter_rows(
     return hit_blocks
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_merged(dirty: Any, owners: Any, information: Any) -> None:
     """Remember that voxels receive information, if changes are tracked."""
     if len(dirty) == 0:
@@ -101,7 +101,7 @@ def mark_merged(dirty: Any, owners: Any, information: Any) -> None:
             dirty[owners[row] >> 10, (owners[row] & 511) >> 6] |= _ONE << bit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_keys(rows: Any, keys: Any) -> None:
     """Keys of the blocks in which the rows of a scan lie."""
     for row in range(len(keys)):
@@ -109,7 +109,7 @@ def block_keys(rows: Any, keys: Any) -> None:
         keys[row] = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def free_voxels(
     blocks: Any, coordinates: Any, bits: Any, count: int, hit_row: Any, hit_bits: Any, miss: int
 ) -> None:
@@ -146,7 +146,7 @@ def free_voxels(
             _free_some(blocks, slot, bits[i], miss)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
     """Add a miss to the voxels of a block whose bits are set."""
     if blocks.kind[slot] != NARROW:
@@ -168,7 +168,7 @@ def _free_some(blocks: Any, slot: int, bits: Any, miss: int) -> None:
             plane[word * 64 + i] = np.int8(old + step) if is_free else delta
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mark_freed(dirty: Any, plane: Any, base: int, bits: Any, miss: int) -> None:
     """Mark the voxels of a NARROW block that a miss will change."""
     for word in range(8):
@@ -181,7 +181,7 @@ def _mark_freed(dirty: Any, plane: Any, base: int, bits: Any, miss: int) -> None
         dirty[word] |= changed & pattern
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_new_by_rows(blocks: Any, rows: Any, hits: Any, counts: Any) -> None:
     """Count blocks and planes that the rows of a scan would make; at most, not exactly.
 
@@ -204,7 +204,7 @@ def count_new_by_rows(blocks: Any, rows: Any, hits: Any, counts: Any) -> None:
             counts[1] += slot < 0 or blocks.kind[slot] < NARROW
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_new_by_free(blocks: Any, coordinates: Any, bits: Any, counts: Any) -> None:
     """Count blocks and planes that the free voxels of a scan would make, as `count_new_by_rows`."""
     for i in range(len(bits)):

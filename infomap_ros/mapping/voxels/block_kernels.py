@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import SHARED_LOG_ODDS_LIMIT
 from infomap_ros.mapping.voxels.blocks import (
     BLOCK_COUNT,
@@ -29,7 +29,7 @@ from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, table_slot
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rehash(table: Any, keys: Any, count: int) -> None:
     """Enter the first `count` keys into an empty table."""
     for slot in range(count):
@@ -41,7 +41,7 @@ def rehash(table: Any, keys: Any, count: int) -> None:
         table[place] = slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_block(blocks: Any, key: int) -> int:
     """Slot of the block with this key, or -1."""
     place = table_slot(key, len(blocks.table))
@@ -54,7 +54,7 @@ def find_block(blocks: Any, key: int) -> int:
             place = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_or_add_block(blocks: Any, key: int) -> int:
     """Slot of the block with this key, made if need be. The caller has made room."""
     place = table_slot(key, len(blocks.table))
@@ -76,14 +76,14 @@ def find_or_add_block(blocks: Any, key: int) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def quanta_at(blocks: Any, slot: int, local: int) -> tuple[bool, Any]:
     """Whether a voxel is known, and its evidence [quanta] (0 if unknown)."""
     kind, base, row = blocks.kind[slot], blocks.base[slot], blocks.plane[slot]
     return quanta_of(kind, base, row, blocks.narrow, blocks.wide, local)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def quanta_of(
     kind: int, base: int, row: int, narrow: Any, wide: Any, local: int
 ) -> tuple[bool, Any]:
@@ -101,7 +101,7 @@ def quanta_of(
     return False, np.int64(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _new_narrow_row(blocks: Any) -> Any:
     counts = blocks.counts
     if counts[NARROW_FREE] > 0:
@@ -112,14 +112,14 @@ def _new_narrow_row(blocks: Any) -> Any:
     return row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def release_narrow_row(blocks: Any, row: int) -> None:
     """Give a row of `narrow` back."""
     blocks.free_rows[blocks.counts[NARROW_FREE]] = row
     blocks.counts[NARROW_FREE] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _delta_range(blocks: Any, slot: int) -> Any:
     """Smallest and largest delta of a NARROW block, 0 - base included if some are unknown."""
     plane = blocks.narrow[blocks.plane[slot]]
@@ -136,7 +136,7 @@ def _delta_range(blocks: Any, slot: int) -> Any:
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def widen(blocks: Any, slot: int) -> None:
     """Turn a NARROW block into a WIDE one."""
     narrow_row = np.int64(blocks.plane[slot])
@@ -150,7 +150,7 @@ def widen(blocks: Any, slot: int) -> None:
     blocks.kind[slot] = WIDE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_room(blocks: Any, slot: int, down: int, up: int) -> None:
     """Give a block per-voxel storage in which every value may change by -down .. +up quanta."""
     kind = blocks.kind[slot]
@@ -175,20 +175,20 @@ def make_room(blocks: Any, slot: int, down: int, up: int) -> None:
         widen(blocks, slot)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def clipped(quanta: int) -> int:
     """Evidence as it is told to others [quanta]."""
     return min(max(quanta, -SHARED_LOG_ODDS_LIMIT), SHARED_LOG_ODDS_LIMIT)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_dirty(blocks: Any, slot: int, local: int) -> None:
     """Remember that a voxel changed, if changes are tracked."""
     if len(blocks.dirty):
         blocks.dirty[slot, local >> 6] |= np.uint64(1) << np.uint64(local & 63)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_quanta(blocks: Any, slot: int, local: int, quanta: int) -> None:
     """Add evidence to one voxel of a block in which `make_room` has made room."""
     base = np.int64(blocks.base[slot])
@@ -207,7 +207,7 @@ def add_quanta(blocks: Any, slot: int, local: int, quanta: int) -> None:
         mark_dirty(blocks, slot, local)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_quanta_to_all(blocks: Any, slot: int, quanta: int) -> None:
     """Add evidence to every voxel of a block; all become known."""
     kind = blocks.kind[slot]
@@ -223,7 +223,7 @@ def add_quanta_to_all(blocks: Any, slot: int, quanta: int) -> None:
     blocks.base[slot] += quanta
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _complete_narrow(blocks: Any, slot: int) -> None:
     """Make the unknown voxels of a NARROW block known with evidence 0; merge equal values."""
     row = np.int64(blocks.plane[slot])
@@ -241,7 +241,7 @@ def _complete_narrow(blocks: Any, slot: int) -> None:
         release_narrow_row(blocks, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _complete_wide(blocks: Any, slot: int) -> None:
     """Make the unknown voxels of a WIDE block known with evidence 0."""
     plane = blocks.wide[blocks.plane[slot]]

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.blocks import grown
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, table_slot
 
@@ -84,7 +84,7 @@ def gaussian_bytes(arrays: GaussianArrays) -> int:
     return int(arrays.table.nbytes + arrays.counts[0] * GAUSSIAN_BYTES)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rehash(table: Any, owner: Any, count: int) -> None:
     for row in range(count):
         place = table_slot(np.int64(owner[row]), len(table))
@@ -95,13 +95,13 @@ def _rehash(table: Any, owner: Any, count: int) -> None:
         table[place] = row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_gaussian(gaussians: Any, owner: int) -> int:
     """Row of a voxel's Gaussian, or -1."""
     return find_row(gaussians.table, gaussians.owner, owner)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_row(table: Any, owner: Any, key: int) -> Any:
     """As `find_gaussian`, from the arrays `table` and `owner`: quicker in a loop."""
     place = table_slot(key, len(table))
@@ -114,7 +114,7 @@ def find_row(table: Any, owner: Any, key: int) -> Any:
             place = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gaussian_row(table: Any, owner: Any, counts: Any, key: int, information: Any) -> Any:
     """Row of a voxel's Gaussian, made with no information if need be.
 
@@ -149,7 +149,7 @@ def gaussian_row(table: Any, owner: Any, counts: Any, key: int, information: Any
     return row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def invert_symmetric(a: Any, out: Any) -> bool:
     """Invert a symmetric positive definite 3x3 matrix given as (xx, xy, xz, yy, yz, zz).
 
@@ -159,7 +159,7 @@ def invert_symmetric(a: Any, out: Any) -> bool:
     return _invert(a[0], a[1], a[2], a[3], a[4], a[5], out)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _invert(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, out: Any) -> bool:
     minor = xx * yy - xy * xy
     c0 = yy * zz - yz * yz
@@ -178,7 +178,27 @@ def _invert(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, ou
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def inverse_symmetric(a: Any) -> Any:
+    """As `invert_symmetric`, as a tuple; zeros when the matrix is not positive definite."""
+    xx, xy, xz, yy, yz, zz = a
+    minor = xx * yy - xy * xy
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * c0 + xy * c1 + xz * c2
+    if not (xx > 0.0 and minor > 0.0 and determinant > 0.0):
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    scale = 1.0 / determinant
+    return (
+        c0 * scale,
+        c1 * scale,
+        c2 * scale,
+        (xx * zz - xz * xz) * scale,
+        (xy * xz - xx * yz) * scale,
+        minor * scale,
+    )
+
+
+@kernel
 def solve_mean(information: Any, covariance: Any, mean: Any) -> bool:
     """Covariance (6,) and mean (3,) relative to the voxel's centre from a row, shape (9,).
 

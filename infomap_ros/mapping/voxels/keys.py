@@ -9,8 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from infomap_ros.geometry.kernel import kernel
+
+KEY_X, KEY_Y = 42, 21
+"""Bits by which x and y are shifted in a key."""
 
 BLOCK_BITS = 3
 BLOCK_SIDE = 1 << BLOCK_BITS
@@ -22,11 +26,12 @@ _MASK = (1 << 21) - 1
 _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pack(x: int, y: int, z: int) -> Any:
     """Pack three coordinates within the limit into one key."""
     limit = COORDINATE_LIMIT
-    return ((np.int64(x) + limit) << 42) | ((np.int64(y) + limit) << 21) | (np.int64(z) + limit)
+    high = ((np.int64(x) + limit) << KEY_X) | ((np.int64(y) + limit) << KEY_Y)
+    return high | (np.int64(z) + limit)
 
 
 def pack_all(coordinates: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -35,21 +40,21 @@ def pack_all(coordinates: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((x << 42) | (y << 21) | z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack(key: int) -> tuple[int, int, int]:
     """Inverse of `pack`."""
     limit = COORDINATE_LIMIT
     return (key >> 42) - limit, ((key >> 21) & _MASK) - limit, (key & _MASK) - limit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def table_slot(key: int, size: int) -> Any:
     """First slot of `key` in an open-addressing table of any `size` (multiply-shift)."""
     mixed = (np.uint64(key) * _MULTIPLIER) >> np.uint64(32)
     return np.int64((mixed * np.uint64(size)) >> np.uint64(32))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def local_index(x: int, y: int, z: int) -> int:
     """Index of a voxel within its block, from its voxel coordinates."""
     return (x & 7) | ((y & 7) << 3) | ((z & 7) << 6)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import (
     CHUNK,
@@ -26,7 +26,12 @@ from infomap_ros.mapping.voxels.surface import (
 )
 from infomap_ros.mapping.voxels.surface_code import CODE_BYTES, is_isotropic
 from infomap_ros.mapping.voxels.surface_reading import count_records, list_records
-from infomap_ros.mapping.voxels.surface_storing import close_gaps, store_records
+from infomap_ros.mapping.voxels.surface_storing import (
+    arrange_records,
+    close_gaps,
+    empty_work,
+    store_rows,
+)
 
 _MOST_GAPS, _FEW_RECORDS = 0.125, 1024
 """Share of the records, and number beside it, that may be gaps."""
@@ -54,14 +59,31 @@ def put_records(
     Raises:
         CapacityError: there are more blocks or records than can be numbered.
     """
+    surface, order = with_arranged(surface, blocks, records, information, adding)
+    store_rows(surface, records, information, order, 0, len(order), adding)
+    return surface
+
+
+def with_arranged(
+    surface: SurfaceArrays,
+    blocks: int,
+    records: NDArray[np.int64],
+    information: NDArray[np.float32],
+    adding: bool,
+) -> tuple[SurfaceArrays, NDArray[np.int64]]:
+    """Make the records that `put_records` needs; for the arguments see there.
+
+    Returns:
+        The arrays, and the rows that are to be stored, those of a sheet side by side.
+    """
     order, places = np.empty(len(records), np.int64), np.zeros(SIDES * blocks + 1, np.int64)
     used, pages = _group_by_sheet(records, information, adding, places, order)
     surface = with_pages(_without_gaps(surface), blocks, pages)
-    done = 0
+    done, order, work = 0, order[:used], empty_work()
     while True:
-        done = store_records(surface, records, information, order[:used], done, adding)
+        done = arrange_records(surface, records, information, order, done, work)
         if done == used:
-            return surface
+            return surface, order
         surface = with_records(surface, max(BLOCK_VOXELS, used - done))
 
 
@@ -94,7 +116,7 @@ def surface_of(
     return put_records(empty_surface(), blocks, records, information, adding=False)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _group_by_sheet(
     records: Any, information: Any, adding: bool, places: Any, order: Any
 ) -> tuple[int, int]:
@@ -160,7 +182,7 @@ def _pages(surface: SurfaceArrays, sheets: NDArray[np.int64]) -> NDArray[np.int6
     return np.where(known, surface.page[np.where(known, sheets, 0)].astype(np.int64), -1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_kinds(places: Any, information: Any, counts: Any) -> None:
     """Count the observations of each sheet that need a code, and others."""
     for row in range(len(places)):
@@ -168,7 +190,7 @@ def _count_kinds(places: Any, information: Any, counts: Any) -> None:
             counts[places[row], 0 if is_isotropic(information[row]) else 1] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_stored(masks: Any, pages: Any, counts: Any) -> None:
     """Count the records of pages, none for -1."""
     for i in range(len(pages)):

@@ -25,7 +25,7 @@ from infomap_ros.mapping.voxels.blocks import (
     with_room,
 )
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.records import growth_of_surface, put_records
+from infomap_ros.mapping.voxels.records import growth_of_surface, with_arranged
 from infomap_ros.mapping.voxels.surface import (
     SIDES,
     SurfaceArrays,
@@ -33,6 +33,7 @@ from infomap_ros.mapping.voxels.surface import (
     growth_bound,
     surface_bytes,
 )
+from infomap_ros.mapping.voxels.surface_storing import store_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +147,15 @@ class ScanWriter:
         hit_bits = np.zeros((count, 8), np.uint64)
         owners = self._enter(blocks, parts, hit_bits)
 
-        def merge() -> None:
+        orders: list[NDArray[np.int64]] = []
+
+        def arrange() -> None:
             for part, voxels in zip(parts, owners, strict=True):
                 update.mark_merged(blocks.dirty, voxels, part.information)
-                storage.gaussians = put_records(
+                storage.gaussians, order = with_arranged(
                     storage.gaussians, len(blocks.keys), voxels, part.information, adding=True
                 )
+                orders.append(order)
 
         def see_through() -> None:
             update.free_voxels(
@@ -159,12 +163,28 @@ class ScanWriter:
             )
 
         if len(blocks.dirty):  # both write which voxels changed
-            merge()
+            arrange()
             see_through()
         else:
-            self._workers.together(merge, see_through)
+            self._workers.together(arrange, see_through)
+        for part, voxels, order in zip(parts, owners, orders, strict=True):
+            self._merge(storage.gaussians, voxels, part.information, order)
         for voxels in owners:
             self._hit_row[voxels // (SIDES * BLOCK_VOXELS)] = -1
+
+    def _merge(
+        self,
+        gaussians: SurfaceArrays,
+        records: NDArray[np.int64],
+        information: NDArray[np.float32],
+        order: NDArray[np.int64],
+    ) -> None:
+        """Add information to arranged records."""
+
+        def store(_: int, first: int, last: int) -> None:
+            store_rows(gaussians, records, information, order, first, last, True)
+
+        self._workers.run(store, len(order))
 
     def _enter(
         self, blocks: BlockArrays, parts: list[Observations], hit_bits: NDArray[np.uint64]

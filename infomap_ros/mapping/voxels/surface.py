@@ -20,10 +20,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.blocks import grown
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface_code import CODE_BYTES
@@ -44,7 +44,7 @@ PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS = range(5)
 _MAX_BLOCKS, _MAX_RECORDS = 2**32 // BLOCK_VOXELS, 2**27
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def side_of(x: float, y: float, z: float) -> int:
     """Side, 0 or 1, from which a surface with normal (x, y, z), of any length, is seen.
 

@@ -19,7 +19,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from infomap_ros.geometry.kernel import kernel
 
 CODE_BYTES = 10
 
@@ -32,12 +33,13 @@ _LEAST_STEP, _STEP_EXPONENTS = -36, 32
 _LOW_BITS = 13
 
 _STEPS = np.ldexp(1.0, np.arange(_STEP_EXPONENTS) + _LEAST_STEP)
+_INVERSE_STEPS = 1.0 / _STEPS
 _SCALES = np.ldexp(1.0, np.arange(64) + _LEAST_EXPONENT - 1 - _MANTISSA_BITS)
 _LEAST, _MOST = math.ldexp(1.0, _LEAST_EXPONENT), math.ldexp(1.0, 46)
 _FARTHEST = _LARGEST_COMPONENT * float(_STEPS[-1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_isotropic(information: Any) -> bool:
     """Whether information, shape (9,), can be told by a code."""
     xx = information[0]
@@ -49,7 +51,13 @@ def is_isotropic(information: Any) -> bool:
     return bool(farthest < _FARTHEST * xx)
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _exponent(value: float) -> Any:
+    """Exponent e of a number m * 2^e with 0.5 <= m < 1; of 0 something small."""
+    return ((np.float64(value).view(np.int64) >> 52) & 0x7FF) - 1022
+
+
+@kernel
 def encode(weight: float, x: float, y: float, z: float) -> tuple[Any, Any]:
     """Code of an isotropic Gaussian, as 64 and 16 bits.
 
@@ -59,28 +67,29 @@ def encode(weight: float, x: float, y: float, z: float) -> tuple[Any, Any]:
         y: see x.
         z: see x.
     """
-    fraction, exponent = math.frexp(weight)
-    code = int(fraction * (2 * _MANTISSA_ONE) + 0.5) - _MANTISSA_ONE
-    code = min(code + ((exponent - _LEAST_EXPONENT) << _MANTISSA_BITS), _LARGEST_CODE)
+    bits = np.float64(weight).view(np.int64) & ((1 << 52) - 1)
+    code = (bits + (1 << (51 - _MANTISSA_BITS))) >> (52 - _MANTISSA_BITS)
+    code += (_exponent(weight) - _LEAST_EXPONENT) << _MANTISSA_BITS
+    code = min(code, np.int64(_LARGEST_CODE))
     largest = max(abs(x), max(abs(y), abs(z)))
-    step = min(max(math.frexp(largest)[1] - 16 - _LEAST_STEP, 0), _STEP_EXPONENTS - 1)
+    step = min(max(_exponent(largest) - 16 - _LEAST_STEP, 0), _STEP_EXPONENTS - 1)
     if largest >= (_LARGEST_COMPONENT + 0.5) * _STEPS[step] and step < _STEP_EXPONENTS - 1:
         step += 1
-    scale = 1.0 / _STEPS[step]
+    scale = _INVERSE_STEPS[step]
     a, b, c = _component(x * scale), _component(y * scale), _component(z * scale)
     word = a | (b << _COMPONENT_BITS) | (c << (2 * _COMPONENT_BITS))
     word |= (code & ((1 << _LOW_BITS) - 1)) << (3 * _COMPONENT_BITS)
     return np.uint64(word), np.uint16((code >> _LOW_BITS) | (step << 11))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _component(steps: float) -> Any:
     """A component of the mean, in steps, as an unsigned field."""
     bounded = min(max(math.floor(steps + 0.5), -_LARGEST_COMPONENT), _LARGEST_COMPONENT)
     return np.int64(bounded) + _LARGEST_COMPONENT
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def decode(word: Any, tail: Any) -> tuple[float, float, float, float]:
     """Information [1/m^2] and mean [m] of a code; information 0 of an empty one."""
     bits, rest = np.int64(word & np.uint64(0x7FFFFFFFFFFFFFFF)), np.int64(tail)
@@ -97,7 +106,7 @@ def decode(word: Any, tail: Any) -> tuple[float, float, float, float]:
     return weight, x * step, y * step, z * step
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def decode_information(word: Any, tail: Any, information: Any) -> None:
     """Information of a code, shape (9,), float32."""
     weight, x, y, z = decode(word, tail)
@@ -106,7 +115,7 @@ def decode_information(word: Any, tail: Any, information: Any) -> None:
     information[6], information[7], information[8] = weight * x, weight * y, weight * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def encode_information(information: Any) -> tuple[Any, Any]:
     """Code of isotropic information, shape (9,)."""
     weight = np.float64(information[0])

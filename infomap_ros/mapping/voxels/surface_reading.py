@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.gaussians import solve_mean
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, PAGE_COUNT, SIDES
@@ -18,7 +19,7 @@ CODES, FULL = 0, 1
 _ONE, _ZERO = np.uint64(1), np.uint64(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_ones(word: Any) -> Any:
     """Number of ones of 64 bits."""
     pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -28,7 +29,7 @@ def count_ones(word: Any) -> Any:
     return np.int64((octets * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rank_of(masks: Any, page: int, kind: int, local: int) -> Any:
     """Number of voxels of a page's bit set before `local`, or -1 where its own bit is not set."""
     word, bit = 8 * kind + (local >> 6), np.uint64(local & 63)
@@ -40,7 +41,14 @@ def rank_of(masks: Any, page: int, kind: int, local: int) -> Any:
     return rank
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def copy(source: Any, target: Any) -> None:
+    """Copy information, shape (9,)."""
+    for i in range(INFORMATION_SIZE):
+        target[i] = source[i]
+
+
+@kernel
 def read_record(surface: Any, record: int, information: Any) -> bool:
     """Information of a record, 512 * sheet + local index; False where there is none.
 
@@ -59,7 +67,7 @@ def read_record(surface: Any, record: int, information: Any) -> bool:
         return True
     rank = rank_of(surface.masks, page, FULL, record & 511)
     if rank >= 0:
-        information[:] = surface.information[surface.starts[page, FULL] + rank]
+        copy(surface.information[surface.starts[page, FULL] + rank], information)
     return bool(rank >= 0)
 
 
@@ -83,7 +91,7 @@ def read_information(
     if is_one and is_other:
         _join(information, other, half)
     elif is_other:
-        information[:] = other
+        copy(other, information)
     return is_one or is_other
 
 
@@ -104,7 +112,7 @@ def _join(information: Any, other: Any, half: float) -> None:
             information[i] = other[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
     """Whether the mean lies in the voxel, with a tolerance of a tenth of its size.
 
@@ -119,7 +127,7 @@ def lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
     return bool(max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= 1.2 * half)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def read_sheet(surface: Any, sheet: int, records: Any, information: Any) -> int:
     """All records of a sheet in the order of the voxels; returns how many.
 
@@ -142,7 +150,7 @@ def read_sheet(surface: Any, sheet: int, records: Any, information: Any) -> int:
                 decode_information(surface.words[code], surface.tails[code], information[found])
                 code += 1
             elif others & _ONE:
-                information[found, :] = surface.information[full]
+                copy(surface.information[full], information[found])
                 full += 1
             if (codes | others) & _ONE:
                 records[found] = record
@@ -180,12 +188,12 @@ def read_block(
             _join(information[others[local]], information[row], half)
         else:
             locals_[found] = local
-            information[found, :] = information[row]
+            copy(information[row], information[found])
             found += 1
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_records(surface: Any) -> int:
     """Number of records."""
     total = 0

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import (
-    CHUNK,
-    CODE_COUNT,
-    CODE_GAPS,
     INFORMATION_SIZE,
     PAGE_COUNT,
 )
@@ -22,12 +20,45 @@ from infomap_ros.mapping.voxels.surface_code import (
     encode_information,
     is_isotropic,
 )
-from infomap_ros.mapping.voxels.surface_reading import CODES, FULL, count_ones, rank_of
+from infomap_ros.mapping.voxels.surface_reading import CODES, FULL, copy, rank_of
+from infomap_ros.mapping.voxels.surface_rooms import (
+    chunks_for,
+    is_room,
+    move_room,
+    records_in,
+    take_room,
+)
 
 _ONE, _ZERO = np.uint64(1), np.uint64(0)
 
 
-@njit(cache=True, nogil=True)
+class StoreWork(NamedTuple):
+    """Memory to arrange the records of one sheet.
+
+    Attributes:
+        words: of codes, uint64, shape (512,).
+        tails: of codes, uint16, shape (512,).
+        information: full information, float32, shape (512, 9).
+        wanted: the bit sets that its page is to have, uint64, shape (16,).
+    """
+
+    words: NDArray[np.uint64]
+    tails: NDArray[np.uint16]
+    information: NDArray[np.float32]
+    wanted: NDArray[np.uint64]
+
+
+def empty_work() -> StoreWork:
+    """Memory to arrange records."""
+    return StoreWork(
+        np.empty(BLOCK_VOXELS, np.uint64),
+        np.empty(BLOCK_VOXELS, np.uint16),
+        np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32),
+        np.empty(16, np.uint64),
+    )
+
+
+@kernel
 def canonical(information: Any) -> None:
     """Round information, shape (9,), to what a map can hold."""
     if is_isotropic(information):
@@ -35,11 +66,11 @@ def canonical(information: Any) -> None:
         decode_information(word, tail, information)
 
 
-@njit(cache=True, nogil=True)
-def store_records(
-    surface: Any, records: Any, information: Any, order: Any, first: int, adding: bool
+@kernel
+def arrange_records(
+    surface: Any, records: Any, information: Any, order: Any, first: int, work: Any
 ) -> int:
-    """Merge information into records, or put it there.
+    """Make records, without information, where there are none of the right kind.
 
     Args:
         surface: a `SurfaceArrays` with a page to spare for every sheet.
@@ -47,52 +78,104 @@ def store_records(
         information: shape (n, 9), float32.
         order: the rows that are stored, those of one sheet side by side.
         first: place in `order` where to begin.
-        adding: whether to add to what is there, else to replace it.
+        work: a `StoreWork`.
 
     Returns:
         Place in `order` before which room for records ran out, or its length.
     """
-    work = (
-        np.empty(BLOCK_VOXELS, np.uint64),
-        np.empty(BLOCK_VOXELS, np.uint16),
-        np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32),
-    )
-    wanted = np.empty(16, np.uint64)
     while first < len(order):
         sheet, last = records[order[first]] >> 9, first + 1
         while last < len(order) and records[order[last]] >> 9 == sheet:
             last += 1
         page = _page_of(surface, sheet)
-        _want(surface.masks, page, records, information, order[first:last], wanted)
-        if not _arrange(surface, page, wanted, work):
+        _want(surface.masks, page, records, information, order, first, last, work.wanted)
+        if not _arrange(surface, page, work):
             return first
-        for row in order[first:last]:
-            _store(surface, page, records[row] & 511, information[row], adding)
         first = last
     return first
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def store_rows(
+    surface: Any,
+    records: Any,
+    information: Any,
+    order: Any,
+    first: int,
+    last: int,
+    adding: bool,
+) -> None:
+    """Merge information into arranged records, or put it there.
+
+    Args:
+        surface: see `arrange_records`, likewise records, information and order.
+        records: see surface.
+        information: see surface.
+        order: see surface.
+        first: first place in `order`.
+        last: one past the last place.
+        adding: whether to add to what is there, else to replace it.
+    """
+    pages, masks, starts, stored = surface.page, surface.masks, surface.starts, surface.information
+    words, tails = surface.words, surface.tails
+    for place in range(first, last):
+        row = order[place]
+        page, local = np.int64(pages[records[row] >> 9]), records[row] & 511
+        rank = rank_of(masks, page, CODES, local)
+        if rank >= 0:
+            _store_code(words, tails, starts[page, CODES] + rank, information, row, adding)
+            continue
+        to = starts[page, FULL] + rank_of(masks, page, FULL, local)
+        for i in range(INFORMATION_SIZE):
+            before = stored[to, i] if adding else np.float32(0.0)
+            stored[to, i] = before + information[row, i]
+        if not adding:
+            canonical(stored[to])
+
+
+@kernel
+def _store_code(words: Any, tails: Any, to: int, information: Any, row: int, adding: bool) -> None:
+    weight, x, y, z = 0.0, 0.0, 0.0, 0.0
+    if adding:
+        weight, x, y, z = decode(words[to], tails[to])
+    total = weight + np.float64(information[row, 0])
+    if total == 0.0:
+        words[to], tails[to] = _ZERO, 0
+        return
+    share = 1.0 / total
+    words[to], tails[to] = encode(
+        total,
+        (weight * x + information[row, 6]) * share,
+        (weight * y + information[row, 7]) * share,
+        (weight * z + information[row, 8]) * share,
+    )
+
+
+@kernel
 def close_gaps(surface: Any, target: Any) -> None:
     """Copy all pages to `target`, which has none and room for all, side by side."""
-    target.page[: len(surface.page)] = surface.page
+    for sheet in range(len(surface.page)):
+        target.page[sheet] = surface.page[sheet]
     target.counts[PAGE_COUNT] = surface.counts[PAGE_COUNT]
     for page in range(surface.counts[PAGE_COUNT]):
-        target.masks[page, :] = surface.masks[page]
+        for word in range(16):
+            target.masks[page, word] = surface.masks[page, word]
         target.starts[page, :] = 0
-        codes, full = _size(surface.masks[page], CODES), _size(surface.masks[page], FULL)
+        codes, full = records_in(surface.masks[page], CODES), records_in(surface.masks[page], FULL)
         if codes > 0:
-            start, to = surface.starts[page, CODES], _take_room(target, CODES, _chunks(codes))
+            start, to = surface.starts[page, CODES], take_room(target, CODES, chunks_for(codes))
             target.starts[page, CODES] = to
-            target.words[to : to + codes] = surface.words[start : start + codes]
-            target.tails[to : to + codes] = surface.tails[start : start + codes]
+            for i in range(codes):
+                target.words[to + i] = surface.words[start + i]
+                target.tails[to + i] = surface.tails[start + i]
         if full > 0:
-            start, to = surface.starts[page, FULL], _take_room(target, FULL, _chunks(full))
+            start, to = surface.starts[page, FULL], take_room(target, FULL, chunks_for(full))
             target.starts[page, FULL] = to
-            target.information[to : to + full] = surface.information[start : start + full]
+            for i in range(full):
+                copy(surface.information[start + i], target.information[to + i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _page_of(surface: Any, sheet: int) -> Any:
     """Page of a sheet, made if need be."""
     page = np.int64(surface.page[sheet])
@@ -106,12 +189,24 @@ def _page_of(surface: Any, sheet: int) -> Any:
     return page
 
 
-@njit(cache=True, nogil=True)
-def _want(masks: Any, page: int, records: Any, information: Any, rows: Any, wanted: Any) -> None:
-    """The bit sets that a page needs to hold the rows as well."""
-    wanted[:] = masks[page]
-    for row in rows:
-        word, bit = (records[row] & 511) >> 6, _ONE << np.uint64(records[row] & 63)
+@kernel
+def _want(
+    masks: Any,
+    page: int,
+    records: Any,
+    information: Any,
+    order: Any,
+    first: int,
+    last: int,
+    wanted: Any,
+) -> None:
+    """The bit sets that a page needs to hold rows `order[first:last]` as well."""
+    for word in range(16):
+        wanted[word] = masks[page, word]
+    for place in range(first, last):
+        row = order[place]
+        local = records[row] & 511
+        word, bit = local >> 6, _ONE << np.uint64(local & 63)
         if information[row, 0] == 0.0 or is_isotropic(information[row]):
             if not wanted[8 + word] & bit:
                 wanted[word] |= bit
@@ -120,101 +215,42 @@ def _want(masks: Any, page: int, records: Any, information: Any, rows: Any, want
             wanted[word] &= ~bit
 
 
-@njit(cache=True, nogil=True)
-def _size(masks: Any, kind: int) -> Any:
-    """Number of records of a kind in bit sets, shape (16,)."""
-    total = np.int64(0)
-    for word in range(8 * kind, 8 * kind + 8):
-        total += count_ones(masks[word])
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _chunks(count: int) -> Any:
-    """Chunks for so many records."""
-    return (np.int64(count) + CHUNK - 1) // CHUNK
-
-
-@njit(cache=True, nogil=True)
-def _is_room(surface: Any, kind: int, old: int, new: int) -> bool:
-    """Whether records of a page can go from `old` to `new` chunks."""
-    if new == old or new == 0 or surface.free[kind, new] >= 0:
-        return True
-    room = len(surface.words) if kind == CODES else len(surface.information)
-    return bool(surface.counts[CODE_COUNT + kind] + new * CHUNK <= room)
-
-
-@njit(cache=True, nogil=True)
-def _take_room(surface: Any, kind: int, chunks: int) -> Any:
-    """First record of unused room for so many chunks."""
-    start = surface.free[kind, chunks]
-    if start < 0:
-        start = surface.counts[CODE_COUNT + kind]
-        surface.counts[CODE_COUNT + kind] = start + chunks * CHUNK
-        return start
-    surface.counts[CODE_GAPS + kind] -= chunks * CHUNK
-    if kind == CODES:
-        surface.free[kind, chunks] = np.int64(surface.words[start]) - 1
-    else:
-        surface.free[kind, chunks] = np.int64(surface.information[start, 0]) * CHUNK - CHUNK
-    return start
-
-
-@njit(cache=True, nogil=True)
-def _release_room(surface: Any, kind: int, start: int, chunks: int) -> None:
-    """Give room back; it names what was free before."""
-    following = surface.free[kind, chunks]
-    if kind == CODES:
-        surface.words[start] = np.uint64(following + 1)
-    else:  # whole chunks, which float32 tells exactly
-        surface.information[start, 0] = (following + CHUNK) // CHUNK
-    surface.free[kind, chunks] = start
-    surface.counts[CODE_GAPS + kind] += chunks * CHUNK
-
-
-@njit(cache=True, nogil=True)
-def _arrange(surface: Any, page: int, wanted: Any, work: Any) -> bool:
-    """Make the records of a page those of the bit sets `wanted`, new ones without information.
+@kernel
+def _arrange(surface: Any, page: int, work: Any) -> bool:
+    """Make the records of a page those of the wanted bit sets, new ones without information.
 
     Returns:
         False, with nothing changed, when there is no room.
     """
-    masks, same = surface.masks[page], True
+    masks, wanted, same = surface.masks[page], work.wanted, True
     for word in range(16):
         same &= masks[word] == wanted[word]
     if same:
         return True
-    old_codes, old_full = _chunks(_size(masks, CODES)), _chunks(_size(masks, FULL))
-    codes, full = _chunks(_size(wanted, CODES)), _chunks(_size(wanted, FULL))
-    if not (_is_room(surface, CODES, old_codes, codes) and _is_room(surface, FULL, old_full, full)):
+    old_codes, old_full = chunks_for(records_in(masks, CODES)), chunks_for(records_in(masks, FULL))
+    codes, full = records_in(wanted, CODES), records_in(wanted, FULL)
+    if not is_room(surface, CODES, old_codes, chunks_for(codes)):
+        return False
+    if not is_room(surface, FULL, old_full, chunks_for(full)):
         return False
     _collect(surface, page, wanted, work)
-    _move(surface, page, CODES, old_codes, codes)
-    _move(surface, page, FULL, old_full, full)
-    masks[:] = wanted
-    start, count = np.int64(surface.starts[page, CODES]), _size(wanted, CODES)
-    surface.words[start : start + count] = work[0][:count]
-    surface.tails[start : start + count] = work[1][:count]
-    start, count = np.int64(surface.starts[page, FULL]), _size(wanted, FULL)
-    surface.information[start : start + count] = work[2][:count]
+    move_room(surface, page, CODES, old_codes, chunks_for(codes))
+    move_room(surface, page, FULL, old_full, chunks_for(full))
+    for word in range(16):
+        masks[word] = wanted[word]
+    start = np.int64(surface.starts[page, CODES])
+    for i in range(codes):
+        surface.words[start + i], surface.tails[start + i] = work.words[i], work.tails[i]
+    start = np.int64(surface.starts[page, FULL])
+    for i in range(full):
+        copy(work.information[i], surface.information[start + i])
     return True
 
 
-@njit(cache=True, nogil=True)
-def _move(surface: Any, page: int, kind: int, old: int, new: int) -> None:
-    """Exchange a page's room of `old` chunks for one of `new`."""
-    if old == new:
-        return
-    if old > 0:
-        _release_room(surface, kind, np.int64(surface.starts[page, kind]), old)
-    if new > 0:
-        surface.starts[page, kind] = _take_room(surface, kind, new)
-
-
-@njit(cache=True, nogil=True)
+@kernel
 def _collect(surface: Any, page: int, wanted: Any, work: Any) -> None:
     """Copy the records of a page to `work`, in the order and form that `wanted` says."""
-    words, tails, information = work
+    words, tails, information = work.words, work.tails, work.information
     source, full_source = surface.starts[page, CODES], surface.starts[page, FULL]
     codes, full = 0, 0
     for word in range(8):
@@ -224,7 +260,7 @@ def _collect(surface: Any, page: int, wanted: Any, work: Any) -> None:
             if want_full & _ONE:
                 information[full, :] = 0.0
                 if had_full & _ONE:
-                    information[full, :] = surface.information[full_source]
+                    copy(surface.information[full_source], information[full])
                 elif had & _ONE:
                     decode_information(
                         surface.words[source], surface.tails[source], information[full]
@@ -239,36 +275,3 @@ def _collect(surface: Any, page: int, wanted: Any, work: Any) -> None:
             full_source += np.int64(had_full & _ONE)
             had, had_full, want = had >> _ONE, had_full >> _ONE, want >> _ONE
             want_full = want_full >> _ONE
-
-
-@njit(cache=True, nogil=True)
-def _store(surface: Any, page: int, local: int, information: Any, adding: bool) -> None:
-    """Merge or put information where a voxel has its record."""
-    rank = rank_of(surface.masks, page, CODES, local)
-    if rank >= 0:
-        _store_code(surface, surface.starts[page, CODES] + rank, information, adding)
-        return
-    row = surface.starts[page, FULL] + rank_of(surface.masks, page, FULL, local)
-    stored = surface.information
-    for i in range(INFORMATION_SIZE):
-        stored[row, i] = stored[row, i] + information[i] if adding else information[i]
-    if not adding:
-        canonical(stored[row])
-
-
-@njit(cache=True, nogil=True)
-def _store_code(surface: Any, row: int, information: Any, adding: bool) -> None:
-    weight, x, y, z = 0.0, 0.0, 0.0, 0.0
-    if adding:
-        weight, x, y, z = decode(surface.words[row], surface.tails[row])
-    total = weight + np.float64(information[0])
-    if total == 0.0:
-        surface.words[row], surface.tails[row] = _ZERO, 0
-        return
-    share = 1.0 / total
-    surface.words[row], surface.tails[row] = encode(
-        total,
-        (weight * x + information[6]) * share,
-        (weight * y + information[7]) * share,
-        (weight * z + information[8]) * share,
-    )

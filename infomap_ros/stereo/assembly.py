@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.range_cloud import PACKED_FIELDS
@@ -98,7 +99,7 @@ def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float3
     return x_per_z.astype(np.float32), y_per_z.astype(np.float32)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _assemble_rays(  # type: ignore[no-untyped-def]
     x_per_z, across, y_per_z, depth, variance, colours, packed
 ):
@@ -122,7 +123,7 @@ def _assemble_rays(  # type: ignore[no-untyped-def]
             packed[v, u, 9] = along
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _assemble_printed(  # type: ignore[no-untyped-def]
     x_per_z, unit, exponent, y_per_z, depth, colours, packed
 ):

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.matching import SUBPIXELS
@@ -99,7 +100,7 @@ def edge_free(
     return keep
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _smooth_places(low, high, invalid, limit, rim, keep):  # type: ignore[no-untyped-def]
     height, width = keep.shape
     keep[:] = False

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.matching import SUBPIXELS
 
@@ -106,7 +107,7 @@ def _refine_rows(  # type: ignore[no-untyped-def]
             _mean_row(sums[0], sums[6], curvature[out])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _sample_row(left, right, disparity, invalid, samples):  # type: ignore[no-untyped-def]
     """Gradient and photometric difference of every match in a row, and their products."""
     width = disparity.size
@@ -132,13 +133,13 @@ def _sample_row(left, right, disparity, invalid, samples):  # type: ignore[no-un
     _multiply(bend, bend, bend)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _multiply(first, second, product):  # type: ignore[no-untyped-def]
     for u in range(product.size):
         product[u] = first[u] * second[u]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _slide(total, oldest, newest):  # type: ignore[no-untyped-def]
     """Move a running sum by one row; in double precision, so that it does not drift."""
     for u in range(total.size):
@@ -146,19 +147,20 @@ def _slide(total, oldest, newest):  # type: ignore[no-untyped-def]
         oldest[u] = newest[u]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _sum_columns(columns, reach, padded, sums):  # type: ignore[no-untyped-def]
     """Sum ``2 reach + 1`` neighbouring columns."""
     channels, width = columns.shape
     for c in range(channels):
-        padded[reach : reach + width] = columns[c]
+        for u in range(width):
+            padded[reach + u] = columns[c, u]
         if reach == 3:
             _sum_seven(padded, sums[c])
         else:
             _sum_neighbours(padded, 2 * reach + 1, sums[c])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _sum_seven(padded, total):  # type: ignore[no-untyped-def]
     """`_sum_neighbours` for the default window, in one pass."""
     for u in range(total.size):
@@ -166,10 +168,11 @@ def _sum_seven(padded, total):  # type: ignore[no-untyped-def]
         total[u] = first + ((padded[u + 4] + padded[u + 5]) + padded[u + 6])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _sum_neighbours(padded, number, total):  # type: ignore[no-untyped-def]
     width = total.size
-    total[:] = padded[:width]
+    for u in range(width):
+        total[u] = padded[u]
     for shift in range(1, number):
         for u in range(width):
             total[u] += padded[u + shift]
@@ -178,7 +181,7 @@ def _sum_neighbours(padded, number, total):  # type: ignore[no-untyped-def]
 # One loop per result: the compiler does not vectorise a loop that writes several arrays.
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _solve_row(sums, disparity, refined):  # type: ignore[no-untyped-def]
     """One Gauss-Newton step per pixel, with the mean brightness difference removed."""
     most = np.float32(_LARGEST_STEP)
@@ -192,7 +195,7 @@ def _solve_row(sums, disparity, refined):  # type: ignore[no-untyped-def]
         refined[u] = fixed + min(max(step, -most), most)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _residual_row(sums, residual):  # type: ignore[no-untyped-def]
     """Variance of the photometric difference that the step leaves."""
     count, g, e, gg, ge, ee = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
@@ -204,7 +207,7 @@ def _residual_row(sums, residual):  # type: ignore[no-untyped-def]
         residual[u] = max(share * (ee[u] - share * e[u] * e[u]) - explained, np.float32(0.0))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _mean_row(count, total, mean):  # type: ignore[no-untyped-def]
     for u in range(mean.size):
         mean[u] = total[u] / max(count[u], np.float32(1.0))

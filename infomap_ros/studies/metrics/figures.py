@@ -21,7 +21,10 @@ _EQUATIONS = ("expected entropy reduction", "eq. (7)", "eqs. (7) and (8)", "eq. 
 
 
 def draw_curves(results: Results, config: MetricsStudyConfig, path: Path) -> None:
-    """Coverage against scans and against the way; PNG and SVG, `path` without suffix."""
+    """Coverage against scans and against the way, means over worlds; the band is that of `OWN`.
+
+    PNG and SVG are written, `path` without suffix.
+    """
     if not results:
         return
     metrics = list(dict.fromkeys(task.metric for task in results))
@@ -35,15 +38,19 @@ def draw_curves(results: Results, config: MetricsStudyConfig, path: Path) -> Non
         own = [run for task, run in results.items() if task.metric == metric]
         per_scan = np.array([curve(run.fraction, config.scans) for run in own])
         per_way = np.array([fraction_at(run.distance, run.fraction, way) for run in own])
-        draw_band(left, scans, per_scan, styles[metric], metric)
-        draw_band(right, way, per_way, styles[metric], metric)
+        for axes, at, curves in ((left, scans, per_scan), (right, way, per_way)):
+            if metric == OWN:
+                draw_band(axes, at, curves, styles[metric], metric)
+            else:  # eleven bands over each other would hide the curves
+                axes.plot(at, curves.mean(axis=0), label=metric, **styles[metric])
     _label(left, "scans [-]", config.scans)
     _label(right, "distance moved [m]", config.reach)
     left.set_ylabel("fraction mapped [-]")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     worlds = len({str(task.world) for task in results})
-    figure.suptitle(f"Views chosen by each metric: {band_note(worlds)}", fontsize=10)
+    title = f"Views chosen by each metric: {band_note(worlds)} (band: {OWN})"
+    figure.suptitle(title, fontsize=10)
     save(figure, path)
 
 

@@ -46,15 +46,15 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
 def _draw_strategy(
     axes: Any, own: Results, config: RoverStudyConfig, value: tuple[str, float], style: _Style
 ) -> None:
-    """The mean with its band, and thin lines for the worlds in which more views were taken."""
+    """The mean with its band, and a thin line for each world in which more views were taken."""
     name, scale = value
     label = next(iter(own)).label
     at = np.arange(1.0, config.views + 1.0)
     draw_band(axes, at, scale * curves_of(own.values(), config.views, name), style, label)
     for task, result in own.items():
-        more = np.arange(config.views, task.views + 1.0)
-        curve = scale * curves_of([result], task.views, name)[0, config.views - 1 :]
-        axes.plot(more, curve, **{**style, "linewidth": 0.8})
+        if task.views > config.views:
+            curve = scale * curves_of([result], task.views, name)[0]
+            axes.plot(np.arange(1.0, task.views + 1.0), curve, **{**style, "linewidth": 0.8})
 
 
 def _label(axes: Any, name: str, config: RoverStudyConfig) -> None:

@@ -7,9 +7,8 @@ import itertools
 import numpy as np
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.block_kernels import rehash
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, NARROW, NARROW_COUNT, with_room
-from infomap_ros.mapping.voxels.keys import pack
+from infomap_ros.mapping.voxels.keys import pack, rehash
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 SIDE = 8

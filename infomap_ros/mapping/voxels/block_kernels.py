@@ -30,18 +30,6 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @kernel
-def rehash(table: Any, keys: Any, count: int) -> None:
-    """Enter the first `count` keys into an empty table."""
-    for slot in range(count):
-        place = table_slot(keys[slot], len(table))
-        while table[place] >= 0:
-            place += 1
-            if place == len(table):
-                place = 0
-        table[place] = slot
-
-
-@kernel
 def find_block(blocks: Any, key: int) -> int:
     """Slot of the block with this key, or -1."""
     place = table_slot(key, len(blocks.table))

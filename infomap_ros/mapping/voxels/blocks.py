@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, rehash
 
 UNSEEN, UNIFORM, NARROW, WIDE = 0, 1, 2, 3
 NARROW_UNKNOWN, WIDE_UNKNOWN = -128, -32768
@@ -102,8 +102,6 @@ def with_room(arrays: BlockArrays, blocks: int, planes: int) -> BlockArrays:
         blocks: number of blocks that may be added.
         planes: number of blocks that may turn NARROW, or from NARROW to WIDE.
     """
-    from infomap_ros.mapping.voxels.block_kernels import rehash
-
     count, narrow, wide = (int(arrays.counts[i]) for i in (BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT))
     needed = count + blocks
     table = arrays.table

@@ -55,6 +55,18 @@ def table_slot(key: int, size: int) -> Any:
 
 
 @kernel
+def rehash(table: Any, keys: Any, count: int) -> None:
+    """Enter the first `count` keys into an empty table."""
+    for slot in range(count):
+        place = table_slot(keys[slot], len(table))
+        while table[place] >= 0:
+            place += 1
+            if place == len(table):
+                place = 0
+        table[place] = slot
+
+
+@kernel
 def local_index(x: int, y: int, z: int) -> int:
     """Index of a voxel within its block, from its voxel coordinates."""
     return (x & 7) | ((y & 7) << 3) | ((z & 7) << 6)

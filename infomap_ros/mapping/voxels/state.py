@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.mapping.voxels.block_kernels import rehash
 from infomap_ros.mapping.voxels.blocks import (
     BLOCK_COUNT,
     NARROW,
@@ -19,7 +18,7 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE_COUNT,
     BlockArrays,
 )
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, rehash
 from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES, SurfaceArrays

@@ -17,13 +17,16 @@ SHIFT = make_transform(Rotation.from_euler("z", 0.1).as_matrix(), np.array([0.5,
 
 
 def seen_from(places: list[float], error: np.ndarray | None = None) -> VoxelMap:
-    """A wall at z = 2 with a step of 0.6 m, mapped by a robot that is off by `error`."""
+    """A wall at z = 2.05 with a step of 0.6 m, mapped by a robot that is off by `error`.
+
+    Its surfaces are in the middle of voxels: rounding does not decide to which they belong.
+    """
     own = VoxelMap(CONFIG)
     own.track_changes(True)
     for place in places:
         pose = np.eye(4)
         pose[0, 3] = place
-        depth = np.where(CAMERA.back_project(np.full((48, 64), 2.0))[..., 0] + place > 0, 1.4, 2.0)
+        depth = np.where(CAMERA.back_project(np.full((48, 64), 2.0))[..., 0] + place > 0, 1.45, 2.05)
         points = CAMERA.back_project(depth)
         own.integrate(points, pose if error is None else error @ pose, camera=CAMERA)
     return own
@@ -76,7 +79,7 @@ def test_surfaces_and_free_space_move_with_the_transform() -> None:
     means = transform_points(SHIFT, source.gaussians()[1])
     distances = np.linalg.norm(moved.gaussians()[1][:, None] - means[None], axis=2).min(axis=1)
     assert distances.max() < 1e-4
-    assert len(moved.gaussians()[1]) > 0.7 * len(means)
+    assert len(moved.gaussians()[1]) > 0.9 * len(means)
     indices, odds = source.voxels()
     free = (indices[odds < -2.5] + 0.5) * 0.1
     assert (moved.log_odds(transform_points(SHIFT, free)) < -1.0).mean() > 0.85

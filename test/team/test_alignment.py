@@ -26,7 +26,8 @@ def seen_from(places: list[float], error: np.ndarray | None = None) -> VoxelMap:
     for place in places:
         pose = np.eye(4)
         pose[0, 3] = place
-        depth = np.where(CAMERA.back_project(np.full((48, 64), 2.0))[..., 0] + place > 0, 1.45, 2.05)
+        across = CAMERA.back_project(np.full((48, 64), 2.0))[..., 0] + place
+        depth = np.where(across > 0, 1.45, 2.05)
         points = CAMERA.back_project(depth)
         own.integrate(points, pose if error is None else error @ pose, camera=CAMERA)
     return own

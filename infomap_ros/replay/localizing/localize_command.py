@@ -17,17 +17,13 @@ from infomap_ros.replay.commands.command_options import (
     Source,
     Topic,
     Urdf,
+    given_settings,
+    lists_settings,
 )
 from infomap_ros.replay.commands.progress_bar import run_with_bar
-from infomap_ros.replay.commands.settings import setting_names, with_settings
+from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
-
-
-def _list_settings(wanted: bool) -> None:
-    if wanted:
-        typer.echo("\n".join(setting_names(LocalizeOptions())))
-        raise typer.Exit
 
 
 def localize(
@@ -51,7 +47,10 @@ def localize(
     robot: Urdf = "",
     setting: Setting = None,
     settings: Annotated[
-        bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
+        bool,
+        typer.Option(
+            "--settings", callback=lists_settings(LocalizeOptions), is_eager=True, help="list them"
+        ),
     ] = False,
 ) -> None:
     """Follow the camera through a bag: TUM trajectory, 6x6 covariances, picture, summary.json."""
@@ -62,7 +61,6 @@ def localize(
         "input.motion": motion,
         "target.kind": target,
     }
-    given = [f"{name}={value}" for name, value in shortcuts.items() if value is not None]
     topics = {
         "left_image": left_image,
         "right_image": right_image,
@@ -74,7 +72,8 @@ def localize(
         "odometry": odometry,
         "joints": joints,
     }
-    options = with_settings(LocalizeOptions(topics=topics, robot=robot), given + (setting or []))
+    given = given_settings(shortcuts, setting)
+    options = with_settings(LocalizeOptions(topics=topics, robot=robot), given)
     _localize(bag, out, options)
 
 

@@ -18,17 +18,13 @@ from infomap_ros.replay.commands.command_options import (
     Source,
     Topic,
     Urdf,
+    given_settings,
+    lists_settings,
 )
 from infomap_ros.replay.commands.progress_bar import run_with_bar
-from infomap_ros.replay.commands.settings import setting_names, with_settings
+from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
-
-
-def _list_settings(wanted: bool) -> None:
-    if wanted:
-        typer.echo("\n".join(setting_names(MapOptions())))
-        raise typer.Exit
 
 
 def map_bag(
@@ -54,7 +50,10 @@ def map_bag(
     robot: Urdf = "",
     setting: Setting = None,
     settings: Annotated[
-        bool, typer.Option("--settings", callback=_list_settings, is_eager=True, help="list them")
+        bool,
+        typer.Option(
+            "--settings", callback=lists_settings(MapOptions), is_eager=True, help="list them"
+        ),
     ] = False,
 ) -> None:
     """Map a recorded bag: map file, .ply, pictures and summary.json."""
@@ -68,7 +67,6 @@ def map_bag(
         "input.map_frame": map_frame,
         "input.pose_frame": pose_frame,
     }
-    given = [f"{name}={value}" for name, value in shortcuts.items() if value is not None]
     topics = {
         "left_image": left_image,
         "right_image": right_image,
@@ -79,7 +77,8 @@ def map_bag(
         "pose": pose_topic,
         "joints": joints,
     }
-    options = with_settings(MapOptions(topics=topics, robot=robot), given + (setting or []))
+    given = given_settings(shortcuts, setting)
+    options = with_settings(MapOptions(topics=topics, robot=robot), given)
     _map(bag, out, options)
 
 

@@ -28,7 +28,6 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.messages.agents import decode_agent_texts, encode_agent
-from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.authentication import TeamKey
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5)
@@ -68,8 +67,8 @@ def milliseconds(action: Callable[[], object], count: int = 200) -> float:
 def costs() -> dict[str, float]:
     """Processor time of what is done for each message or scan [ms]."""
     one, two, types = teller(), Teamwork(2, 2, 2), RclpyMessageTypes()
-    me, text = presence(2.0, 10**9), teller().tell(presence(2.0, 10**9))
-    agent = agent_from_text(text)
+    me = presence(2.0, 10**9)
+    agent, text = teller().tell(me)
     message = encode_agent(types, "map", agent, text, 5.0)
     bodies = TeamBodies()
     bodies.describe(1, me.robot)
@@ -81,7 +80,7 @@ def costs() -> dict[str, float]:
     covariances = np.broadcast_to(spread, (480, 640, 3, 3))
 
     def tell() -> None:
-        encode_agent(types, "map", agent_from_text(one.tell(me)), text, 5.0)
+        encode_agent(types, "map", *one.tell(me), 5.0)
 
     def hear() -> None:
         for _, heard in decode_agent_texts(message):
@@ -120,7 +119,7 @@ def fuzz(count: int, seed: int, key: TeamKey | None) -> Counter[str]:
     one, two, me = teller(key), Teamwork(2, 2, 2, team=(1, 2), key=key), presence(2.0, 10**9)
     for number in range(count):
         if number % 1000 == 0:
-            whole = one.tell(replace(me, stamp=me.stamp + number))
+            whole = one.tell(replace(me, stamp=me.stamp + number)).text
         text = mutated(whole, rng)
         try:
             two.hear(text, number * 1e-3)

@@ -136,7 +136,7 @@ class TeamExploration:
     def run(self) -> dict[str, Any]:
         """Explore to the end, let the maps agree, and say what came of it."""
         begin = time.process_time()
-        names = self.world.names
+        names, simulators = self.world.names, self.world.simulators
         self.world.turns.run({name: partial(self._live, n) for n, name in enumerate(names)})
         agreed = self._agree()
         last = self.looks[-1]
@@ -150,6 +150,7 @@ class TeamExploration:
             "distance_per_robot": round(last.distance / len(self.robots), 2),
             "simulated_seconds": round(max(look.seconds for look in self.looks), 1),
             "contacts": self.world.contacts,
+            "touched": [list(map(dataclasses.astuple, s.contact_events)) for s in simulators],
             "kills": self.kills,
             "same_hash": agreed is not None,
             "agreed_after": agreed,

@@ -227,7 +227,7 @@ class TeamRobot:
             self._robot.poses.rig.left,
             self.outfit.options.planner.max_range,
         )
-        text = self._teamwork.tell(presence)
+        text = self._teamwork.tell(presence).text
         self._spoken.append(("agent", text, len(text)))
 
     def _let_pass(self, seconds: float) -> None:

@@ -6,20 +6,23 @@ from collections.abc import Collection
 
 import numpy as np
 
+from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.membership import Membership
 from infomap_ros.team.versions import is_newer
 
 
 class AgentBoard:
-    """What is known of the other robots. Messages are handed in, and so is the time.
+    """What is known of the other robots. Texts are handed in, and so is the time.
 
     Args:
         robot: id of this robot.
         session: number that it drew when it started; None where it only listens.
         config: when robots are forgotten.
         team: ids of the robots that count; all if empty.
+        key: of the team; without one every message is taken for genuine.
     """
 
     def __init__(
@@ -28,39 +31,43 @@ class AgentBoard:
         session: int | None,
         config: AgentBoardConfig | None = None,
         team: Collection[int] = (),
+        key: TeamKey | None = None,
     ) -> None:
-        self.config = config or AgentBoardConfig()
+        self.config, self._key = config or AgentBoardConfig(), key
         self._robot, self._listens = robot, session is None
         self._membership = Membership(robot, session, team, self.config.silence)
         self._agents: dict[int, Agent] = {}
         self._heard: dict[int, float] = {}
 
-    def hear(self, agent: Agent, now: float, own_version: int = 0) -> bool:
+    def hear(self, text: str, now: float, own_version: int = 0) -> Agent | None:
         """Learn what a robot tells of itself.
 
         Args:
-            agent: as it was told.
+            text: as `team.agent_text.agent_to_text` writes it.
             now: time of any steady clock [s].
             own_version: the newest version of this robot.
 
         Returns:
-            Whether it is news: neither this robot's own words nor older than what is known.
+            What it tells, if that is news: neither this robot's own words nor older than what is
+            known.
 
         Raises:
-            UpdateRefusedError: it is not on the team list, two robots have one id, or its version
-                is impossible after those that were heard.
+            InvalidInputError: the text is malformed, or says something impossible.
+            UpdateRefusedError: it is not of this team, two robots have one id, or its version is
+                impossible after those that were heard.
         """
+        agent = agent_from_text(text, self._key)
         self._forget(now)
         if agent.robot == self._robot and self._listens:
-            return False
+            return None
         self._membership.check_update(agent, now, own_version)
         known = self._agents.get(agent.robot)
         late = known is not None and not is_newer(agent.version, known.version)
         if agent.robot == self._robot or late:
-            return False
+            return None
         self._agents[agent.robot] = agent
         self._heard[agent.robot] = now
-        return True
+        return agent
 
     def present(self, now: float) -> tuple[Agent, ...]:
         """The others that were heard lately, by id; their goals count."""

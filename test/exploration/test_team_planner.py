@@ -83,7 +83,7 @@ class Member:
 
     def announce(self) -> None:
         presence = Presence(5, self.state, self.robot, CAMERA, 2.5, "choosing")
-        self.air.waiting.append((self.team, self.team.tell(presence)))
+        self.air.waiting.append((self.team, self.team.tell(presence).text))
 
     def wait(self, seconds: float) -> None:
         assert seconds == self.team.config.settling
@@ -362,7 +362,7 @@ def test_it_tells_since_when_it_has_stood_still(robot: RobotModel) -> None:
     )
     since = []
     for stamp, state in ((10, here), (20, here), (30, there), (40, waving), (50, waving)):
-        text = mate.team.tell(Presence(stamp, state, robot, CAMERA, 2.5))
+        text = mate.team.tell(Presence(stamp, state, robot, CAMERA, 2.5)).text
         agent = one.team.hear(text, 0.0)
         assert agent is not None
         since.append(agent.since)

@@ -56,7 +56,7 @@ def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
         state = RobotState(pose, two.true_camera_pose(), 1e-6 * np.eye(6), joints)
         at_the_scan = one.stamp + round(STEP * 1e9)
         told = theirs.tell(Presence(at_the_scan, state, model, robot.poses.rig.left, 4.0))
-        agent = ours.hear(told, 0.0)
+        agent = ours.hear(told.text, 0.0)
         assert agent is not None
         bodies.hear(agent)
         assert robot.look(lambda: False) == ""

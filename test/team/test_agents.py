@@ -42,6 +42,11 @@ def agent(robot: int = 3, version: int = 100, session: int = 7, **fields: Any) -
     return Agent(robot, session, version, 12_345_678_901, 12_000_000_000, **(given | fields))
 
 
+def word(*told: int, **fields: Any) -> str:
+    """The text of an `agent`."""
+    return agent_to_text(agent(*told, **fields))
+
+
 def test_a_text_says_all_of_it() -> None:
     told = agent()
     read = agent_from_text(agent_to_text(told))
@@ -136,33 +141,39 @@ def test_with_a_key_only_what_was_signed_with_it_counts() -> None:
         assert refused.value.reason == NOT_AUTHENTIC
 
 
+def test_a_board_with_a_key_hears_only_its_team() -> None:
+    board = AgentBoard(0, 1, key=KEY)
+    assert refusal(board, word()) == NOT_AUTHENTIC
+    assert board.hear(agent_to_text(agent(), KEY), 0.0)
+
+
 def test_the_newest_word_of_each_counts_in_whatever_order_it_comes() -> None:
     board = AgentBoard(0, 1)
-    news = [board.hear(agent(2, version, claim=version), 0.0) for version in (10, 12, 11, 12)]
-    assert news == [True, True, False, False]
-    assert board.hear(agent(1, 50), 0.0)
+    news = [board.hear(word(2, version, claim=version), 0.0) for version in (10, 12, 11, 12)]
+    assert [each is not None for each in news] == [True, True, False, False]
+    assert board.hear(word(1, 50), 0.0)
     assert [(each.robot, each.claim) for each in board.present(0.0)] == [(1, 4), (2, 12)]
     assert board.claims(0.0) == {1: 4, 2: 12}
 
 
 def test_the_silent_lose_their_goals_first_and_are_forgotten_then() -> None:
     board = AgentBoard(0, 1, AgentBoardConfig(silence=5.0, memory=60.0))
-    board.hear(agent(2), 10.0)
+    board.hear(word(2), 10.0)
     assert board.age(2, 14.0) == 4.0
     for now, goals, bodies in ((15.0, 1, 1), (15.1, 0, 1), (70.0, 0, 1), (70.1, 0, 0)):
         assert (len(board.present(now)), len(board.remembered(now))) == (goals, bodies)
     assert board.age(2, 80.0) == np.inf
-    assert board.hear(agent(2, 99), 80.0), "an older version than that of one who was forgotten"
+    assert board.hear(word(2, 99), 80.0), "an older version than that of one who was forgotten"
 
 
 @pytest.mark.parametrize("session", [1, None])
 def test_own_words_are_no_news(session: int | None) -> None:
     board = AgentBoard(3, session)
-    assert not board.hear(agent(3, session=1), 0.0, own_version=100)
+    assert not board.hear(word(3, session=1), 0.0, own_version=100)
     assert board.remembered(0.0) == ()
 
 
-def refusal(board: AgentBoard, told: Agent, now: float = 0.0) -> str:
+def refusal(board: AgentBoard, told: str, now: float = 0.0) -> str:
     with pytest.raises(UpdateRefusedError) as refused:
         board.hear(told, now, own_version=100)
     return refused.value.reason
@@ -170,20 +181,20 @@ def refusal(board: AgentBoard, told: Agent, now: float = 0.0) -> str:
 
 def test_strangers_namesakes_and_the_past_are_refused() -> None:
     board = AgentBoard(0, 1, team=(3,))
-    board.hear(agent(3, 10**6), 0.0)
+    board.hear(word(3, 10**6), 0.0)
     before = board.present(0.0)
-    assert refusal(board, agent(9)) == NOT_LISTED
-    assert refusal(board, agent(3, 10**6 - 20_000)) == BACKWARDS
-    board.hear(agent(0, 101, session=2), 0.0, own_version=100)
-    assert refusal(board, agent(0, 102, session=2), 6.0) == TWO_OF_A_NAME
+    assert refusal(board, word(9)) == NOT_LISTED
+    assert refusal(board, word(3, 10**6 - 20_000)) == BACKWARDS
+    board.hear(word(0, 101, session=2), 0.0, own_version=100)
+    assert refusal(board, word(0, 102, session=2), 6.0) == TWO_OF_A_NAME
     assert board.present(0.0) == before
 
 
 def test_a_robot_that_has_started_again_is_the_same_robot() -> None:
     board = AgentBoard(0, 1)
-    board.hear(agent(3, 100, session=7, claim=40), 0.0)
-    assert board.hear(agent(3, 200, session=8, claim=1), 1.0)
-    assert not board.hear(agent(3, 101, session=7, claim=41), 1.1), "late, from before"
+    board.hear(word(3, 100, session=7, claim=40), 0.0)
+    assert board.hear(word(3, 200, session=8, claim=1), 1.0)
+    assert not board.hear(word(3, 101, session=7, claim=41), 1.1), "late, from before"
     assert board.claims(1.1) == {3: 1}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent, knows
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.team.authentication import TeamKey
@@ -53,6 +54,18 @@ class Presence:
     max_range: float
     doing: str = "idle"
     description: str = ""
+
+
+class Word(NamedTuple):
+    """What a robot tells of itself.
+
+    Attributes:
+        agent: what is told.
+        text: the same, signed, as it is sent.
+    """
+
+    agent: Agent
+    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +102,7 @@ class Teamwork:
     ) -> None:
         self.robot, self.config = robot, config or AgentsConfig()
         self._session, self._version, self._key = session, version, key
-        self._board = AgentBoard(robot, session, self.config, team)
+        self._board = AgentBoard(robot, session, self.config, team, key)
         self._claim = _Claim(version)
         self._still: Presence | None = None
         self._lock = threading.Lock()
@@ -101,11 +114,10 @@ class Teamwork:
             InvalidInputError: the text is malformed, or says something impossible.
             UpdateRefusedError: that robot must not write, or not that.
         """
-        agent = agent_from_text(text, self._key)
         with self._lock:
-            return agent if self._board.hear(agent, now, self._version) else None
+            return self._board.hear(text, now, self._version)
 
-    def tell(self, me: Presence) -> str:
+    def tell(self, me: Presence) -> Word:
         """What to tell the others now."""
         radius, bottom, top = body_extent(me.robot, me.state.joints)
         with self._lock:
@@ -136,7 +148,7 @@ class Teamwork:
                 me.description,
                 me.robot.base_frame,
             )
-        return agent_to_text(agent, self._key)
+        return Word(agent, agent_to_text(agent, self._key))
 
     def claim(self, goal: FloatArray, way: FloatArray, known: dict[int, int]) -> None:
         """From now on this robot is heading for a view.

@@ -36,7 +36,6 @@ from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
 from infomap_ros.replay.messages import encode_pose
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.authentication import TeamKey
 
@@ -77,8 +76,8 @@ class TeammateSight:
         self._node, self._worker, self._move, self._stays = node, worker, move, stays
         self._config, who = node.config(TeamTagsConfig), node.config(FiducialLocalizationConfig)
         self._robot = who.robot_id
-        self._board = AgentBoard(who.robot_id, None, team=who.team)
         self._key = TeamKey.of_team(who.team_key)
+        self._board = AgentBoard(who.robot_id, None, team=who.team, key=self._key)
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)
         self._finder = RobotTagFinder(carried) if carried else None
@@ -117,8 +116,8 @@ class TeammateSight:
             mate.waiting.clear()
 
     def _receive(self, text: str) -> None:
-        agent = agent_from_text(text, self._key)
-        if self._board.hear(agent, time.monotonic()):
+        agent = self._board.hear(text, time.monotonic())
+        if agent is not None:
             self._worker.submit_always(partial(self._hear, agent))
 
     def _hear(self, agent: Agent) -> None:

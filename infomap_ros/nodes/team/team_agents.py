@@ -20,7 +20,6 @@ from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_topics import AGENTS
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team import draw_session, version_at
-from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.team.authentication import TeamKey
 
@@ -45,9 +44,9 @@ class TeamAgents:
         self._frame = node.config(RobotTrackerConfig).map_frame
         self._range = node.config(ViewPlannerConfig).max_range
         listener, self._config = node.config(MapListenerConfig), node.config(AgentsConfig)
-        self._key = TeamKey.of_team(listener.team_key)
         identity = listener.robot_id, draw_session(), version_at(time.time_ns())
-        self.team = Teamwork(*identity, self._config, listener.team, self._key)
+        key = TeamKey.of_team(listener.team_key)
+        self.team = Teamwork(*identity, self._config, listener.team, key)
         self.doing = "idle"
         self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
         self._description = node.resolve_topic_name("robot_description")
@@ -61,9 +60,8 @@ class TeamAgents:
         if presence is None:
             return
         self._told, self._stamp = time.monotonic(), presence.stamp
-        text = self.team.tell(presence)
-        agent, lifetime = agent_from_text(text), self._config.silence
-        self._publisher.publish(encode_agent(self._types, self._frame, agent, text, lifetime))
+        word, lifetime = self.team.tell(presence), self._config.silence
+        self._publisher.publish(encode_agent(self._types, self._frame, *word, lifetime))
 
     def _tell_if_due(self) -> None:
         """Tell when so much time of the data has passed, and now and then in any case."""

@@ -25,7 +25,6 @@ from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.replay.messages import decode_text
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.authentication import TeamKey
@@ -62,8 +61,8 @@ class TeamBodyListener:
     def __init__(self, node: MonitoredNode, frame: str, on_news: Callable[[], None]) -> None:
         self._node, self._on_news = node, on_news
         who = node.config(UpdateStreamConfig)
-        self._key = TeamKey.of_team(who.team_key)
-        self._board = AgentBoard(who.robot_id, None, node.config(AgentBoardConfig), who.team)
+        memory, key = node.config(AgentBoardConfig), TeamKey.of_team(who.team_key)
+        self._board = AgentBoard(who.robot_id, None, memory, who.team, key)
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
         self._reading = node.config(RobotBodyConfig).robot
         self._topics: dict[int, str] = {}
@@ -91,8 +90,8 @@ class TeamBodyListener:
         return found
 
     def _hear(self, text: str) -> None:
-        agent = agent_from_text(text, self._key)
-        if self._board.hear(agent, time.monotonic()):
+        agent = self._board.hear(text, time.monotonic())
+        if agent is not None:
             self._bodies.hear(agent)
             self._ask_what_it_is(agent)
             self._on_news()

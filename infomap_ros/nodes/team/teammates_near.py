@@ -11,7 +11,6 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.authentication import TeamKey
 
@@ -45,8 +44,8 @@ class TeammatesNear:
 
     def __init__(self, node: MonitoredNode) -> None:
         who = node.config(TeammatesNearConfig)
-        self._key = TeamKey.of_team(who.team_key)
-        self._board = AgentBoard(who.robot_id, None, team=who.team)
+        key = TeamKey.of_team(who.team_key)
+        self._board = AgentBoard(who.robot_id, None, team=who.team, key=key)
         self._own = node.resolve_topic_name("robot_description")
         self._lock = threading.Lock()
         listen_to_agents(node, node.config(RobotTrackerConfig).map_frame, self._hear)
@@ -54,10 +53,10 @@ class TeammatesNear:
     def present(self) -> tuple[Agent, ...]:
         """The others that were heard lately, as they told last; may be asked by any thread."""
         with self._lock:
-            return self._board.present(time.monotonic())
+            heard = self._board.present(time.monotonic())
+        # An explorer that was given no id hears its own robot's next_best_view, too.
+        return tuple(agent for agent in heard if agent.description != self._own)
 
     def _hear(self, text: str) -> None:
-        agent = agent_from_text(text, self._key)
-        if agent.description != self._own:  # the own words, where this robot was given no id
-            with self._lock:
-                self._board.hear(agent, time.monotonic())
+        with self._lock:
+            self._board.hear(text, time.monotonic())

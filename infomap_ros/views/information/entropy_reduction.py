@@ -6,7 +6,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.information.field import workers_of
-from infomap_ros.views.information.gains import field_around, gain_table
+from infomap_ros.views.information.gains import field_around, ray_arrays
 from infomap_ros.views.information.ray_kernels import view_bits
 from infomap_ros.views.information.view_query import ViewQuery
 
@@ -29,16 +29,12 @@ def expected_entropy_reduction(query: ViewQuery) -> FloatArray:
         return np.zeros(0)
     m, config, threads = query.voxel_map, query.config, query.threads
     field = field_around(m, query.places, query.max_range, config, threads)
-    table = gain_table(m, query.max_range, config)
+    arrays = ray_arrays(field, m, query.max_range, config)
     poses, rays, angles, box = query.placed_in(field)
     parts = np.zeros((threads, len(poses)))
 
     def cast(part: int, first: int, last: int) -> None:
-        view_bits(
-            poses, rays[first:last], angles[first:last], box, field.directory, field.codes,
-            table.gains, table.before, table.clear, table.step, config.least_visibility,
-            parts[part],
-        )  # fmt: skip
+        view_bits(poses, rays[first:last], angles[first:last], box, arrays, parts[part])
 
     workers_of(threads).run(cast, len(rays))
     return np.asarray(parts.sum(axis=0))

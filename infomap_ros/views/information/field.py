@@ -14,11 +14,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.scans.workers import Workers
@@ -106,12 +106,12 @@ def _evidence_codes(book: CodeBook) -> NDArray[np.uint8]:
     return codes.astype(np.uint8)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _code(table: Any, quanta: int) -> Any:
     return table[min(max(quanta, -_TABLE_QUANTA), _TABLE_QUANTA) + _TABLE_QUANTA]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _enter_blocks(blocks: Any, first: Any, table: Any, directory: Any) -> int:
     """Enter what is known of each block: its one code, or its row; returns the number of rows."""
     nx, ny, nz = directory.shape
@@ -130,7 +130,7 @@ def _enter_blocks(blocks: Any, first: Any, table: Any, directory: Any) -> int:
     return rows
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_codes(blocks: Any, first: Any, table: Any, directory: Any, codes: Any) -> None:
     """Fill the rows; blocks all of whose voxels turn out alike lose theirs again."""
     nx, ny, nz = directory.shape
@@ -152,7 +152,7 @@ def _fill_codes(blocks: Any, first: Any, table: Any, directory: Any, codes: Any)
                     directory[i, j, k] = -1 - np.int32(codes[row, 0])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_row(deltas: Any, unknown: int, base: int, table: Any, row: Any) -> bool:
     """Codes of one block; returns whether all are the same."""
     low, high = np.uint8(255), np.uint8(0)
@@ -164,7 +164,7 @@ def _fill_row(deltas: Any, unknown: int, base: int, table: Any, row: Any) -> boo
     return low == high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def code_at(directory: Any, codes: Any, x: int, y: int, z: int) -> Any:
     """Code of a voxel, by its index relative to the directory."""
     nx, ny, nz = directory.shape

@@ -16,6 +16,7 @@ from infomap_ros.views.information.field import VisibleField, visible_field
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.observation_value import surface_bits, voxel_bits
 from infomap_ros.views.information.predicted_field import with_predictions
+from infomap_ros.views.information.ray_kernels import RayArrays
 from infomap_ros.views.information.surface_field import with_surfaces
 
 _LEAST_STEPS = 64
@@ -99,3 +100,19 @@ def field_around(
     if config.predict_unknown:
         field = with_predictions(field, m, book)
     return with_surfaces(field, m, book) if config.wanted_sigma > 0.0 else field
+
+
+def ray_arrays(
+    field: VisibleField, m: VoxelMap, max_range: float, config: InformationConfig
+) -> RayArrays:
+    """What rays through a field look up, for the kernels.
+
+    Args:
+        field: part of the map, as `field_around` prepares it.
+        m: the map.
+        max_range: [m].
+        config: of the sensor.
+    """
+    table = gain_table(m, max_range, config)
+    steps = table.gains, table.before, table.clear, table.step
+    return RayArrays(field.directory, field.codes, *steps, config.least_visibility)

@@ -17,11 +17,13 @@ that a block whose voxels are all alike and hide nothing is crossed at once, to 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE
 from infomap_ros.views.information.codes import EMPTY, UNKNOWN
 
@@ -31,7 +33,29 @@ _DOUBT = 1e-5
 _LEAST_DIRECTION = 1e-12
 
 
-@njit(cache=True, nogil=True)
+class RayArrays(NamedTuple):
+    """What a ray looks up on its way.
+
+    Attributes:
+        directory: of a `VisibleField`.
+        codes: of it.
+        gains: bits per steradian by step and code, shape (steps, codes).
+        before: sum of `gains` over the steps before, shape (steps + 1, codes).
+        clear: probability by code that a step's way does not hide what is behind it.
+        step: length of a step [voxels].
+        least: below this probability nothing is seen any more.
+    """
+
+    directory: NDArray[np.int32]
+    codes: NDArray[np.uint8]
+    gains: NDArray[np.float32]
+    before: NDArray[np.float32]
+    clear: FloatArray
+    step: float
+    least: float
+
+
+@kernel
 def axis_steps(
     origin: float, direction: float, step: float, start: int
 ) -> tuple[Any, Any, int, float, float]:
@@ -57,20 +81,9 @@ def axis_steps(
     return first, change, int(direction > 0.0), BLOCK_SIDE * slope, 0.5 - _DOUBT - origin * slope
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def march(
-    origin: Any,
-    direction: Any,
-    start: int,
-    end: int,
-    visible: float,
-    directory: Any,
-    codes: Any,
-    gains: Any,
-    before: Any,
-    clear: Any,
-    step: float,
-    least: float,
+    origin: Any, direction: Any, start: int, end: int, visible: float, arrays: Any
 ) -> tuple[float, float]:
     """Follow a ray over the steps [start, end).
 
@@ -80,17 +93,13 @@ def march(
         start: first step.
         end: one past the last step.
         visible: probability that nothing before the first step hides it.
-        directory: of a `VisibleField`.
-        codes: of it.
-        gains: bits per steradian by step and code.
-        before: sum of `gains` over the steps before.
-        clear: probability by code that a step's way does not hide what is behind it.
-        step: length of a step [voxels].
-        least: below this probability nothing is seen any more.
+        arrays: a `RayArrays`.
 
     Returns:
         Bits per steradian, and probability that what follows is seen.
     """
+    directory, codes, step = arrays.directory, arrays.codes, arrays.step
+    gains, before, clear = arrays.gains, arrays.before, arrays.clear
     x, step_x, side_x, slope_x, shift_x = axis_steps(origin[0], direction[0], step, start)
     y, step_y, side_y, slope_y, shift_y = axis_steps(origin[1], direction[1], step, start)
     z, step_z, side_z, slope_z, shift_z = axis_steps(origin[2], direction[2], step, start)
@@ -118,13 +127,13 @@ def march(
             if code != EMPTY:
                 total += visible * gains[n, code]
                 visible *= clear[code]
-                if visible < least:
+                if visible < arrays.least:
                     return total, 0.0
             n += 1
     return total, visible
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def region_steps(
     origin: Any, direction: Any, low: Any, high: Any, step: float, steps: int
 ) -> tuple[int, int]:
@@ -143,35 +152,17 @@ def region_steps(
     return int(near / step + 0.5), min(int(far / step + 0.5), steps)
 
 
-@njit(cache=True, nogil=True)
-def ray_bits(
-    origin: Any,
-    direction: Any,
-    low: Any,
-    high: Any,
-    directory: Any,
-    codes: Any,
-    gains: Any,
-    before: Any,
-    clear: Any,
-    step: float,
-    least: float,
-) -> float:
+@kernel
+def ray_bits(origin: Any, direction: Any, low: Any, high: Any, arrays: Any) -> float:
     """What one ray tells about the box from `low` to `high` [bits/sr]; else as `march`."""
-    start, end = region_steps(origin, direction, low, high, step, len(gains))
+    start, end = region_steps(origin, direction, low, high, arrays.step, len(arrays.gains))
     visible = 1.0
     if start > 0:
-        visible = march(
-            origin, direction, 0, start, visible,
-            directory, codes, gains, before, clear, step, least,
-        )[1]  # fmt: skip
-    return march(
-        origin, direction, start, end, visible,
-        directory, codes, gains, before, clear, step, least,
-    )[0]  # fmt: skip
+        visible = march(origin, direction, 0, start, visible, arrays)[1]
+    return march(origin, direction, start, end, visible, arrays)[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turned(rotation: Any, ray: Any) -> tuple[float, float, float]:
     """Rotation, shape (3, 3) or larger, times a vector, shape (3,)."""
     x, y, z = ray[0], ray[1], ray[2]
@@ -182,21 +173,8 @@ def turned(rotation: Any, ray: Any) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True, nogil=True)
-def view_bits(
-    poses: Any,
-    rays: Any,
-    angles: Any,
-    box: Any,
-    directory: Any,
-    codes: Any,
-    gains: Any,
-    before: Any,
-    clear: Any,
-    step: float,
-    least: float,
-    sums: Any,
-) -> None:
+@kernel
+def view_bits(poses: Any, rays: Any, angles: Any, box: Any, arrays: Any, sums: Any) -> None:
     """Add to `sums`, shape (M,), what the rays tell from each pose [bits].
 
     Args:
@@ -204,13 +182,7 @@ def view_bits(
         rays: unit directions in the camera frame, shape (N, 3).
         angles: solid angle of each ray, shape (N,) [sr].
         box: the region that counts, (low, high) corners relative to the directory [voxels].
-        directory: see `march`, also for the next six.
-        codes: see `march`.
-        gains: see `march`.
-        before: see `march`.
-        clear: see `march`.
-        step: see `march`.
-        least: see `march`.
+        arrays: a `RayArrays`.
         sums: see above.
     """
     low, high = (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0], box[1, 1], box[1, 2])
@@ -218,7 +190,5 @@ def view_bits(
         pose = poses[view]
         origin = (pose[0, 3], pose[1, 3], pose[2, 3])
         for ray in range(len(rays)):
-            sums[view] += angles[ray] * ray_bits(
-                origin, turned(pose, rays[ray]), low, high,
-                directory, codes, gains, before, clear, step, least,
-            )  # fmt: skip
+            direction = turned(pose, rays[ray])
+            sums[view] += angles[ray] * ray_bits(origin, direction, low, high, arrays)

@@ -9,16 +9,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, float_array
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.information.entropy_reduction import expected_entropy_reduction
 from infomap_ros.views.information.field import workers_of
-from infomap_ros.views.information.gains import field_around, gain_table
+from infomap_ros.views.information.gains import field_around, ray_arrays
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.ray_kernels import ray_bits, turned
 from infomap_ros.views.information.rays import (
@@ -77,18 +77,16 @@ def information_of_views(
     bits = np.zeros(rotations.shape[:2])
     if bits.size == 0:
         return bits
-    field, table = field_around(m, places, reach, settings, threads), gain_table(m, reach, settings)
+    field = field_around(m, places, reach, settings, threads)
+    arrays = ray_arrays(field, m, reach, settings)
     rays, angles = camera_rays(camera, 0.5 * settings.shared_spacing, settings.planar)
     middles = cell_middles(cells_per_edge(settings.shared_spacing))
     origins, box = field.relative(places), field.relative(checked_region(region))
 
     def cast(_: int, first: int, last: int) -> None:
         values = np.empty(6 * len(middles) ** 2, np.float32)
-        _share(
-            origins[first:last], rotations[first:last], rays, angles, middles, values, box,
-            field.directory, field.codes, table.gains, table.before, table.clear, table.step,
-            settings.least_visibility, bits[first:last],
-        )  # fmt: skip
+        part = origins[first:last], rotations[first:last]
+        _share(*part, rays, angles, middles, box, arrays, values, bits[first:last])
 
     workers_of(threads).run(cast, len(places))
     _refine(m, places, rotations, camera, reach, settings, region, refine, threads, bits)
@@ -141,22 +139,16 @@ def _refine(
     bits[at, of] = expected_entropy_reduction(query)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _share(
     origins: Any,
     rotations: Any,
     rays: Any,
     angles: Any,
     middles: Any,
-    values: Any,
     box: Any,
-    directory: Any,
-    codes: Any,
-    gains: Any,
-    before: Any,
-    clear: Any,
-    step: float,
-    least: float,
+    arrays: Any,
+    values: Any,
     bits: Any,
 ) -> None:
     """Bits of every view, shape (P, O); `values` is scratch for a number per cell."""
@@ -170,9 +162,7 @@ def _share(
             for ray in range(len(rays)):
                 cell = cell_of(turned(rotation, rays[ray]), cells)
                 if values[cell] < 0.0:
-                    values[cell] = ray_bits(
-                        origin, cell_direction(cell, middles), low, high,
-                        directory, codes, gains, before, clear, step, least,
-                    )  # fmt: skip
+                    direction = cell_direction(cell, middles)
+                    values[cell] = ray_bits(origin, direction, low, high, arrays)
                 total += angles[ray] * values[cell]
             bits[place, view] = total

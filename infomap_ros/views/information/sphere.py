@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 
 _STRETCH = 1.2
@@ -36,13 +36,13 @@ def cell_middles(cells: int) -> FloatArray:
     return np.asarray(u)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cell_along(u: float, cells: int) -> int:
     w = u * (_STRETCH - (_STRETCH - 1.0) * u * u)
     return min(int((w + 1.0) * 0.5 * cells), cells - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cell_of(direction: Any, cells: int) -> int:
     """Cell in which a direction lies; there are ``6 cells^2``."""
     x, y, z = direction
@@ -57,7 +57,7 @@ def cell_of(direction: Any, cells: int) -> int:
     return row * cells + _cell_along(v * scale, cells)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cell_direction(cell: int, middles: Any) -> tuple[float, float, float]:
     """Unit vector through the middle of a cell; `middles` as of `cell_middles`."""
     cells = len(middles)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, pack, table_slot
 from infomap_ros.views.information.codes import EMPTY
 from infomap_ros.views.information.field import VisibleField, code_at
-from infomap_ros.views.information.gains import field_around, gain_table
+from infomap_ros.views.information.gains import field_around, ray_arrays
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.ray_kernels import region_steps, turned
 from infomap_ros.views.information.rays import (
@@ -90,7 +90,7 @@ def view_gains(
     transform = checked_poses(pose)[0]
     reach = checked_reach(transform[:3, 3], max_range, size)
     field = field or field_around(m, transform[None, :3, 3], reach, settings)
-    table = gain_table(m, reach, settings)
+    arrays = ray_arrays(field, m, reach, settings)
     rays, angles = camera_rays(camera, min(settings.ray_spacing, size / reach), settings.planar)
     placed = transform.copy()
     placed[:3, 3] = field.relative(transform[:3, 3])
@@ -98,13 +98,10 @@ def view_gains(
     keys, gains, first = np.full(1 << 14, -1, np.int64), np.zeros(1 << 14), 0
     used = np.zeros(1, np.int64)
     while True:
-        first = _gather(
-            placed, rays, angles, first, box, corner, field.directory, field.codes,
-            table.gains, table.clear, table.step, settings.least_visibility, keys, gains, used,
-        )  # fmt: skip
+        first = _gather(placed, rays, angles, first, box, corner, arrays, keys, gains, used)
         if first == len(rays):
             break
-        keys, gains = _enlarged(keys, gains, len(table.gains))
+        keys, gains = _enlarged(keys, gains, len(arrays.gains))
     taken = np.flatnonzero(keys >= 0)
     order = taken[np.argsort(keys[taken], kind="stable")]
     return VoxelGains(keys[order], gains[order])
@@ -120,7 +117,7 @@ def _enlarged(
     return more_keys, more_gains
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _place(keys: Any, key: int) -> Any:
     """Where a key is in the hash table, or where it belongs."""
     place = table_slot(key, len(keys))
@@ -131,7 +128,7 @@ def _place(keys: Any, key: int) -> Any:
     return place
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _copy(keys: Any, gains: Any, more_keys: Any, more_gains: Any) -> None:
     for i in range(len(keys)):
         if keys[i] >= 0:
@@ -139,7 +136,7 @@ def _copy(keys: Any, gains: Any, more_keys: Any, more_gains: Any) -> None:
             more_keys[place], more_gains[place] = keys[i], gains[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(
     pose: Any,
     rays: Any,
@@ -147,12 +144,7 @@ def _gather(
     first: int,
     box: Any,
     corner: Any,
-    directory: Any,
-    codes: Any,
-    table: Any,
-    clear: Any,
-    step: float,
-    least: float,
+    arrays: Any,
     keys: Any,
     gains: Any,
     used: Any,
@@ -165,27 +157,28 @@ def _gather(
     ox, oy, oz = pose[0, 3], pose[1, 3], pose[2, 3]
     low, high = (box[0, 0], box[0, 1], box[0, 2]), (box[1, 0], box[1, 1], box[1, 2])
     x0, y0, z0 = corner[0], corner[1], corner[2]
+    steps, step = len(arrays.gains), arrays.step
     for ray in range(first, len(rays)):
-        if 2 * (used[0] + len(table)) > len(keys):
+        if 2 * (used[0] + steps) > len(keys):
             return ray
         dx, dy, dz = turned(pose, rays[ray])
-        start, end = region_steps((ox, oy, oz), (dx, dy, dz), low, high, step, len(table))
+        start, end = region_steps((ox, oy, oz), (dx, dy, dz), low, high, step, steps)
         visible = 1.0
         for n in range(end):
             r = (n + 0.5) * step
             x, y = math.floor(ox + dx * r), math.floor(oy + dy * r)
             z = math.floor(oz + dz * r)
-            code = code_at(directory, codes, x, y, z)
+            code = code_at(arrays.directory, arrays.codes, x, y, z)
             if code == EMPTY:
                 continue
-            gain = visible * angles[ray] * table[n, code]
+            gain = visible * angles[ray] * arrays.gains[n, code]
             if n >= start and gain > 0.0:
                 key = pack(x + x0, y + y0, z + z0)
                 place = _place(keys, key)
                 used[0] += keys[place] < 0
                 keys[place] = key
                 gains[place] += gain
-            visible *= clear[code]
-            if visible < least:
+            visible *= arrays.clear[code]
+            if visible < arrays.least:
                 break
     return len(rays)

@@ -32,6 +32,15 @@ from infomap_ros.team.facts import (
     without_facts,
 )
 from infomap_ros.team.gaussian_code import CODE, CODE_FIELDS, codes_of_words, words_of_codes
+from infomap_ros.team.row_kernels import (
+    NOT_TOLD,
+    ORDER_SHIFT,
+    RUN_SHIFT,
+    TILE_SHIFT,
+    fill_runs,
+    lowest_corner,
+    order_of_blocks,
+)
 from infomap_ros.team.sent import message_bytes
 from infomap_ros.team.update import (
     MAX_ROBOT,
@@ -42,17 +51,13 @@ from infomap_ros.team.update import (
 )
 
 MAX_MESSAGE_BYTES = 1_000_000
-NOT_TOLD = -127
-"""Log-odds of a voxel of which a row says nothing."""
-
 OCCUPANCY_ROW = np.dtype([("index", "u1", (3,)), ("log_odds", "i1", (8,))])
 SURFACE_ROW = np.dtype([("index", "u1", (3,)), ("log_odds", "i1"), *CODE_FIELDS])
 _VERSIONED = tuple(
     np.dtype([*row.descr, ("version", "<u4")]) for row in (OCCUPANCY_ROW, SURFACE_ROW)
 )
 _LATER_FACTS = 100  # serial number, code and a longer name of the frame, at the most [bytes]
-_TILE, _RUN = 256, 8  # [voxels]
-_BLOCKS = _TILE // _RUN
+_TILE, _RUN = 1 << TILE_SHIFT, 1 << RUN_SHIFT  # [voxels]
 _WHAT = "map update"
 
 
@@ -72,44 +77,37 @@ def encode_update(update: MapUpdate, max_bytes: int = MAX_MESSAGE_BYTES) -> list
     update.check_states()
     messages = []
     for surface in (False, True):
-        part = update.rows(update.has_gaussian == surface)
-        for origin, tile in _tiles(part):
-            encoded = _surface_rows(tile, origin) if surface else _occupancy_rows(tile, origin)
-            messages += _split(encoded, max_bytes)
+        chosen = np.flatnonzero(update.has_gaussian == surface)
+        for origin, rows in _tiles(update.indices, chosen):
+            encode = _surface_rows if surface else _occupancy_rows
+            messages += _split(encode(update, rows, origin), max_bytes)
     return messages
 
 
-def _tiles(update: MapUpdate) -> Iterator[tuple[NDArray[np.int64], MapUpdate]]:
-    """Parts of an update that fit a message's indices, in the order of blocks, with their corner.
+def _tiles(
+    indices: NDArray[np.int32], rows: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Rows whose voxels fit a message's indices, in the order of blocks, with their corner.
 
     Corners are multiples of a run's length, so that a run never leaves its part.
     """
-    if not len(update.indices):
+    if not len(rows):
         return
-    origin = update.indices.min(axis=0).astype(np.int64) // _RUN * _RUN
-    relative = update.indices - origin
-    order = np.argsort(_block_order(relative), kind="stable")
-    tiles = (relative // _TILE)[order]
-    cuts = np.flatnonzero((np.diff(tiles, axis=0) != 0).any(axis=1)) + 1
-    for rows in np.split(order, cuts):
-        yield origin + relative[rows[0]] // _TILE * _TILE, update.rows(rows)
+    origin, keys = np.zeros(3, np.int64), np.zeros(len(rows), np.int64)
+    lowest_corner(indices, rows, origin)
+    origin = origin // _RUN * _RUN
+    order_of_blocks(indices, rows, origin, keys)
+    order = np.argsort(keys, kind="stable")
+    cuts = np.flatnonzero(np.diff(keys[order] >> ORDER_SHIFT)) + 1
+    for part in np.split(rows[order], cuts):
+        yield origin + (indices[part[0]] - origin) // _TILE * _TILE, part
 
 
-def _block_order(relative: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers that grow along the parts, in them along the blocks, and in these along the runs."""
-    tiles, blocks, places = relative // _TILE, relative // _RUN % _BLOCKS, relative % _RUN
-    keys = np.zeros(len(relative), np.int64)
-    for values, size in ((tiles, 1 << 13), (blocks, _BLOCKS), (places, _RUN)):
-        for axis in (2, 1, 0):
-            keys = keys * size + values[:, axis]
-    return keys
-
-
-def _facts(update: MapUpdate, origin: NDArray[np.int64]) -> dict[str, object]:
+def _facts(update: MapUpdate, version: int, origin: NDArray[np.int64]) -> dict[str, object]:
     facts: dict[str, object] = {
         "robot": update.robot,
         "session": update.session,
-        "version": update.version,
+        "version": version,
         "voxel_size": repr(float(update.voxel_size)),
     }
     for axis, value in zip("xyz", origin.tolist(), strict=True):
@@ -120,39 +118,41 @@ def _facts(update: MapUpdate, origin: NDArray[np.int64]) -> dict[str, object]:
 
 
 def _empty_rows(
-    update: MapUpdate, origin: NDArray[np.int64], kind: int, count: int
+    update: MapUpdate, rows: NDArray[np.int64], origin: NDArray[np.int64], kind: int, count: int
 ) -> NDArray[np.void]:
-    several = bool((update.versions != update.versions[0]).any())
+    versions = update.versions[rows]
+    several = bool((versions != versions[0]).any())
     dtype = _VERSIONED[kind] if several else (OCCUPANCY_ROW, SURFACE_ROW)[kind]
-    return np.zeros(count, dtype_with_facts(dtype, _facts(update, origin)))
+    return np.zeros(count, dtype_with_facts(dtype, _facts(update, int(versions[0]), origin)))
 
 
-def _occupancy_rows(update: MapUpdate, origin: NDArray[np.int64]) -> NDArray[np.void]:
-    relative = update.indices - origin
-    starts = relative // (_RUN, 1, 1) * (_RUN, 1, 1)
-    other = (np.diff(starts, axis=0) != 0).any(axis=1) | (np.diff(update.versions) != 0)
-    run = np.concatenate([[0], np.cumsum(other)])
-    first = np.concatenate([[0], np.flatnonzero(other) + 1])
-    rows = _empty_rows(update, origin, 0, len(first))
-    rows["index"] = starts[first]
-    odds = np.full((len(first), _RUN), NOT_TOLD, np.int8)
-    odds[run, relative[:, 0] % _RUN] = update.log_odds
-    rows["log_odds"] = odds
-    if "version" in (rows.dtype.names or ()):
-        rows["version"] = update.versions[first]
-    return rows
+def _occupancy_rows(
+    update: MapUpdate, rows: NDArray[np.int64], origin: NDArray[np.int64]
+) -> NDArray[np.void]:
+    room = len(rows)
+    index, odds = np.empty((room, 3), np.uint8), np.empty((room, _RUN), np.int8)
+    first = np.empty(room, np.int64)
+    states = update.indices, update.versions, update.log_odds
+    count = int(fill_runs(*states, rows, origin, (index, odds, first)))
+    encoded = _empty_rows(update, rows, origin, 0, count)
+    encoded["index"], encoded["log_odds"] = index[:count], odds[:count]
+    if "version" in (encoded.dtype.names or ()):
+        encoded["version"] = update.versions[first[:count]]
+    return encoded
 
 
-def _surface_rows(update: MapUpdate, origin: NDArray[np.int64]) -> NDArray[np.void]:
-    rows = _empty_rows(update, origin, 1, len(update.indices))
-    rows["index"] = update.indices - origin
-    rows["log_odds"] = update.log_odds
-    codes = codes_of_words(update.codes)
+def _surface_rows(
+    update: MapUpdate, rows: NDArray[np.int64], origin: NDArray[np.int64]
+) -> NDArray[np.void]:
+    encoded = _empty_rows(update, rows, origin, 1, len(rows))
+    encoded["index"] = update.indices[rows] - origin
+    encoded["log_odds"] = update.log_odds[rows]
+    codes = codes_of_words(update.codes[rows])
     for name in CODE.names or ():
-        rows[name] = codes[name]
-    if "version" in (rows.dtype.names or ()):
-        rows["version"] = update.versions
-    return rows
+        encoded[name] = codes[name]
+    if "version" in (encoded.dtype.names or ()):
+        encoded["version"] = update.versions[rows]
+    return encoded
 
 
 def _split(rows: NDArray[np.void], max_bytes: int) -> list[NDArray[np.void]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
 from infomap_ros.mapping.voxels.blocks import (
@@ -143,7 +144,7 @@ def list_surface(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def store_covariance(upper: Any, out: Any) -> None:
     """Write (xx, xy, xz, yy, yz, zz) as a symmetric 3x3 matrix."""
     out[0, 0], out[0, 1], out[0, 2] = upper[0], upper[1], upper[2]
@@ -240,8 +241,19 @@ def describe_surface(
     covariances: Any,
 ) -> None:
     """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
-    information, other = np.empty((2, INFORMATION_SIZE), np.float32)
-    work, mean = np.empty(6), np.empty(3)
+    voxels, described = (indices, quanta, owners), (has_gaussian, means, covariances)
+    both, work = np.empty((2, INFORMATION_SIZE), np.float32), np.empty((2, 6))
+    _describe_surface(gaussians, size, voxels, described, both, work)
+
+
+@kernel
+def _describe_surface(
+    gaussians: Any, size: float, voxels: Any, described: Any, both: Any, scratch: Any
+) -> None:
+    """`describe_surface` with memory to work with, shapes (2, 9) float32 and (2, 6)."""
+    indices, quanta, owners = voxels
+    has_gaussian, means, covariances = described
+    information, other, work, mean = both[0], both[1], scratch[0], scratch[1]
     for voxel in range(len(quanta)):
         has_gaussian[voxel] = False
         if quanta[voxel] <= 0:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.geometry.kernel import kernel
-from infomap_ros.mapping.voxels.gaussians import solve_mean
+from infomap_ros.mapping.voxels.gaussians import inverse_symmetric, solve_mean
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, PAGE_COUNT, SIDES
 from infomap_ros.mapping.voxels.surface_code import decode_information
@@ -71,7 +71,7 @@ def read_record(surface: Any, record: int, information: Any) -> bool:
     return bool(rank >= 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def read_information(
     surface: Any, slot: int, local: int, half: float, information: Any, other: Any
 ) -> bool:
@@ -95,21 +95,31 @@ def read_information(
     return is_one or is_other
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _join(information: Any, other: Any, half: float) -> None:
     """What the two sides of a voxel tell together.
 
     If both find the surface in the voxel it is their sum; if one does, that one: the other saw the
     far face of something thin, beyond the voxel. If none does there is no surface in the voxel.
     """
-    work, mean = np.empty(6), np.empty(3)
-    one_lies = lies_in_voxel(information, half, work, mean)
-    other_lies = lies_in_voxel(other, half, work, mean)
+    one_lies, other_lies = _mean_lies_in(information, half), _mean_lies_in(other, half)
     for i in range(INFORMATION_SIZE):
         if one_lies and other_lies:
             information[i] += other[i]
         elif other_lies:
             information[i] = other[i]
+
+
+@kernel
+def _mean_lies_in(information: Any, half: float) -> bool:
+    """As `lies_in_voxel`, for those who want neither covariance nor mean."""
+    xx, xy, xz = np.float64(information[0]), np.float64(information[1]), np.float64(information[2])
+    yy, yz, zz = np.float64(information[3]), np.float64(information[4]), np.float64(information[5])
+    c = inverse_symmetric((xx, xy, xz, yy, yz, zz))
+    x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
+    a, b = c[0] * x + c[1] * y + c[2] * z, c[1] * x + c[3] * y + c[4] * z
+    farthest = max(abs(a), abs(b), abs(c[2] * x + c[4] * y + c[5] * z))
+    return bool(c[0] > 0.0 and farthest <= 1.2 * half)
 
 
 @kernel

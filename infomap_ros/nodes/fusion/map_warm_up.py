@@ -16,7 +16,7 @@ from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
 from infomap_ros.nodes.robot.robot_body import without_bodies
 from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.stereo import DepthCameraSensor
-from infomap_ros.team import MapReplica, MapUpdate
+from infomap_ros.team import MapReplica, MapUpdate, encode_update
 
 
 def warm_up(threads: int) -> None:
@@ -40,7 +40,9 @@ def warm_up(threads: int) -> None:
     trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
     replica, changes = MapReplica(trial.config), trial.take_changes()
     for version in (1, 2):
-        replica.apply(MapUpdate.of_changes(changes, 0.01, 0, version))
+        update = MapUpdate.of_changes(changes, 0.01, 0, version)
+        encode_update(update)
+        replica.apply(update)
     trial.mark_changed(0, 1)
     trial.is_known(np.zeros((trial.known_voxels, 3)))
     voxel_map_rows(trial)

@@ -152,6 +152,20 @@ def test_a_node_that_keeps_no_scans_says_so_by_their_number(graph: Any) -> None:
     graph.spin_until(lambda: bench.node.health.values().get("scans kept") == "0", "the number")
 
 
+def test_scans_are_kept_from_when_somebody_may_correct_them(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    graph.connect(publisher := graph.publisher(Path, "keyframe_poses"))
+    bench.send(pose(START + SECOND), cloud(START + SECOND))
+    bench.wait_for_results(2)
+    for stamp, place in ((1, T_MAP_CAMERA), (2, ELSEWHERE)):
+        record = keyframes(START + stamp * SECOND, place, place)
+        publisher.publish(encode_keyframe_poses(TYPES, record))
+    bench.wait_for_map(as_replica(map_of(T_MAP_CAMERA, ELSEWHERE)))
+    assert len(bench.node._keeper._corrected.store) == 1
+
+
 @pytest.mark.parametrize("order", ["reset", "load"])
 def test_scans_of_a_map_that_was_given_up_move_nothing(
     graph: Any, order: str, tmp_path: Any

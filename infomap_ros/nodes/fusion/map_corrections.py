@@ -19,7 +19,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.nodes.fusion.map_keeper import MapKeeper
+from infomap_ros.nodes.fusion.map_keeper import KEYFRAME_POSES, MapKeeper
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.replay.messages.keyframes import (
     KeyframePoses,
@@ -27,7 +27,7 @@ from infomap_ros.replay.messages.keyframes import (
     decode_keyframe_poses,
 )
 
-_TOPIC, _COVARIANCES = "keyframe_poses", "keyframe_covariances"
+_COVARIANCES = "keyframe_covariances"
 
 
 class MapCorrections:
@@ -48,7 +48,7 @@ class MapCorrections:
         self._covariances: tuple[int, NDArray[np.int64], FloatArray] | None = None
         stream = qos.stream()
         node.listen(PointCloud2, _COVARIANCES, self._on_covariances, stream, required=False)
-        node.listen(Path, _TOPIC, self._on_poses, stream, required=False)
+        node.listen(Path, KEYFRAME_POSES, self._on_poses, stream, required=False)
 
     def _on_covariances(self, message: PointCloud2) -> None:
         self._covariances = decode_keyframe_covariances(message)
@@ -64,7 +64,9 @@ class MapCorrections:
         poses = self._with_covariances(decode_keyframe_poses(message))
         if poses.frame_id != self._frame:
             raise FrameError(f"poses in frame '{poses.frame_id}', the map is '{self._frame}'")
-        self._worker.submit_always(lambda: self._node.guard(_TOPIC, partial(self._hear, poses)))
+        self._worker.submit_always(
+            lambda: self._node.guard(KEYFRAME_POSES, partial(self._hear, poses))
+        )
 
     def _hear(self, poses: KeyframePoses) -> None:
         was_correcting = self._keeper.is_correcting
@@ -73,6 +75,6 @@ class MapCorrections:
             self._worker.submit_always(self._correct_more)
 
     def _correct_more(self) -> None:
-        self._node.guard(_TOPIC, self._keeper.correct_more)
+        self._node.guard(KEYFRAME_POSES, self._keeper.correct_more)
         if self._keeper.is_correcting:
             self._worker.submit_always(self._correct_more)

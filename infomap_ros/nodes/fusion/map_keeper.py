@@ -1,4 +1,8 @@
-"""The voxel map of map_fusion, with its file and its outputs. Used by one thread."""
+"""The voxel map of map_fusion, with its file and its outputs. Used by one thread.
+
+Scans are kept from when somebody publishes keyframe_poses: without that nobody can correct them,
+and to keep one takes about as long as to integrate it.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +32,9 @@ from infomap_ros.nodes.team.team_map import TeamMap
 from infomap_ros.replay.messages import decode_point_cloud
 from infomap_ros.replay.messages.keyframes import KeyframePoses
 from infomap_ros.team.moving import moved_map
+
+KEYFRAME_POSES = "keyframe_poses"
+_NO_SCANS = ScanStoreConfig(memory=0.0)
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,7 @@ class MapKeeper:
         self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
         self.team = TeamMap(node, self._updates, self._outputs.changed)
         self._path = Path(self._config.map_file).absolute()
+        self._keeps_scans = False
         self._corrected = self._correctable(VoxelMap(node.config(VoxelMapConfig)))
         self._stamp = 0
         self._assumed = False
@@ -103,6 +111,7 @@ class MapKeeper:
         pose = scan.pose
         covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
         measured = cloud.points, pose.transform, cloud.covariances, covariance, camera
+        self._keep_scans_if_wanted()
         self._corrected.integrate(cloud.stamp, *measured)
         self._stamp = cloud.stamp
         self._outputs.changed()
@@ -115,6 +124,7 @@ class MapKeeper:
 
     def hear(self, poses: KeyframePoses) -> None:
         """Hear of corrected poses, and begin to correct the map where scans belong elsewhere."""
+        self._keep_scans_if_wanted()
         content = poses.stamps, poses.transforms, poses.covariances
         self._corrected.hear(poses.stamp, *content)
         self._corrected.begin_correction()
@@ -211,8 +221,18 @@ class MapKeeper:
     def _correctable(self, voxel_map: VoxelMap) -> CorrectableMap:
         """The map with no scans yet; what it holds stays where it is."""
         voxel_map.track_changes(True)
-        scans, corrections = ScanStoreConfig, ReintegrationConfig
-        return CorrectableMap(voxel_map, self._node.config(scans), self._node.config(corrections))
+        return self._without_scans(voxel_map)
+
+    def _without_scans(self, voxel_map: VoxelMap) -> CorrectableMap:
+        scans = self._node.config(ScanStoreConfig) if self._keeps_scans else _NO_SCANS
+        return CorrectableMap(voxel_map, scans, self._node.config(ReintegrationConfig))
+
+    def _keep_scans_if_wanted(self) -> None:
+        """Keep scans from now on if there is somebody who may correct them."""
+        topic = self._node.resolve_topic_name(KEYFRAME_POSES)
+        if not self._keeps_scans and self._node.count_publishers(topic):
+            self._keeps_scans = True
+            self._corrected = self._without_scans(self._map)
 
     def _assumed_covariance(self) -> FloatArray:
         if not self._assumed:

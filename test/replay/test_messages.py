@@ -26,7 +26,7 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.replay import messages as ms
-from infomap_ros.replay.messages.clouds import _blank, _expand
+from infomap_ros.replay.messages.clouds import _copy_points, _expand, _unpack_colors
 
 STAMP = 1_700_000_000_123_456_789
 TYPES = ms.RosbagsMessageTypes()
@@ -486,8 +486,10 @@ def test_kernels_of_clouds_run_uncompiled(rng):
     original = cloud(rng, (6,))
     points = original.points.copy()
     points[3, 1] = np.inf
-    _blank.py_func(points)
-    np.testing.assert_array_equal(np.isnan(points).all(axis=1), [0, 1, 0, 1, 0, 0])
+    copied = np.empty((2, 3, 3), np.float32)
+    _copy_points.py_func(points.reshape(2, 3, 3), copied)
+    np.testing.assert_array_equal(np.isnan(copied).all(axis=2), [[0, 1, 0], [1, 0, 0]])
+    np.testing.assert_array_equal(copied.reshape(6, 3)[[0, 2, 4, 5]], points[[0, 2, 4, 5]])
     upper = np.stack(
         [
             original.covariances[..., i, j]
@@ -495,9 +497,14 @@ def test_kernels_of_clouds_run_uncompiled(rng):
         ],
         axis=-1,
     )
-    expanded = np.empty((6, 3, 3), np.float32)
-    assert _expand.py_func(points, upper, expanded) == -1
-    measured = [0, 2, 4, 5]
-    np.testing.assert_array_equal(expanded[measured], original.covariances[measured])
-    upper[4, 3] = -1.0
-    assert _expand.py_func(points, upper, expanded) == 4
+    upper, expanded = upper.reshape(2, 3, 6), np.empty((2, 3, 3, 3), np.float32)
+    assert _expand.py_func(copied, upper, expanded) == -1
+    measured, found = [0, 2, 4, 5], expanded.reshape(6, 3, 3)
+    np.testing.assert_array_equal(found[measured], original.covariances[measured])
+    assert np.isnan(found[[1, 3]]).all()
+    upper[1, 1, 3] = -1.0
+    assert _expand.py_func(copied, upper, expanded) == 4
+    assert _expand.py_func(np.full((1, 1, 3), np.nan), upper, expanded) == -2
+    colors = np.empty((1, 1, 3), np.uint8)
+    _unpack_colors.py_func(np.array([[0x00010203]], np.uint32), colors)
+    assert colors.tolist() == [[[1, 2, 3]]]

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.records import PointCloudRecord
 from infomap_ros.replay.messages.fields import MessageFields
 from infomap_ros.replay.messages.types import MessageTypes, make_header
@@ -20,6 +20,7 @@ POINT_FIELD = "sensor_msgs/msg/PointField"
 COVARIANCE_NAMES = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 _UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _FLOAT32 = 7
+_ALL_GOOD, _NONE_MEASURED = -1, -2
 _TYPE_CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -50,10 +51,10 @@ class _Cells:
         return np.ndarray(shape, self.order + "f4", self.data, first, strides)
 
     def floats(self, names: tuple[str, ...]) -> NDArray[np.float32]:
-        """Fields as float32, shape (height, width, n), a copy."""
+        """Fields as float32, shape (height, width, n); not to be written to."""
         block = self.block(names)
         if block is not None:
-            return block.astype(np.float32)
+            return block.astype(np.float32, copy=False)
         with np.errstate(
             over="ignore"
         ):  # a float64 beyond float32 becomes infinite: no measurement
@@ -77,8 +78,8 @@ def decode_point_cloud(message: object) -> PointCloudRecord:
     cells = _cells(fields)
     if len(cells.data) == 0:
         return PointCloudRecord(stamp, frame_id, np.zeros((0, 3), np.float32))
-    points = cells.floats(("x", "y", "z"))
-    _blank(points.reshape(-1, 3))
+    points = np.empty((*cells.shape, 3), np.float32)
+    _copy_points(cells.floats(("x", "y", "z")), points)
     covariances, colors = _covariances(cells, points), _colors(cells)
     if points.shape[0] == 1:
         points = points[0]
@@ -128,13 +129,13 @@ def _colors(cells: _Cells) -> NDArray[np.uint8] | None:
     if packed is not None:
         if cells.layout[packed][1] not in ("f4", "u4", "i4"):
             cells.message.fail(f"field '{packed}' must have four bytes")
-        value = np.ascontiguousarray(cells.column(packed)).view(cells.order + "u4")
-        channels = [(value >> shift & 255).astype(np.uint8) for shift in (16, 8, 0)]
-    elif all(cells.layout.get(name, (0, ""))[1] == "u1" for name in "rgb"):
-        channels = [cells.column(name) for name in "rgb"]
-    else:
-        return None
-    return np.stack(channels, axis=-1)
+        value = cells.column(packed).view(cells.order + "u4").astype(np.uint32, copy=False)
+        colors = np.empty((*cells.shape, 3), np.uint8)
+        _unpack_colors(value, colors)
+        return colors
+    if all(cells.layout.get(name, (0, ""))[1] == "u1" for name in "rgb"):
+        return np.stack([cells.column(name) for name in "rgb"], axis=-1)
+    return None
 
 
 def _covariances(cells: _Cells, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -144,53 +145,79 @@ def _covariances(cells: _Cells, points: NDArray[np.float32]) -> NDArray[np.float
     if len(present) < len(COVARIANCE_NAMES):
         cells.message.fail(f"has {', '.join(present)} but not all six covariance fields")
     upper = cells.floats(COVARIANCE_NAMES)
-    if not upper.any():
+    covariances = np.empty((*cells.shape, 3, 3), dtype=np.float32)
+    bad = _expand(points, upper, covariances)
+    if bad != _ALL_GOOD and not upper.any():
         return None
-    covariances = np.empty((*points.shape[:2], 3, 3), dtype=np.float32)
-    bad = _expand(points.reshape(-1, 3), upper.reshape(-1, 6), covariances.reshape(-1, 3, 3))
     if bad >= 0:
         values = upper.reshape(-1, 6)[bad].tolist()
         cells.message.fail(f"covariance {values} of point {bad} is not positive")
     return covariances
 
 
-@njit(nogil=True, cache=True)
-def _blank(points):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Make all three coordinates NaN where one is not finite."""
-    for i in range(points.shape[0]):
-        if not np.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
-            for j in range(3):
-                if not np.isfinite(points[i, j]):
-                    points[i] = np.nan
-                    break
+@kernel
+def _copy_points(source, points):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Copy points, all three coordinates NaN where one is not finite."""
+    for v in range(points.shape[0]):
+        for u in range(points.shape[1]):
+            x, y, z = source[v, u, 0], source[v, u, 1], source[v, u, 2]
+            if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+                x = y = z = np.float32(np.nan)
+            points[v, u, 0], points[v, u, 1], points[v, u, 2] = x, y, z
 
 
-@njit(nogil=True, cache=True)
+@kernel
+def _unpack_colors(packed, colors):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Red, green and blue of 0x00RRGGBB."""
+    for v in range(colors.shape[0]):
+        for u in range(colors.shape[1]):
+            value = packed[v, u]
+            colors[v, u, 0] = (value >> np.uint32(16)) & np.uint32(255)
+            colors[v, u, 1] = (value >> np.uint32(8)) & np.uint32(255)
+            colors[v, u, 2] = value & np.uint32(255)
+
+
+@kernel
 def _expand(points, upper, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Write 3x3 matrices from upper triangles; index of the first that is not one, or -1.
+    """Write 3x3 matrices from upper triangles; number of the first point without one.
 
     Points that were not measured get NaN. A matrix passes when its principal minors are not
     negative beyond the rounding of float32, and its variances are positive.
+
+    Returns:
+        _ALL_GOOD if all that were measured have one, _NONE_MEASURED where none was.
     """
-    for i in range(points.shape[0]):
-        if np.isnan(points[i, 0]):
-            covariances[i] = np.nan
-            continue
-        xx, xy, xz = float(upper[i, 0]), float(upper[i, 1]), float(upper[i, 2])
-        yy, yz, zz = float(upper[i, 3]), float(upper[i, 4]), float(upper[i, 5])
-        if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
-            return i
-        slack = 1.0 + 1e-5
-        planar = xy * xy <= slack * xx * yy and xz * xz <= slack * xx * zz
-        yz_minor = yy * zz - yz * yz
-        determinant = xx * yz_minor - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-        if not (planar and yz_minor >= -1e-5 * yy * zz and determinant >= -1e-5 * xx * yy * zz):
-            return i
-        covariances[i, 0, 0], covariances[i, 1, 1], covariances[i, 2, 2] = xx, yy, zz
-        covariances[i, 0, 1] = covariances[i, 1, 0] = xy
-        covariances[i, 0, 2] = covariances[i, 2, 0] = xz
-        covariances[i, 1, 2] = covariances[i, 2, 1] = yz
-    return -1
+    width, result = points.shape[1], _NONE_MEASURED
+    for v in range(points.shape[0]):
+        for u in range(width):
+            if np.isnan(points[v, u, 0]):
+                for i in range(9):
+                    covariances[v, u, i // 3, i % 3] = np.nan
+                continue
+            xx, xy, xz = upper[v, u, 0], upper[v, u, 1], upper[v, u, 2]
+            yy, yz, zz = upper[v, u, 3], upper[v, u, 4], upper[v, u, 5]
+            if not _is_covariance(xx, xy, xz, yy, yz, zz):
+                return v * width + u
+            result = _ALL_GOOD
+            c = covariances[v, u]
+            c[0, 0], c[0, 1], c[0, 2] = xx, xy, xz
+            c[1, 0], c[1, 1], c[1, 2] = xy, yy, yz
+            c[2, 0], c[2, 1], c[2, 2] = xz, yz, zz
+    return result
+
+
+@kernel
+def _is_covariance(a, b, c, d, e, f):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Whether the numbers of an upper triangle, row by row, are those of a covariance."""
+    xx, xy, xz = np.float64(a), np.float64(b), np.float64(c)
+    yy, yz, zz = np.float64(d), np.float64(e), np.float64(f)
+    if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
+        return False
+    slack = 1.0 + 1e-5
+    planar = xy * xy <= slack * xx * yy and xz * xz <= slack * xx * zz
+    yz_minor = yy * zz - yz * yz
+    determinant = xx * yz_minor - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    return planar and yz_minor >= -1e-5 * yy * zz and determinant >= -1e-5 * xx * yy * zz
 
 
 def encode_point_cloud(types: MessageTypes, record: PointCloudRecord) -> Any:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.drift_guard import DriftGuard
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
@@ -45,6 +46,7 @@ class Ending:
 
 
 _STOPPED = Ending(EndReason.STOPPED, "asked to")
+_DRIFTED = "where the robot is has become too uncertain"
 _PAUSE = 1.0  # while others move [s]
 
 
@@ -132,7 +134,11 @@ class Exploration:
             return Ending(EndReason.NOTHING_LEFT, choice.reason)
         if self._plan_only:
             return self._wait()
-        problem = self.follow(choice.route, self.control.interrupted)
+        guard = DriftGuard(self._robot, self.task.most_drift, self.control.interrupted)
+        problem = self.follow(choice.route, guard)
+        if guard.drifted and not self.control.interrupted():
+            self._log.write("message", text=f"{problem}: {_DRIFTED}", level="info")
+            return self._look()
         if problem and not self.control.interrupted():
             self._planner.failed(choice.pose, problem)
             return self._fail(problem)

@@ -50,6 +50,14 @@ class TaskConfig:
         low=1,
         high=1000,
     )
+    most_drift: float = parameter(
+        0.06,
+        "A motion on which the standard deviation of where the base is grows by more than this is "
+        "broken off: the robot looks and chooses again.",
+        unit="m",
+        low=0.001,
+        high=100.0,
+    )
 
     def __post_init__(self) -> None:
         check_config(self)

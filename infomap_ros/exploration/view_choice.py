@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -63,6 +64,7 @@ class ViewChoice:
         goal: FloatArray | None = None,
         *,
         thorough: bool = False,
+        lasting: bool = True,
     ) -> ViewDecision:
         """Choose the next view.
 
@@ -72,12 +74,14 @@ class ViewChoice:
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
             thorough: where no view is worth its cost, look for missing surface.
+            lasting: remember for later choices which views could not be reached.
 
         Returns:
             The last decision of those that were made, with the only view that was chosen.
         """
         attempts = _Attempts(robot)
-        decisions = self._decisions(situation, attempts, rng, goal, thorough)
+        memory = self.memory if lasting else deepcopy(self.memory)
+        decisions = self._decisions(situation, attempts, rng, goal, thorough, memory)
         decision = next(decisions)
         while decision.chosen is None and (another := next(decisions, None)) is not None:
             decision = another
@@ -106,6 +110,7 @@ class ViewChoice:
         rng: np.random.Generator,
         goal: FloatArray | None,
         thorough: bool,
+        memory: GoalMemory,
     ) -> Iterator[ViewDecision]:
         """One decision after the other, each knowing what could not be reached before."""
         voxel_map = situation.voxel_map
@@ -118,12 +123,12 @@ class ViewChoice:
                     attempts,
                     rng,
                     goal,
-                    lambda poses: self.memory.reasons_against(poses, voxel_map),
+                    lambda poses: memory.reasons_against(poses, voxel_map),
                 )
                 if not attempts.failures:
                     break
                 for pose, reason in attempts.failures:
-                    self.memory.remember(pose, reason, voxel_map)
+                    memory.remember(pose, reason, voxel_map)
                 attempts.failures.clear()
 
 

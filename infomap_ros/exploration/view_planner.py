@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
+from infomap_ros.motion.base.pose_margin import base_sigma
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
+from infomap_ros.motion.whole_body import WholeBody
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
@@ -114,12 +117,20 @@ class ViewPlanner:
     def _select(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding, progress: MapProgress
     ) -> ViewDecision:
-        """Choose among candidates, more thoroughly while the task is not met."""
+        """Choose among candidates, more thoroughly while the task is not met.
+
+        Where a doubtful pose asks for so much room that no view is left, for as much as a sure one.
+        """
         robot = self._reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_vain_looks(situation)
-        thorough = not self.is_done(progress)
-        return self._choice.select(situation, robot, self._rng, self._goal, thorough=thorough)
+        ask: dict[str, Any] = {"goal": self._goal, "thorough": not self.is_done(progress)}
+        if robot.is_wider:
+            decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
+            if decision.chosen is not None:
+                return decision
+            robot = self._reach(voxel_map, state, around.obstacles, widen=False)
+        return self._choice.select(situation, robot, self._rng, **ask)
 
     def _without_vain_looks(self, situation: Situation) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
@@ -190,7 +201,11 @@ class ViewPlanner:
         return measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
 
     def _reach(
-        self, voxel_map: VoxelMap, state: RobotState, obstacles: Sequence[Obstacle]
+        self,
+        voxel_map: VoxelMap,
+        state: RobotState,
+        obstacles: Sequence[Obstacle],
+        widen: bool = True,
     ) -> WholeBodyReach:
         reach = WholeBodyReach(
             self.robot,
@@ -202,9 +217,15 @@ class ViewPlanner:
             previous=self._last_reach,
             sent=self._sent,
             obstacles=obstacles,
+            sigma=self._sigma(state) if widen else 0.0,
         )
         self._last_reach, self._sent = reach, None
         return reach
+
+    def _sigma(self, state: RobotState) -> float:
+        """How well it is known where the base is [m]."""
+        radius = WholeBody.of(self.robot, self.config.reaching, state.joints).base_radius
+        return base_sigma(state.T_map_camera, state.pose_covariance, state.T_map_base, radius)
 
     def _situation(
         self, voxel_map: VoxelMap, state: RobotState, reach: WholeBodyReach, around: Surrounding

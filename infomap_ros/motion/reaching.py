@@ -34,9 +34,9 @@ from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.wide_body import widest_vehicle
 
 _NO_PLACE = "no place to stand from which the arm reaches it"
-_POSTURES_TRIED = 400
 _UNEVEN = (-0.2, -0.1, 0.0, 0.1, 0.2)  # [m]; heights of the ground against the nearest
 
 __all__ = ["ReachingConfig", "WholeBodyReach"]
@@ -58,6 +58,8 @@ class WholeBodyReach:
             found out about ground that has not changed since, are taken over.
         sent: the route along which the robot was sent since then.
         obstacles: what must not be touched and the map does not show, such as other robots.
+        sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives is
+            taken for wider accordingly [m].
 
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
@@ -75,8 +77,9 @@ class WholeBodyReach:
         previous: WholeBodyReach | None = None,
         sent: Route | None = None,
         obstacles: Sequence[Obstacle] = (),
+        sigma: float = 0.0,
     ) -> None:
-        self.config = config or ReachingConfig()
+        self.config, self._sigma = config or ReachingConfig(), sigma
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
         self._whole = WholeBody.of(robot, self.config, joints)
         chain = self._whole.chain
@@ -109,10 +112,10 @@ class WholeBodyReach:
     def planner(self) -> BasePlanner:
         """Plans ways of the base in the driving posture."""
         terrain = terrain_of(self._map, self.config.terrain, self._base[:3, 3])
-        vehicle = self._whole.vehicle
         if self._start is not None:
-            terrain = self._start.ground(terrain, vehicle)
+            terrain = self._start.ground(terrain, self._whole.vehicle)
         terrain = with_obstacles(terrain, self._obstacles)
+        vehicle = widest_vehicle(self._whole, self.config, terrain, self._base, self._sigma)
         before, self._planner_before = self._planner_before, None
         return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
 
@@ -120,6 +123,11 @@ class WholeBodyReach:
     def _last_planner(self) -> BasePlanner | None:
         """The planner, where it was ever asked for, else that of the instance before."""
         return self.__dict__.get("planner", self._planner_before)
+
+    @property
+    def is_wider(self) -> bool:
+        """Whether the robot keeps more room than a sure pose would ask for."""
+        return self.planner.vehicle.wider > 0.0
 
     @property
     def terrain(self) -> Terrain:
@@ -196,7 +204,7 @@ class WholeBodyReach:
         x, y, yaw = (float(value) for value in self._xyyaw)
         if self.planner.reachable_area(self._xyyaw).any():
             return ""
-        reason = self._whole.vehicle.stance(self.terrain, x, y, yaw).reason
+        reason = self.planner.vehicle.stance(self.terrain, x, y, yaw).reason
         return reason or "no pose next to it is safe"
 
     @property
@@ -275,7 +283,7 @@ class WholeBodyReach:
             path = self.planner.plan(self._xyyaw, places, time_limit=0.0)
         if path is None or len(path.poses) < 2 or not self._comes_nearer(view, path):
             return ReachResult(reason)
-        q = self._nearest_posture(view, path.T_map_base[-1])
+        q = self._routes.posture_like(view, path.T_map_base[-1])
         result = self._routes.with_base(path, q)
         if result.route is None:
             return ReachResult(f"{reason}; nor nearer: {result.reason}")
@@ -286,14 +294,3 @@ class WholeBodyReach:
     def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
         away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)
         return bool(away[1] < away[0] - self.config.least_approach)
-
-    def _nearest_posture(self, view: FloatArray, T_map_base: FloatArray) -> FloatArray:
-        """Of some postures, and the driving one, the one whose camera is most like the view."""
-        qs = np.concatenate([self._whole.driving[None], self._whole.postures.q[:_POSTURES_TRIED]])
-        qs = qs[self._near.checker_at(T_map_base).are_free(qs, T_map_base, base=False)]
-        if not len(qs):
-            return self._whole.driving
-        cameras = T_map_base @ self._whole.chain.camera_pose(qs)
-        away = np.linalg.norm(cameras[:, :3, 3] - view[:3, 3], axis=1)
-        angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
-        return np.asarray(qs[int(np.argmin(away + angles))])

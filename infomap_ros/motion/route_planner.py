@@ -19,6 +19,7 @@ from infomap_ros.motion.whole_body import WholeBody
 
 _QUICK = ArmPathConfig(time_limit=0.1)
 _BRANCHES = 5  # corners of the trail from which another way is sought
+_POSTURES_TRIED = 400
 _THERE = 1e-6  # [rad or m]
 _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
@@ -84,6 +85,25 @@ class RoutePlanner:
         reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
         return ReachResult(reason, path.length, travel, route, partial, camera)
+
+    def posture_like(self, view: FloatArray, T_map_base: FloatArray) -> FloatArray:
+        """Of some postures, and the driving one, the one whose camera is most like a view.
+
+        Args:
+            view: ``T_map_camera``, shape (4, 4).
+            T_map_base: where the base stands then, shape (4, 4).
+
+        Returns:
+            Shape (n,) [rad or m].
+        """
+        qs = np.concatenate([self.whole.driving[None], self.whole.postures.q[:_POSTURES_TRIED]])
+        qs = qs[self.near.checker_at(T_map_base).are_free(qs, T_map_base, base=False)]
+        if not len(qs):
+            return self.whole.driving
+        cameras = T_map_base @ self.whole.chain.camera_pose(qs)
+        away = np.linalg.norm(cameras[:, :3, 3] - view[:3, 3], axis=1)
+        angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
+        return np.asarray(qs[int(np.argmin(away + angles))])
 
     @property
     def why_not_folded(self) -> str:

@@ -110,10 +110,10 @@ class StanceFinder:
             return None, "the view is too high or too low above the ground around it"
         if len(chosen) > self.config.stances:
             chosen = np.random.default_rng(0).choice(chosen, self.config.stances, replace=False)
-        stances = self.whole.vehicle.stances(terrain, places[chosen])
+        stances = self.planner.vehicle.stances(terrain, places[chosen])
         if not stances.ok.any():
             x, y, yaw = places[chosen[0]]
-            why = self.whole.vehicle.stance(terrain, x, y, yaw).reason
+            why = self.planner.vehicle.stance(terrain, x, y, yaw).reason
             return None, f"no safe stance among {len(chosen)}, for example: {why}"
         ok = stances.ok
         postures = self.whole.postures.q[rows[chosen[ok]]]
@@ -151,7 +151,7 @@ class StanceFinder:
         """
         good: list[int] = []
         reason, deadline = "", time.monotonic() + self.config.time_limit
-        vehicle, terrain = self.whole.vehicle, self.planner.terrain
+        vehicle, terrain = self.planner.vehicle, self.planner.terrain
         for row, (place, q, pose) in enumerate(
             zip(found.places, found.q, found.T_map_base, strict=True)
         ):

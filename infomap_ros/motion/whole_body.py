@@ -55,6 +55,15 @@ class WholeBody:
         """The joints of the arm."""
         return self.body.chain
 
+    @property
+    def base_radius(self) -> float:
+        """How far what drives reaches from the base's origin, the arm in its posture for it [m]."""
+        return float(self.vehicle.arrays.reach)
+
+    def wider_vehicle(self, by: float) -> Vehicle:
+        """The vehicle with a body that is wider to all sides [m]."""
+        return _wider(self.vehicle, by)
+
     @classmethod
     def of(
         cls, robot: RobotModel, config: ReachingConfig, joints: Mapping[str, float]
@@ -105,6 +114,13 @@ def _whole_body(
         radius=float(distances.max()) + _SPARE,
         arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
     )
+
+
+@lru_cache(maxsize=16)
+def _wider(vehicle: Vehicle, by: float) -> Vehicle:
+    if by == 0.0:
+        return vehicle
+    return Vehicle.from_robot(vehicle.robot, vehicle.config, vehicle.joint_positions, by)
 
 
 def _foot(body: CollisionBody, joints: Mapping[str, float]) -> tuple[PlacedSolid, ...]:

@@ -39,11 +39,12 @@ class FakeRobot:
         self.place = (0.0, 0.0)
         self.problems: dict[str, str] = {}
         self.during: Callable[[str], None] = lambda deed: None
+        self.sigma = 0.001
 
     def state(self) -> RobotState:
         T_map_base = make_transform(np.eye(3), (*self.place, 0.0))
         return RobotState(
-            T_map_base, pose_at(*self.place), 1e-6 * np.eye(6), dict.fromkeys(JOINTS, 0.0)
+            T_map_base, pose_at(*self.place), self.sigma**2 * np.eye(6), dict.fromkeys(JOINTS, 0.0)
         )
 
     def look(self, interrupted: Interrupted) -> str:

@@ -47,6 +47,21 @@ def test_done_when_expanse_and_resolution_suffice() -> None:
     assert run.exploration.mission.distance == pytest.approx(1.0)
 
 
+def test_looks_and_chooses_again_where_the_pose_is_lost_on_the_way() -> None:
+    run = Run(view(1.0), view(2.0), view(3.0, known=0.97), task=TaskConfig(most_drift=0.06))
+    sigmas = {"drive": iter([0.1, 0.12]), "look": iter([0.002, 0.08, 0.01])}
+
+    def grow(deed: str) -> None:
+        run.robot.sigma = next(sigmas[deed]) if deed in sigmas else run.robot.sigma
+
+    run.robot.during = grow
+    assert run.exploration.run().reason is EndReason.DONE
+    drive = ["arm", "drive"]  # the second grows from 80 mm to 120 mm, and goes on
+    assert run.robot.deeds == ["look", *drive, "look", *drive, "arm", "look"]
+    assert run.planner.failures == []
+    assert any("too uncertain" in note["text"] for note in run.notes.of("message"))
+
+
 @pytest.mark.parametrize(("known", "sigma"), [(0.97, 0.05), (0.9, 0.01), (0.97, float("nan"))])
 def test_not_done_while_one_of_them_is_short(known: float, sigma: float) -> None:
     ending = Run(view(1.0, known, sigma), nothing()).exploration.run()

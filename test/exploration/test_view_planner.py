@@ -132,6 +132,24 @@ def test_little_is_worth_a_view_where_the_task_asks_for_it(robot, thorough, want
     assert (choice.pose is not None) == looks
 
 
+def test_doubtful_pose_keeps_more_room_where_a_view_is_left_then(robot, half_known, monkeypatch):
+    """Where none is, it goes on as with a sure pose, and nothing is held against the views."""
+    state = dataclasses.replace(standing(robot), pose_covariance=0.03**2 * np.eye(6))
+    chosen = planner_of(robot).choose(half_known, state)
+    assert chosen.pose is not None
+    reach, asked = WholeBodyReach.reach, []
+
+    def refuse_if_wide(self: WholeBodyReach, T_map_camera: np.ndarray) -> ReachResult:
+        asked.append(self.is_wider)
+        return ReachResult("too narrow") if self.is_wider else reach(self, T_map_camera)
+
+    monkeypatch.setattr(WholeBodyReach, "reach", refuse_if_wide)
+    again = planner_of(robot).choose(half_known, state)
+    assert again.pose is not None
+    assert asked[0] and not asked[-1]
+    assert not any("unreachable before" in why for why in again.explanation["rejections"])
+
+
 def test_a_view_that_failed_is_not_chosen_at_once(robot, half_known):
     planner = planner_of(robot)
     first = planner.choose(half_known, standing(robot))

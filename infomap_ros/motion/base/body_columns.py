@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
@@ -14,7 +16,9 @@ _FINE = 4  # points per edge of a square at which the solids are asked
 _HEIGHT_STEP = 0.01  # of the search for a column's lowest and highest point [m]
 
 
-def body_columns(solids: Sequence[PlacedSolid], spacing: float, margin: float) -> FloatArray:
+def body_columns(
+    solids: Sequence[PlacedSolid], spacing: float, margin: float, wider: float = 0.0
+) -> FloatArray:
     """Lowest and highest point of a body over each square of a grid, grown by a margin.
 
     What lies between them counts as body, which errs towards "touches".
@@ -23,6 +27,7 @@ def body_columns(solids: Sequence[PlacedSolid], spacing: float, margin: float) -
         solids: the body, base frame.
         spacing: edge of the squares [m].
         margin: growth of the solids [m], at least a fifth of the spacing is taken.
+        wider: further growth to all sides, not up or down [m].
 
     Returns:
         (x, y, lowest z, highest z) of the squares that hold body, shape (B, 4) [m].
@@ -31,12 +36,17 @@ def body_columns(solids: Sequence[PlacedSolid], spacing: float, margin: float) -
         return np.zeros((0, 4))
     growth = max(margin, spacing / _FINE / np.sqrt(2.0))
     extents = np.array([solid_extent(solid) for solid in solids])
-    first = np.floor((extents[:, 0, :2].min(axis=0) - growth) / spacing).astype(int)
-    last = np.ceil((extents[:, 1, :2].max(axis=0) + growth) / spacing).astype(int)
+    around = growth + wider
+    first = np.floor((extents[:, 0, :2].min(axis=0) - around) / spacing).astype(int)
+    last = np.ceil((extents[:, 1, :2].max(axis=0) + around) / spacing).astype(int)
     shape = _FINE * (last - first) + 1
     lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
     for solid, (low, high) in zip(solids, extents, strict=True):
         _add(solid, low - growth, high + growth, growth, first, spacing, lowest, highest)
+    if wider > 0.0:
+        disk = _disk(wider * _FINE / spacing)
+        lowest = minimum_filter(lowest, footprint=disk, mode="constant", cval=np.inf)
+        highest = maximum_filter(highest, footprint=disk, mode="constant", cval=-np.inf)
     lowest, highest = _over_squares(lowest, np.minimum), _over_squares(highest, np.maximum)
     i, j = np.nonzero(highest >= lowest)
     x, y = (i + first[0] + 0.5) * spacing, (j + first[1] + 0.5) * spacing
@@ -78,6 +88,12 @@ def _add(
     part = np.s_[begin[0] : end[0], begin[1] : end[1]]
     lowest[part] = np.minimum(lowest[part], np.where(inside, zs, np.inf).min(axis=2))
     highest[part] = np.maximum(highest[part], np.where(inside, zs, -np.inf).max(axis=2))
+
+
+def _disk(radius: float) -> NDArray[np.bool_]:
+    """Points of a grid of edge 1 within a radius of its middle."""
+    offsets = np.arange(-int(radius), int(radius) + 1)
+    return np.asarray(np.hypot(*np.meshgrid(offsets, offsets)) <= radius)
 
 
 def _over_squares(fine: FloatArray, extreme: np.ufunc) -> FloatArray:

@@ -24,7 +24,8 @@ class DriveReach:
     Args:
         space: where the vehicle can stand.
         start: x, y, yaw, shape (3,). A robot that stands where it should not may leave from
-            there over the configured distance.
+            there over the configured distance; one that is only nearer to things than its margin
+            touches nothing on that way if that can be avoided.
 
     Only the last one made of a space holds: the next search overwrites it.
     """
@@ -35,7 +36,7 @@ class DriveReach:
         self._entry = start.copy()
         nodes = self._joins(start)
         if not len(nodes):
-            nodes = self._withdrawn(start) if space.stands(start) else self._escapes(start)
+            nodes = self._withdrawn(start, space) if space.stands(start) else self._left(start)
         costs = self._costs([(self._entry, self._place_of(node)) for node in nodes])
         config, order = space.config, np.argsort(costs, kind="stable")
         self.nodes_reached = drive_flood.flood(
@@ -106,9 +107,21 @@ class DriveReach:
         ]
         return np.array(nodes, np.int64)
 
-    def _withdrawn(self, start: FloatArray) -> NodeArray:
+    def _left(self, start: FloatArray) -> NodeArray:
+        """Nodes to which the robot may leave a start in which it should not stand."""
+        nodes, bare = self._escapes(start), self._space.without_margin()
+        if not bare.stands(start):
+            return nodes
+        joins = (self._links.join(start, self._place_of(node)) for node in nodes)
+        free = np.array([bare.fault_on(join) is None for join in joins], np.bool_)
+        if free.any():
+            return np.asarray(nodes[free])
+        withdrawn = self._withdrawn(start, bare)
+        return withdrawn if len(withdrawn) else nodes
+
+    def _withdrawn(self, start: FloatArray, space: DriveSpace) -> NodeArray:
         """Nodes near a place straight behind or before a start in which the robot cannot turn."""
-        space, ahead = self._space, np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        ahead = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
         signs = (-1.0, 1.0) if space.config.reverse else (1.0,)
         for distance in np.arange(_WITHDRAWAL, space.config.reach + 1e-9, _WITHDRAWAL):
             for sign in signs:

@@ -49,6 +49,10 @@ class DriveSpace:
         if known is not None:
             carry_over(known.graph, self.graph, known.ground, self.ground)
 
+    def without_margin(self) -> DriveSpace:
+        """The same ground for the vehicle as it is, kept from nothing by a margin."""
+        return DriveSpace(self.terrain, self.vehicle.without_margin(), self.config)
+
     def stands(self, place: FloatArray) -> bool:
         """Whether the robot may stand at x, y, yaw."""
         return self.fault_on(place[None]) is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,6 +82,7 @@ class Vehicle:
         undercarriage: wheels and support polygon.
         mass: [kg].
         arrays: for kernels.
+        wider: by so much the body is taken for wider to all sides [m].
     """
 
     robot: RobotModel
@@ -90,6 +91,7 @@ class Vehicle:
     undercarriage: Undercarriage
     mass: float
     arrays: VehicleArrays
+    wider: float = 0.0
 
     @classmethod
     def from_robot(
@@ -97,6 +99,7 @@ class Vehicle:
         robot: RobotModel,
         config: VehicleConfig | None = None,
         joint_positions: Mapping[str, float] | None = None,
+        wider: float = 0.0,
     ) -> Vehicle:
         """Read the vehicle from a robot model.
 
@@ -105,6 +108,7 @@ class Vehicle:
             config: limits; None for the defaults.
             joint_positions: of its joints while it drives [rad or m]. Joints not named are at
                 zero, or at the limit nearest to zero.
+            wider: growth of the body to all sides, beyond the margin, not up or down [m].
 
         Raises:
             RobotModelError: fewer than three wheels and no footprint, wheels in one line, or no
@@ -122,12 +126,14 @@ class Vehicle:
         body = [solid for solid in solids if solid.name not in wheels]
         limits = settings.limits_for(_smallest_radius(carriage))
         columns = off_the_ground(
-            body_columns(body, settings.column_spacing, settings.margin),
+            body_columns(body, settings.column_spacing, settings.margin, wider),
             float(carriage.contacts[:, :, 2].min()),
             float(limits[_STEP]),
             settings.margin,
         )
-        columns = np.concatenate([columns, _wheel_columns(solids, wheels, carriage, settings)])
+        columns = np.concatenate(
+            [columns, _wheel_columns(solids, wheels, carriage, settings, wider)]
+        )
         mass, centre = mass_of(robot, joints)
         arrays = VehicleArrays(
             carriage.centres,
@@ -139,13 +145,18 @@ class Vehicle:
             _reach(columns, carriage, settings.max_slope),
             limits,
         )
-        return cls(robot, settings, joints, carriage, mass, arrays)
+        return cls(robot, settings, joints, carriage, mass, arrays, wider)
 
     def with_joints(self, joint_positions: Mapping[str, float]) -> Vehicle:
         """The same vehicle with some joints elsewhere [rad or m]: other outline, other balance."""
         return Vehicle.from_robot(
-            self.robot, self.config, {**self.joint_positions, **joint_positions}
+            self.robot, self.config, {**self.joint_positions, **joint_positions}, self.wider
         )
+
+    def without_margin(self) -> Vehicle:
+        """The same vehicle, its body no larger than it is."""
+        config = replace(self.config, margin=0.0)
+        return Vehicle.from_robot(self.robot, config, self.joint_positions)
 
     def stance(
         self, terrain: Terrain, x: float, y: float, yaw: float, q: ArrayLike | None = None
@@ -217,13 +228,14 @@ def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
 
 
 def _wheel_columns(
-    solids: Sequence[PlacedSolid], wheels: set[str], carriage: Undercarriage, config: VehicleConfig
-) -> FloatArray:
+    solids: Sequence[PlacedSolid], wheels: set[str], carriage: Undercarriage,
+    config: VehicleConfig, wider: float,
+) -> FloatArray:  # fmt: skip
     """Upper halves of the wheels: what stands beside a wheel higher than its axle is touched."""
     columns = []
     for name, centre in zip(carriage.names, carriage.centres, strict=True):
         own = [solid for solid in solids if solid.name == name and name in wheels]
-        part = body_columns(own, config.column_spacing, config.margin)
+        part = body_columns(own, config.column_spacing, config.margin, wider)
         part[:, 2] = np.maximum(part[:, 2], centre[2])
         columns.append(part[part[:, 3] > part[:, 2]])
     return np.concatenate([np.zeros((0, 4)), *columns])

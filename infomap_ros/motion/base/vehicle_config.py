@@ -58,7 +58,21 @@ class VehicleConfig:
         0.25, "Smallest angle by which it must turn to fall over.", unit="rad", low=0.0, high=1.5
     )
     margin: float = parameter(
-        0.02, "Growth of the body against ground and obstacles.", unit="m", low=0.0, high=1.0
+        0.02,
+        "Growth of the body against ground and obstacles where its pose is known exactly.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    margin_sigmas: float = parameter(
+        2.0,
+        "So many standard deviations of where it is are added to the margin to the sides, in "
+        "squares.",
+        low=0.0,
+        high=10.0,
+    )
+    most_margin: float = parameter(
+        0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
     )
     unseen_is_free: bool = parameter(
         False, "Whether space over known ground that was never seen may be entered."

@@ -138,35 +138,10 @@ def pair_gap(body: Any, pair: int, limit: float, places: Any) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _pair_touches(body: Any, pair: int, gap: float, places: Any) -> bool:
-    """Whether the links of a pair are nearer to each other than `gap`."""
-    spheres, starts = body.spheres, body.starts
-    a, b = body.pairs[pair, 0], body.pairs[pair, 1]
-    here, there = places[body.bodies[a]], places[body.bodies[b]]
-    ball_a, ball_b = body.balls[a], body.balls[b]
-    bx, by, bz = placed(there, ball_b)
-    x, y, z = placed(here, ball_a)
-    reach = ball_a[3] + ball_b[3] + gap
-    if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
-        return False
-    for s in range(starts[a], starts[a + 1]):
-        x, y, z = placed(here, spheres[s])
-        reach = spheres[s, 3] + ball_b[3] + gap
-        if (x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2 > reach * reach:
-            continue
-        for t in range(starts[b], starts[b + 1]):
-            u, v, w = placed(there, spheres[t])
-            reach = spheres[s, 3] + spheres[t, 3] + gap
-            if reach > 0.0 and (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 <= reach * reach:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True)
 def self_contact(body: Any, gaps: Any, places: Any) -> int:
     """First pair of links nearer to each other than its gap, or CLEAR."""
     for pair in range(len(body.pairs)):
-        if _pair_touches(body, pair, gaps[pair], places):
+        if pair_gap(body, pair, gaps[pair], places) < gaps[pair]:
             return pair
     return CLEAR
 

@@ -2,7 +2,9 @@
 
 Depth is kept as inverse depth in equal steps, for that is where the noise of stereo is even; its
 standard deviation as a logarithm. A code is told as its difference from the code of the pixel to
-the left, which is small on surfaces, and the differences are compressed with zlib.
+the left, which is small on surfaces, and the differences are compressed with zlib. Those that are
+mostly noise are compressed by the frequency of values alone: quicker than to look for repetitions,
+and smaller.
 """
 
 from __future__ import annotations
@@ -12,14 +14,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from infomap_ros.geometry.kernel import kernel
 
 _LARGEST_CODE = 65535
 _SIGMA_CODES, _SIGMA_STEP = 255, 0.04
 _STEPS_PER_SIGMA = 4.0
 _LEAST_SHARE = 0.01
 _COMPRESSION = 1  # of zlib: the fastest
+_STRATEGIES = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_HUFFMAN_ONLY) * 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,59 +67,85 @@ def code_depth(depth: NDArray[np.float32], variance: NDArray[np.float32] | None)
         depth: z, shape (H, W) [m]; what is not positive or not finite is no measurement.
         variance: of z, shape (H, W) [m^2], or None. A pixel without a positive one is not kept.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rho = 1.0 / depth.astype(np.float64)
-        valid = np.isfinite(depth) & (depth > 0.0) & np.isfinite(rho)
-        sigma = np.full(depth.shape, np.nan)
-        if variance is not None:
-            sigma = np.sqrt(variance.astype(np.float64)) * rho * rho
-            valid &= np.isfinite(sigma) & (sigma > 0.0)
-    step, low, sigma_step = _scales(rho[valid], sigma[valid] if variance is not None else None)
-    planes = np.zeros((4 if variance is not None else 3, depth.size), np.uint8)
-    _encode(
-        rho.ravel(), np.log(sigma / low if low else sigma).ravel(), valid.ravel(), step,
-        1.0 / sigma_step, planes,
-    )  # fmt: skip
-    height, width = depth.shape
-    codes = tuple(zlib.compress(plane.data, _COMPRESSION) for plane in planes)
-    return CodedDepth((height, width), step, low, sigma_step, codes)
+    pixels = np.ascontiguousarray(depth).reshape(-1)
+    spread = np.empty(0, np.float32)
+    if variance is not None:
+        spread = np.ascontiguousarray(variance).reshape(-1)
+    sigma = np.empty(pixels.size, np.float32)
+    largest = float(_describe(pixels, spread, sigma))
+    step, low, sigma_step = _scales(largest, None if variance is None else sigma)
+    planes = np.zeros((4 if variance is not None else 3, pixels.size), np.uint8)
+    log_sigma = np.log(sigma / np.float32(low)) if low else sigma
+    _encode(pixels, log_sigma, step, 1.0 / sigma_step, planes)
+    codes = tuple(map(_compressed, planes, _STRATEGIES))
+    return CodedDepth((depth.shape[0], depth.shape[1]), step, low, sigma_step, codes)
 
 
-def _scales(
-    rho: NDArray[np.float64], sigma: NDArray[np.float64] | None
-) -> tuple[float, float, float]:
-    """Step of the inverse depth, smallest sigma and step of its logarithm."""
-    if not len(rho):
+def _compressed(plane: NDArray[np.uint8], strategy: int) -> bytes:
+    compression = zlib.compressobj(_COMPRESSION, strategy=strategy)
+    return compression.compress(plane.data) + compression.flush()
+
+
+def _scales(largest: float, sigma: NDArray[np.float32] | None) -> tuple[float, float, float]:
+    """Step of the inverse depth, smallest sigma and step of its logarithm.
+
+    Args:
+        largest: inverse depth [1/m], 0 if nothing was measured.
+        sigma: of the inverse depth [1/m], NaN where nothing was measured, or None.
+    """
+    if largest == 0.0:
         return 1.0, 0.0 if sigma is None else 1.0, 1.0
-    step = float(rho.max()) / (_LARGEST_CODE - 1)
+    step = largest / (_LARGEST_CODE - 1)
     if sigma is None:
         return step, 0.0, 1.0
-    place = int(_LEAST_SHARE * len(sigma))
-    typical = float(np.partition(sigma, place)[place])
-    low, high = float(sigma.min()), float(sigma.max())
+    known = sigma[~np.isnan(sigma)]
+    place = int(_LEAST_SHARE * len(known))
+    typical = float(np.partition(known, place)[place])
+    low, high = float(known.min()), float(known.max())
     sigma_step = max(float(np.log(high / low)) / _SIGMA_CODES, _SIGMA_STEP)
     return max(step, typical / _STEPS_PER_SIGMA), low, sigma_step
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _describe(depth: Any, variance: Any, sigma: Any) -> float:
+    """Largest inverse depth, 0 where nothing was measured [1/m].
+
+    Args:
+        depth: z, shape (n,) [m].
+        variance: of z, shape (n,) [m^2], or empty.
+        sigma: receives the standard deviation of the inverse depth, or any number where there is
+            no variance, float32, shape (n,) [1/m]; NaN where there is no measurement.
+    """
+    largest = 0.0
+    for i in range(len(depth)):
+        rho = 1.0 / np.float64(depth[i])
+        value = np.float32(1.0)
+        if len(variance):
+            value = np.float32(np.sqrt(np.float64(variance[i])) * rho * rho)
+        valid = rho > 0.0 and rho < np.inf and value > 0.0 and value < np.inf
+        sigma[i] = value if valid else np.float32(np.nan)
+        largest = max(largest, rho if valid else 0.0)
+    return largest
+
+
+@kernel
 def _encode(
-    rho: Any, log_sigma: Any, valid: Any, step: float, inverse_sigma_step: float, planes: Any
+    depth: Any, log_sigma: Any, step: float, inverse_sigma_step: float, planes: Any
 ) -> None:
     """Fill the planes: is measured, low and high byte of depth, sigma; differences but the first.
 
     Args:
-        rho: inverse depth, shape (n,) [1/m].
-        log_sigma: logarithm of sigma over the smallest, shape (n,).
-        valid: shape (n,).
-        step: of rho.
+        depth: z, shape (n,) [m].
+        log_sigma: logarithm of sigma over the smallest, shape (n,), NaN where not measured.
+        step: of the inverse depth [1/m].
         inverse_sigma_step: 1 / step of log_sigma.
         planes: receives bytes, zero before, shape (3 or 4, n).
     """
     before, sigma_before = np.int64(0), np.int64(0)
-    for i in range(len(rho)):
-        if not valid[i]:
+    for i in range(len(depth)):
+        if np.isnan(log_sigma[i]):
             continue
-        code = np.int64(min(max(rho[i] / step + 0.5, 1.0), 65535.0))
+        code = np.int64(min(max(1.0 / (np.float64(depth[i]) * step) + 0.5, 1.0), 65535.0))
         difference = (code - before) & 0xFFFF
         folded = ((difference << 1) ^ (0xFFFF if difference & 0x8000 else 0)) & 0xFFFF
         planes[0, i] = 1
@@ -127,7 +157,7 @@ def _encode(
             sigma_before = code
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _decode(planes: Any, step: float, levels: Any, depth: Any, variance: Any) -> None:
     """Inverse of `_encode`: depth [m] and variance [m^2], NaN where not measured.
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import PinholeCamera, float_array
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.correction.scan_codec import CodedDepth, code_depth
 from infomap_ros.stereo.assembly import assemble
 from infomap_ros.stereo.bands import RowBands
@@ -97,12 +99,10 @@ def keep_scan(
     """
     cloud = _floats(points, "points")
     spread = None if covariances is None else _floats(covariances, "covariances")
-    with np.errstate(invalid="ignore"):
-        squares = np.einsum("...i,...i->...", cloud, cloud)
-    farthest = float(np.sqrt(np.max(squares, initial=0.0, where=np.isfinite(squares))))
+    farthest = float(np.sqrt(_largest_square(np.ascontiguousarray(cloud).reshape(-1, 3))))
     sigma = _pixel_sigma(cloud, spread, camera)
     if sigma is not None:
-        variance = None if spread is None else _triangles(spread)[..., 5]
+        variance = None if spread is None else _along(spread)
         coded = code_depth(cloud[..., 2], variance)
         return ScanRecord(camera, error_correlation, farthest, coded, sigma, ())
     arrays = tuple(_packed(array) for array in (cloud, spread) if array is not None)
@@ -147,6 +147,23 @@ def _fitted_sigma(
     size = triangles[:, 0] + triangles[:, 3] + triangles[:, 5]
     wrong = np.abs(expected - triangles).max(axis=1) > _TOLERANCE * size
     return sigma if not wrong.any() else None
+
+
+@kernel
+def _largest_square(points: Any) -> Any:
+    """Square of the distance of the farthest point, 0 where there is none; points (n, 3) [m]."""
+    largest = np.float32(0.0)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        square = x * x + y * y + z * z
+        if square < np.inf:
+            largest = max(largest, square)
+    return largest
+
+
+def _along(covariances: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Variance along the optical axis, shape (...)."""
+    return covariances[..., 5] if covariances.shape[-1] == 6 else covariances[..., 2, 2]
 
 
 def _triangles(covariances: NDArray[np.float32]) -> NDArray[np.float32]:

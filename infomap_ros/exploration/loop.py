@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.drift_guard import DriftGuard
+from infomap_ros.exploration.last_views import LastViews
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
@@ -90,6 +91,7 @@ class Exploration:
         self._robot, self._planner, self._log = robot, planner, log
         self._plan_only, self._on_step, self._clock = plan_only, on_step, clock
         self._failures, self._marked = 0, clock()
+        self._last_views = LastViews(task)
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -134,6 +136,8 @@ class Exploration:
             return Ending(EndReason.NOTHING_LEFT, choice.reason)
         if self._plan_only:
             return self._wait()
+        if in_vain := self._last_views.in_vain():
+            return Ending(EndReason.NOTHING_LEFT, in_vain)
         guard = DriftGuard(self._robot, self.task.most_drift, self.control.interrupted)
         problem = self.follow(choice.route, guard)
         if guard.drifted and not self.control.interrupted():
@@ -172,6 +176,7 @@ class Exploration:
         self.mission.note_look(state.T_map_camera)
         choice = self._planner.choose(state)
         self.progress, self.last_reason = choice.progress, choice.reason
+        self._last_views.note(self.mission.views, choice.progress)
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)

@@ -50,6 +50,26 @@ class TaskConfig:
         low=1,
         high=1000,
     )
+    vain_views: int = parameter(
+        6,
+        "The exploration ends where so many views, one after the other, together bring less than "
+        "`least_gain` and less than `least_growth`.",
+        low=1,
+        high=1000,
+    )
+    least_gain: float = parameter(
+        0.001,
+        "Share of the reachable surface that must become known for views not to be in vain; while "
+        "the mean standard deviation is larger than asked, also the share by which it shrinks.",
+        low=0.0,
+        high=1.0,
+    )
+    least_growth: float = parameter(
+        0.01,
+        "Share by which the number of surface voxels must grow for views not to be in vain.",
+        low=0.0,
+        high=1.0,
+    )
     most_drift: float = parameter(
         0.06,
         "A motion on which the standard deviation of where the base is grows by more than this is "

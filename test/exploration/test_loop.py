@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from pathlib import Path
 
@@ -45,6 +46,33 @@ def test_done_when_expanse_and_resolution_suffice() -> None:
     assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]
     assert run.exploration.mission.views == 2
     assert run.exploration.mission.distance == pytest.approx(1.0)
+
+
+def test_ends_where_views_bring_nothing_any_more() -> None:
+    known = [0.3, 0.5, 0.4, 0.55, 0.56, 0.5602, 0.5601, 0.5603, 0.9]
+    script = [view(float(n), share) for n, share in enumerate(known)]
+    run = Run(*script, task=TaskConfig(vain_views=3, least_gain=0.001))
+    ending = run.exploration.run()
+    assert ending.reason is EndReason.NOTHING_LEFT
+    assert "the last 3 views made 0.04 % more of the surface known" in ending.detail
+    assert run.exploration.mission.views == 8
+
+
+def test_views_that_map_more_surface_are_not_in_vain() -> None:
+    script = [view(float(n), 0.5) for n in range(6)]
+    grown = [
+        dataclasses.replace(each, progress=dataclasses.replace(each.progress, surface_voxels=count))
+        for each, count in zip(script, (100, 110, 121, 133, 133, 133), strict=True)
+    ]
+    run = Run(*grown, task=TaskConfig(vain_views=2))
+    assert run.exploration.run().reason is EndReason.NOTHING_LEFT
+    assert run.exploration.mission.views == 6
+
+
+def test_views_that_make_the_map_as_fine_as_asked_are_not_in_vain() -> None:
+    script = [view(float(n), 0.96, sigma) for n, sigma in enumerate((0.09, 0.07, 0.05, 0.03))]
+    task = TaskConfig(known_fraction=0.95, mean_sigma=0.04, vain_views=2)
+    assert Run(*script, task=task).exploration.run().reason is EndReason.DONE
 
 
 def test_looks_and_chooses_again_where_the_pose_is_lost_on_the_way() -> None:

@@ -1,0 +1,50 @@
+"""Whether the last views have brought anything that the task asks for."""
+
+from __future__ import annotations
+
+import math
+
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.task import TaskConfig
+
+
+class LastViews:
+    """What each view has brought, and whether that is still worth going on for.
+
+    What is known may come to be a smaller share when a view opens new ground, and surface voxels
+    may turn out to be none; such a fall takes nothing from what other views have brought.
+
+    Args:
+        task: what is asked for.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        self._task = task
+        self._views, self._known, self._sigma, self._surface = 0, 0.0, math.nan, 0
+        self._gains: list[tuple[float, float]] = []  # shares, a pair per view
+
+    def note(self, views: int, progress: MapProgress) -> None:
+        """Take the state of the map after so many views."""
+        if views > self._views:
+            gain = progress.known_fraction - self._known
+            finer = 1.0 - progress.mean_sigma / self._sigma  # NaN before there is a surface
+            if finer > gain and progress.mean_sigma > self._task.mean_sigma:
+                gain = finer
+            growth = progress.surface_voxels / max(self._surface, 1) - 1.0
+            self._gains.append((max(gain, 0.0), max(growth, 0.0)))
+        self._views = views
+        self._known, self._sigma = progress.known_fraction, progress.mean_sigma
+        self._surface = max(self._surface, progress.surface_voxels)
+
+    def in_vain(self) -> str:
+        """Why to end: the last views have brought too little; empty where they have not."""
+        task = self._task
+        if len(self._gains) < task.vain_views:
+            return ""
+        gain, growth = (sum(each) for each in zip(*self._gains[-task.vain_views :], strict=True))
+        if gain >= task.least_gain or growth >= task.least_growth:
+            return ""
+        return (
+            f"the last {task.vain_views} views made {100.0 * gain:.2f} % more of the surface known "
+            f"and {100.0 * growth:.1f} % more of it mapped"
+        )

@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 
 MEAN_STEPS = 1 << 15
@@ -67,12 +68,11 @@ def encode_gaussians(offsets: FloatArray, covariances: FloatArray) -> NDArray[np
         raise InvalidInputError("map update", "a mean is not finite or far from its voxel")
     if not np.isfinite(covariances).all():
         raise InvalidInputError("map update", "a covariance is not finite")
-    values, vectors = np.linalg.eigh(covariances)
-    if not (values[:, 0] > 0.0).all():
+    variances, normals = smallest_axes(covariances)
+    if not (variances > 0.0).all():
         raise InvalidInputError("map update", "a covariance is not positive definite")
-    normals = np.ascontiguousarray(vectors[:, :, 0])
     fields = np.zeros((len(offsets), 9), np.int64)
-    _encode(offsets, covariances, normals, values[:, 0], _TABLES, fields)
+    _encode(offsets, covariances, normals, variances, _TABLES, fields)
     return _words_of(fields)
 
 

@@ -1,7 +1,7 @@
 """Where compiled kernels are kept.
 
 numba notices a change of the file that holds a kernel, not of the kernels which that one calls. The
-cache therefore lies in a folder named after the state of the sources of all rooms with kernels:
+cache therefore lies in a folder named after the state of the sources of all folders with kernels:
 ``__pycache__/kernels-<digest>`` of the package, or where that is not writable (a system-wide or
 read-only installation) ``$XDG_CACHE_HOME/infomap_ros`` or ``~/.cache/infomap_ros``, and where there
 is no home either, a folder of the user below the temporary folder. ``NUMBA_CACHE_DIR`` overrides
@@ -47,13 +47,18 @@ def _root(package: Path) -> Path:
     return _private_folder(Path(tempfile.gettempdir()) / f"infomap_ros-{os.getuid()}")
 
 
+def _compiled(text: bytes) -> bool:
+    """Whether a source says that something in it is compiled."""
+    return b"njit" in text or b"geometry.kernel import" in text
+
+
 def _source_digest(package: Path) -> str:
-    """Digest over the rooms that hold kernels."""
+    """Digest over the folders that hold kernels."""
     sources = sorted(package.rglob("*.py"))
-    rooms = {source.parent for source in sources if b"njit" in source.read_bytes()}
+    folders = {source.parent for source in sources if _compiled(source.read_bytes())}
     digest = hashlib.sha256()
     for source in sources:
-        if source.parent in rooms and source.parent != package:
+        if source.parent in folders and source.parent != package:
             state = source.stat()
             digest.update(f"{source}:{state.st_size}:{state.st_mtime_ns}\n".encode())
     return digest.hexdigest()[:16]

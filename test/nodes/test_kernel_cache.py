@@ -70,5 +70,29 @@ def test_without_a_writable_home_the_cache_is_temporary(installed: Path, tmp_pat
     assert cache.parent == tmp_path / f"infomap_ros-{os.getuid()}"
 
 
+@pytest.mark.parametrize(
+    "decorator", ["numba import njit", "infomap_ros.geometry.kernel import kernel"]
+)
+def test_a_change_beside_a_kernel_gets_a_cache_of_its_own(installed: Path, decorator: str) -> None:
+    room = installed / "infomap_ros" / "mapping"
+    (room / "kernels.py").write_text(f"from {decorator}\n")
+    (room / "called.py").write_text("A = 1\n")
+    before = cache_of(installed, False)
+
+    (room / "called.py").write_text("A = 1234\n")
+
+    assert cache_of(installed, False) != before
+
+
+def test_a_change_where_nothing_is_compiled_keeps_the_cache(installed: Path) -> None:
+    plain = installed / "infomap_ros" / "mapping" / "plain.py"
+    plain.write_text("A = 1\n")
+    before = cache_of(installed, False)
+
+    plain.write_text("A = 1234\n")
+
+    assert cache_of(installed, False) == before
+
+
 def test_the_choice_of_the_user_wins(installed: Path, tmp_path: Path) -> None:
     assert cache_of(installed, True, NUMBA_CACHE_DIR=str(tmp_path)) == tmp_path

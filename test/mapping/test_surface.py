@@ -13,7 +13,14 @@ from infomap_ros.mapping.voxels.records import (
     records_of,
     surface_of,
 )
-from infomap_ros.mapping.voxels.surface import empty_surface, surface_bytes, with_pages
+from infomap_ros.mapping.voxels.surface import (
+    CHUNK,
+    FULL_BYTES,
+    MASK_BYTES,
+    empty_surface,
+    surface_bytes,
+    with_pages,
+)
 from infomap_ros.mapping.voxels.surface_code import (
     CODE_BYTES,
     decode,
@@ -128,6 +135,15 @@ def test_what_is_put_replaces_what_was_there_whatever_its_form(rng):
     fresh = surface_of(BLOCKS, voxels, after)
     changed = put_records(surface_of(BLOCKS, voxels, before), BLOCKS, voxels, after, adding=False)
     np.testing.assert_array_equal(records_of(changed)[1], records_of(fresh)[1])
+
+
+def test_a_bit_set_for_full_information_is_there_where_it_is_needed(rng):
+    voxels = np.arange(0, SHEETS * 512, 512)
+    codes = np.array([random_information(rng, 0.0) for _ in voxels])
+    plain = surface_bytes(surface_of(BLOCKS, voxels, codes), BLOCKS)
+    codes[5] = random_information(rng, 1.0)
+    mixed = surface_bytes(surface_of(BLOCKS, voxels, codes), BLOCKS)
+    assert mixed - plain == MASK_BYTES + CHUNK * (FULL_BYTES - CODE_BYTES)
 
 
 def test_records_survive_being_listed_and_built_again(rng):

@@ -15,7 +15,10 @@ from infomap_ros.mapping.voxels.surface import (
     CODE_GAPS,
     FULL_BYTES,
     FULL_COUNT,
+    FULL_GAPS,
     INFORMATION_SIZE,
+    MASK_BYTES,
+    MASK_COUNT,
     PAGE_BYTES,
     PAGE_COUNT,
     SIDES,
@@ -25,13 +28,10 @@ from infomap_ros.mapping.voxels.surface import (
     with_records,
 )
 from infomap_ros.mapping.voxels.surface_code import CODE_BYTES, is_isotropic
-from infomap_ros.mapping.voxels.surface_reading import count_records, list_records
-from infomap_ros.mapping.voxels.surface_storing import (
-    arrange_records,
-    close_gaps,
-    empty_work,
-    store_rows,
-)
+from infomap_ros.mapping.voxels.surface_pages import close_gaps
+from infomap_ros.mapping.voxels.surface_reading import CODES, FULL, count_records, list_records
+from infomap_ros.mapping.voxels.surface_rooms import records_in
+from infomap_ros.mapping.voxels.surface_storing import arrange_records, empty_work, store_rows
 
 _MOST_GAPS, _FEW_RECORDS = 0.125, 1024
 """Share of the records, and number beside it, that may be gaps."""
@@ -89,12 +89,12 @@ def with_arranged(
 
 def _without_gaps(surface: SurfaceArrays) -> SurfaceArrays:
     """The arrays, or copies without gaps where blocks that grew have left too many."""
-    used, gaps = surface.counts[CODE_COUNT : FULL_COUNT + 1], surface.counts[CODE_GAPS:]
+    counts = surface.counts
+    used, gaps = counts[CODE_COUNT : FULL_COUNT + 1], counts[CODE_GAPS : FULL_GAPS + 1]
     if (gaps <= _MOST_GAPS * used + _FEW_RECORDS).all():
         return surface
-    empty = with_pages(
-        empty_surface(), -(-len(surface.page) // SIDES), int(surface.counts[PAGE_COUNT])
-    )
+    pages = int(max(counts[PAGE_COUNT], counts[MASK_COUNT]))
+    empty = with_pages(empty_surface(), -(-len(surface.page) // SIDES), pages)
     target = with_records(empty, int((used - gaps).max()))
     close_gaps(surface, target)
     return target
@@ -170,11 +170,13 @@ def growth_of_surface(
     _count_kinds(places, information, fresh)
     pages = _pages(surface, sheets)
     old = np.zeros((len(sheets), 2), np.int64)
-    _count_stored(surface.masks, pages, old)
+    _count_stored(surface, pages, old)
     rooms = np.minimum((old + fresh + CHUNK - 1) // CHUNK * CHUNK, BLOCK_VOXELS)
     rooms[fresh == 0] = 0
     new_pages = int(np.count_nonzero(fresh.any(axis=1) & (pages < 0)))
-    return int(rooms.sum(axis=0) @ [CODE_BYTES, FULL_BYTES]) + new_pages * PAGE_BYTES
+    new_masks = int(np.count_nonzero((fresh[:, 1] > 0) & (old[:, 1] == 0)))
+    pages_bytes = new_pages * PAGE_BYTES + new_masks * MASK_BYTES
+    return int(rooms.sum(axis=0) @ [CODE_BYTES, FULL_BYTES]) + pages_bytes
 
 
 def _pages(surface: SurfaceArrays, sheets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -191,12 +193,9 @@ def _count_kinds(places: Any, information: Any, counts: Any) -> None:
 
 
 @kernel
-def _count_stored(masks: Any, pages: Any, counts: Any) -> None:
+def _count_stored(surface: Any, pages: Any, counts: Any) -> None:
     """Count the records of pages, none for -1."""
     for i in range(len(pages)):
         if pages[i] >= 0:
-            for word in range(16):
-                bits = masks[pages[i], word]
-                while bits != np.uint64(0):
-                    bits &= bits - np.uint64(1)
-                    counts[i, word >> 3] += 1
+            counts[i, CODES] = records_in(surface, pages[i], CODES)
+            counts[i, FULL] = records_in(surface, pages[i], FULL)

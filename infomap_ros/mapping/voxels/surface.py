@@ -10,9 +10,10 @@ block therefore has two sheets, number ``2 * slot + side``, and a voxel up to tw
 ``512 * sheet + local index``; `side_of` a normal tells which. How they become one estimate is told
 in `surface_reading`.
 
-A sheet with records has a page: two bit sets that tell which of its voxels are stored, and where.
+A sheet with records has a page: a bit set that tells which of its voxels are stored, and where.
 The records of a sheet stand side by side in the order of its voxels, so that a voxel's is found by
-counting bits. Isotropic ones take the ten bytes of `surface_code`, others nine float32.
+counting bits. Isotropic ones take the ten bytes of `surface_code`. Others take nine float32; a page
+with such, which is rare where voxels are small, has a second bit set for them.
 """
 
 from __future__ import annotations
@@ -36,10 +37,13 @@ CHUNK = 8
 SIDES = 2
 _ACROSS = (0.262, 0.472, 0.841)
 
-PAGE_BYTES = 16 * 8 + 2 * 4
+PAGE_BYTES, MASK_BYTES = 8 * 8 + 3 * 4, 8 * 8
 MOST_CHUNKS = BLOCK_VOXELS // CHUNK
-PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS = range(5)
+PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS, MASK_COUNT = range(6)
 """Places in `SurfaceArrays.counts`."""
+
+FULL_MASK = 2
+"""Column of `SurfaceArrays.starts`; before it are those of either kind of records."""
 
 _MAX_BLOCKS, _MAX_RECORDS = 2**32 // BLOCK_VOXELS, 2**27
 
@@ -59,19 +63,21 @@ class SurfaceArrays(NamedTuple):
 
     Attributes:
         page: of each sheet, or -1, int32.
-        masks: bit sets of each page, uint64, shape (n, 16): 8 words for the voxels with a code, 8
-            for those with full information.
-        starts: first record of each page, int32, shape (n, 2): codes and full information.
+        masks: bit set of each page, uint64, shape (n, 8): the voxels with a code.
+        full_masks: bit sets of the voxels with full information, uint64, shape (m, 8).
+        starts: first record of each page, int32, shape (n, 3): code, full information; and its row
+            of `full_masks` or -1.
         words: of the codes, uint64.
         tails: of the codes, uint16.
         information: full information, shape (n, 9), float32.
         free: first unused room of so many chunks, or -1, int64, shape (2, 65); it names the next.
-        counts: pages, codes and rows of full information in use, and how many of the latter two
-            are gaps between blocks, int64.
+        counts: pages, codes and rows of full information in use, how many of the latter two are
+            gaps between blocks, and rows of `full_masks` in use, int64.
     """
 
     page: NDArray[np.int32]
     masks: NDArray[np.uint64]
+    full_masks: NDArray[np.uint64]
     starts: NDArray[np.int32]
     words: NDArray[np.uint64]
     tails: NDArray[np.uint16]
@@ -84,28 +90,30 @@ def empty_surface() -> SurfaceArrays:
     """Arrays of a map without surface."""
     return SurfaceArrays(
         page=np.full(512, -1, np.int32),
-        masks=np.empty((64, 16), np.uint64),
-        starts=np.empty((64, 2), np.int32),
+        masks=np.empty((64, 8), np.uint64),
+        full_masks=np.empty((64, 8), np.uint64),
+        starts=np.empty((64, 3), np.int32),
         words=np.empty(1024, np.uint64),
         tails=np.empty(1024, np.uint16),
         information=np.empty((1024, INFORMATION_SIZE), np.float32),
         free=np.full((2, MOST_CHUNKS + 1), -1, np.int64),
-        counts=np.zeros(5, np.int64),
+        counts=np.zeros(6, np.int64),
     )
 
 
 def with_pages(arrays: SurfaceArrays, blocks: int, pages: int) -> SurfaceArrays:
-    """Arrays for a map of so many blocks, with room for so many more pages.
+    """Arrays for a map of so many blocks, with room for so many pages that are new or new in full.
 
     Raises:
         CapacityError: the map has more blocks than a voxel's number can tell.
     """
     if blocks > _MAX_BLOCKS:
         raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
-    used = int(arrays.counts[PAGE_COUNT])
+    used, full = int(arrays.counts[PAGE_COUNT]), int(arrays.counts[MASK_COUNT])
     return arrays._replace(
         page=grown(arrays.page, SIDES * blocks, -1),
         masks=grown(arrays.masks, used + pages, used=used),
+        full_masks=grown(arrays.full_masks, full + pages, used=full),
         starts=grown(arrays.starts, used + pages, used=used),
     )
 
@@ -132,6 +140,7 @@ def surface_bytes(arrays: SurfaceArrays, blocks: int) -> int:
     return int(
         4 * SIDES * blocks
         + counts[PAGE_COUNT] * PAGE_BYTES
+        + counts[MASK_COUNT] * MASK_BYTES
         + counts[CODE_COUNT] * CODE_BYTES
         + counts[FULL_COUNT] * FULL_BYTES
         + arrays.free.nbytes
@@ -143,5 +152,5 @@ def growth_bound(arrays: SurfaceArrays, rows: int, blocks: int) -> int:
     counts = arrays.counts
     moved = min(blocks * SIDES * BLOCK_VOXELS, int(counts[CODE_COUNT])) * CODE_BYTES
     moved += min(blocks * SIDES * BLOCK_VOXELS, int(counts[FULL_COUNT])) * FULL_BYTES
-    per_block = SIDES * (PAGE_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES))
+    per_block = SIDES * (PAGE_BYTES + MASK_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES))
     return moved + rows * FULL_BYTES + blocks * per_block

@@ -10,7 +10,7 @@ from numba import njit
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.gaussians import inverse_symmetric, solve_mean
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, PAGE_COUNT, SIDES
+from infomap_ros.mapping.voxels.surface import FULL_MASK, INFORMATION_SIZE, PAGE_COUNT, SIDES
 from infomap_ros.mapping.voxels.surface_code import decode_information
 
 CODES, FULL = 0, 1
@@ -30,15 +30,24 @@ def count_ones(word: Any) -> Any:
 
 
 @kernel
-def rank_of(masks: Any, page: int, kind: int, local: int) -> Any:
-    """Number of voxels of a page's bit set before `local`, or -1 where its own bit is not set."""
-    word, bit = 8 * kind + (local >> 6), np.uint64(local & 63)
-    if not (masks[page, word] >> bit) & _ONE:
+def rank_of(masks: Any, row: int, local: int) -> Any:
+    """Number of voxels of a bit set before `local`, or -1 where its own bit is not set."""
+    word, bit = local >> 6, np.uint64(local & 63)
+    if not (masks[row, word] >> bit) & _ONE:
         return np.int64(-1)
-    rank = count_ones(masks[page, word] & ((_ONE << bit) - _ONE))
-    for before in range(8 * kind, word):
-        rank += count_ones(masks[page, before])
+    rank = count_ones(masks[row, word] & ((_ONE << bit) - _ONE))
+    for before in range(word):
+        rank += count_ones(masks[row, before])
     return rank
+
+
+@kernel
+def mask_word(surface: Any, page: int, kind: int, word: int) -> Any:
+    """One of the 8 words of a page's bit set for records of a kind."""
+    if kind == CODES:
+        return surface.masks[page, word]
+    row = np.int64(surface.starts[page, FULL_MASK])
+    return surface.full_masks[row, word] if row >= 0 else _ZERO
 
 
 @kernel
@@ -60,12 +69,15 @@ def read_record(surface: Any, record: int, information: Any) -> bool:
     if record >> 9 >= len(surface.page) or surface.page[record >> 9] < 0:
         return False
     page = np.int64(surface.page[record >> 9])
-    rank = rank_of(surface.masks, page, CODES, record & 511)
+    rank = rank_of(surface.masks, page, record & 511)
     if rank >= 0:
         row = surface.starts[page, CODES] + rank
         decode_information(surface.words[row], surface.tails[row], information)
         return True
-    rank = rank_of(surface.masks, page, FULL, record & 511)
+    full = np.int64(surface.starts[page, FULL_MASK])
+    if full < 0:
+        return False
+    rank = rank_of(surface.full_masks, full, record & 511)
     if rank >= 0:
         copy(surface.information[surface.starts[page, FULL] + rank], information)
     return bool(rank >= 0)
@@ -153,7 +165,8 @@ def read_sheet(surface: Any, sheet: int, records: Any, information: Any) -> int:
     code, full = np.int64(surface.starts[page, CODES]), np.int64(surface.starts[page, FULL])
     found = 0
     for word in range(8):
-        codes, others = surface.masks[page, word], surface.masks[page, 8 + word]
+        codes = mask_word(surface, page, CODES, word)
+        others = mask_word(surface, page, FULL, word)
         record = first + 64 * word
         while (codes | others) != _ZERO:
             if codes & _ONE:
@@ -208,8 +221,9 @@ def count_records(surface: Any) -> int:
     """Number of records."""
     total = 0
     for page in range(surface.counts[PAGE_COUNT]):
-        for word in range(16):
-            total += count_ones(surface.masks[page, word])
+        for word in range(8):
+            total += count_ones(mask_word(surface, page, CODES, word))
+            total += count_ones(mask_word(surface, page, FULL, word))
     return total
 
 

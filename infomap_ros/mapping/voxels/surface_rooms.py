@@ -8,15 +8,15 @@ import numpy as np
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.surface import CHUNK, CODE_COUNT, CODE_GAPS
-from infomap_ros.mapping.voxels.surface_reading import CODES, count_ones
+from infomap_ros.mapping.voxels.surface_reading import CODES, count_ones, mask_word
 
 
 @kernel
-def records_in(masks: Any, kind: int) -> Any:
-    """Number of records of a kind in bit sets, shape (16,)."""
+def records_in(surface: Any, page: int, kind: int) -> Any:
+    """Number of records of a kind of a page."""
     total = np.int64(0)
-    for word in range(8 * kind, 8 * kind + 8):
-        total += count_ones(masks[word])
+    for word in range(8):
+        total += count_ones(mask_word(surface, page, kind, word))
     return total
 
 

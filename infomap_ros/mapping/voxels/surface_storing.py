@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface import (
-    INFORMATION_SIZE,
-    PAGE_COUNT,
-)
+from infomap_ros.mapping.voxels.surface import FULL_MASK, INFORMATION_SIZE
 from infomap_ros.mapping.voxels.surface_code import (
     decode,
     decode_information,
@@ -20,13 +17,20 @@ from infomap_ros.mapping.voxels.surface_code import (
     encode_information,
     is_isotropic,
 )
-from infomap_ros.mapping.voxels.surface_reading import CODES, FULL, copy, rank_of
+from infomap_ros.mapping.voxels.surface_pages import page_of, set_masks
+from infomap_ros.mapping.voxels.surface_reading import (
+    CODES,
+    FULL,
+    copy,
+    count_ones,
+    mask_word,
+    rank_of,
+)
 from infomap_ros.mapping.voxels.surface_rooms import (
     chunks_for,
     is_room,
     move_room,
     records_in,
-    take_room,
 )
 
 _ONE, _ZERO = np.uint64(1), np.uint64(0)
@@ -39,7 +43,7 @@ class StoreWork(NamedTuple):
         words: of codes, uint64, shape (512,).
         tails: of codes, uint16, shape (512,).
         information: full information, float32, shape (512, 9).
-        wanted: the bit sets that its page is to have, uint64, shape (16,).
+        wanted: the bit sets that its page is to have, of either kind, uint64, shape (2, 8).
     """
 
     words: NDArray[np.uint64]
@@ -54,7 +58,7 @@ def empty_work() -> StoreWork:
         np.empty(BLOCK_VOXELS, np.uint64),
         np.empty(BLOCK_VOXELS, np.uint16),
         np.empty((BLOCK_VOXELS, INFORMATION_SIZE), np.float32),
-        np.empty(16, np.uint64),
+        np.empty((2, 8), np.uint64),
     )
 
 
@@ -87,8 +91,8 @@ def arrange_records(
         sheet, last = records[order[first]] >> 9, first + 1
         while last < len(order) and records[order[last]] >> 9 == sheet:
             last += 1
-        page = _page_of(surface, sheet)
-        _want(surface.masks, page, records, information, order, first, last, work.wanted)
+        page = page_of(surface, sheet)
+        _want(surface, page, records, information, order, first, last, work.wanted)
         if not _arrange(surface, page, work):
             return first
         first = last
@@ -116,16 +120,17 @@ def store_rows(
         last: one past the last place.
         adding: whether to add to what is there, else to replace it.
     """
-    pages, masks, starts, stored = surface.page, surface.masks, surface.starts, surface.information
+    pages, starts, stored = surface.page, surface.starts, surface.information
+    masks, full_masks = surface.masks, surface.full_masks
     words, tails = surface.words, surface.tails
     for place in range(first, last):
         row = order[place]
         page, local = np.int64(pages[records[row] >> 9]), records[row] & 511
-        rank = rank_of(masks, page, CODES, local)
+        rank = rank_of(masks, page, local)
         if rank >= 0:
             _store_code(words, tails, starts[page, CODES] + rank, information, row, adding)
             continue
-        to = starts[page, FULL] + rank_of(masks, page, FULL, local)
+        to = starts[page, FULL] + rank_of(full_masks, starts[page, FULL_MASK], local)
         for i in range(INFORMATION_SIZE):
             before = stored[to, i] if adding else np.float32(0.0)
             stored[to, i] = before + information[row, i]
@@ -152,46 +157,8 @@ def _store_code(words: Any, tails: Any, to: int, information: Any, row: int, add
 
 
 @kernel
-def close_gaps(surface: Any, target: Any) -> None:
-    """Copy all pages to `target`, which has none and room for all, side by side."""
-    for sheet in range(len(surface.page)):
-        target.page[sheet] = surface.page[sheet]
-    target.counts[PAGE_COUNT] = surface.counts[PAGE_COUNT]
-    for page in range(surface.counts[PAGE_COUNT]):
-        for word in range(16):
-            target.masks[page, word] = surface.masks[page, word]
-        target.starts[page, :] = 0
-        codes, full = records_in(surface.masks[page], CODES), records_in(surface.masks[page], FULL)
-        if codes > 0:
-            start, to = surface.starts[page, CODES], take_room(target, CODES, chunks_for(codes))
-            target.starts[page, CODES] = to
-            for i in range(codes):
-                target.words[to + i] = surface.words[start + i]
-                target.tails[to + i] = surface.tails[start + i]
-        if full > 0:
-            start, to = surface.starts[page, FULL], take_room(target, FULL, chunks_for(full))
-            target.starts[page, FULL] = to
-            for i in range(full):
-                copy(surface.information[start + i], target.information[to + i])
-
-
-@kernel
-def _page_of(surface: Any, sheet: int) -> Any:
-    """Page of a sheet, made if need be."""
-    page = np.int64(surface.page[sheet])
-    if page >= 0:
-        return page
-    page = surface.counts[PAGE_COUNT]
-    surface.counts[PAGE_COUNT] = page + 1
-    surface.page[sheet] = page
-    surface.masks[page, :] = _ZERO
-    surface.starts[page, :] = 0
-    return page
-
-
-@kernel
 def _want(
-    masks: Any,
+    surface: Any,
     page: int,
     records: Any,
     information: Any,
@@ -201,18 +168,19 @@ def _want(
     wanted: Any,
 ) -> None:
     """The bit sets that a page needs to hold rows `order[first:last]` as well."""
-    for word in range(16):
-        wanted[word] = masks[page, word]
+    for word in range(8):
+        wanted[CODES, word] = mask_word(surface, page, CODES, word)
+        wanted[FULL, word] = mask_word(surface, page, FULL, word)
     for place in range(first, last):
         row = order[place]
         local = records[row] & 511
         word, bit = local >> 6, _ONE << np.uint64(local & 63)
         if information[row, 0] == 0.0 or is_isotropic(information[row]):
-            if not wanted[8 + word] & bit:
-                wanted[word] |= bit
+            if not wanted[FULL, word] & bit:
+                wanted[CODES, word] |= bit
         else:
-            wanted[8 + word] |= bit
-            wanted[word] &= ~bit
+            wanted[FULL, word] |= bit
+            wanted[CODES, word] &= ~bit
 
 
 @kernel
@@ -222,13 +190,16 @@ def _arrange(surface: Any, page: int, work: Any) -> bool:
     Returns:
         False, with nothing changed, when there is no room.
     """
-    masks, wanted, same = surface.masks[page], work.wanted, True
-    for word in range(16):
-        same &= masks[word] == wanted[word]
+    wanted, same, codes, full = work.wanted, True, np.int64(0), np.int64(0)
+    for word in range(8):
+        same &= mask_word(surface, page, CODES, word) == wanted[CODES, word]
+        same &= mask_word(surface, page, FULL, word) == wanted[FULL, word]
+        codes += count_ones(wanted[CODES, word])
+        full += count_ones(wanted[FULL, word])
     if same:
         return True
-    old_codes, old_full = chunks_for(records_in(masks, CODES)), chunks_for(records_in(masks, FULL))
-    codes, full = records_in(wanted, CODES), records_in(wanted, FULL)
+    old_codes = chunks_for(records_in(surface, page, CODES))
+    old_full = chunks_for(records_in(surface, page, FULL))
     if not is_room(surface, CODES, old_codes, chunks_for(codes)):
         return False
     if not is_room(surface, FULL, old_full, chunks_for(full)):
@@ -236,8 +207,7 @@ def _arrange(surface: Any, page: int, work: Any) -> bool:
     _collect(surface, page, wanted, work)
     move_room(surface, page, CODES, old_codes, chunks_for(codes))
     move_room(surface, page, FULL, old_full, chunks_for(full))
-    for word in range(16):
-        masks[word] = wanted[word]
+    set_masks(surface, page, wanted)
     start = np.int64(surface.starts[page, CODES])
     for i in range(codes):
         surface.words[start + i], surface.tails[start + i] = work.words[i], work.tails[i]
@@ -254,8 +224,8 @@ def _collect(surface: Any, page: int, wanted: Any, work: Any) -> None:
     source, full_source = surface.starts[page, CODES], surface.starts[page, FULL]
     codes, full = 0, 0
     for word in range(8):
-        had, had_full = surface.masks[page, word], surface.masks[page, 8 + word]
-        want, want_full = wanted[word], wanted[8 + word]
+        had, had_full = surface.masks[page, word], mask_word(surface, page, FULL, word)
+        want, want_full = wanted[CODES, word], wanted[FULL, word]
         while (want | want_full) != _ZERO:
             if want_full & _ONE:
                 information[full, :] = 0.0

@@ -24,8 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.replay.messages import RosbagsMessageTypes
 from infomap_ros.replay.messages.rows import encode_rows
-from infomap_ros.studies.team_lag import LagMeter
-from infomap_ros.studies.team_network import Radio, TeamNetwork
+from infomap_ros.studies.team.team_lag import LagMeter
+from infomap_ros.studies.team.team_network import Radio, TeamNetwork
 from infomap_ros.team import MapUpdate, TeamConfig, decode_update, encode_update
 
 PERIOD = 0.5  # between two views [s]

@@ -29,6 +29,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -39,7 +40,6 @@ from infomap_ros.nodes.locating.camera_follower import CameraFollower, CameraFol
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_news import LocalizationNews
 from infomap_ros.nodes.locating.localization_warm_up import warm_up
-from infomap_ros.nodes.locating.saved_localisation import SavedLocalisation
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.locating.view_gate import Look, ViewGate
 from infomap_ros.nodes.locating.view_sources import ViewSource

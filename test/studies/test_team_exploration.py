@@ -12,7 +12,8 @@ from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.company.radio import Channel, Radio
 from infomap_ros.simulation.company.team_world import starts_abreast
 from infomap_ros.simulation.company.turns import SwitchedOff, Turns
-from infomap_ros.studies.team_exploration import TeamExploration, TeamExplorationOptions
+from infomap_ros.studies.team.team_exploration import TeamExploration
+from infomap_ros.studies.team.team_options import TeamExplorationOptions
 
 SMALL = (
     "world.size=4.5",
@@ -50,6 +51,27 @@ def test_two_rovers_with_losses_and_a_restart_end_with_one_map(tmp_path: Path) -
     assert figures["views"] == one.mission.views + two.mission.views
     assert figures["coverage"] > 0.3
     assert figures["contacts"] == 0
+
+
+def test_rovers_that_localise_themselves_share_the_frame_of_the_board(tmp_path: Path) -> None:
+    alone = ("world.seed=2", "task.max_views=1", "team.coverage=0.9", "team.killed_at=0.0")
+    images = ("simulator.camera.width=320", "simulator.camera.height=240")
+    own_poses = ("robot.pose_source=localization", "sharing.recovery=0.0")
+    options = with_settings(TeamExplorationOptions(), (*SMALL, *alone, *images, *own_poses))
+    exploration = TeamExploration(options, tmp_path)
+
+    figures = exploration.run()
+
+    assert figures["views"] == 2
+    assert figures["same_hash"]
+    assert max(figures["pose_error_rms"]) < 0.03
+    assert max(figures["pose_nees"]) < 3 * 6
+    target = exploration.world.simulators[0].world.T_world_target
+    assert target is not None
+    np.testing.assert_allclose(exploration.T_world_map, target, atol=1e-12)
+    one, two = (robot.member.replica for robot in exploration.robots if robot is not None)
+    assert not one.aside and not two.aside  # the maps do not contradict
+    assert figures["map_within_sigma"][2] > 0.9
 
 
 def test_threads_run_one_at_a_time_by_their_clocks() -> None:

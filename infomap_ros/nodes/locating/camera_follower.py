@@ -15,8 +15,8 @@ from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotP
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetDetector
-from infomap_ros.nodes.locating.saved_localisation import SavedLocalisation
 from infomap_ros.replay.localizing.localize_run import looking_along_x
 
 _LEAST_SIGMA = 1e-4

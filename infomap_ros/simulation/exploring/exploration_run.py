@@ -144,7 +144,7 @@ class ExplorationRun:
         self._robot = SimulatedRobot(
             self.simulator, robot, self.map, options.robot, self.audit.note
         )
-        rig, error = self._robot.poses.rig, _localisation_error(self._robot, options)
+        rig, error = self._robot.poses.rig, localisation_error(self._robot, options)
         planner = ViewPlanner(robot, rig, task, options.planner, error)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
@@ -257,10 +257,15 @@ def map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
     return np.asarray(world.T_world_target @ T_target_map)
 
 
-def _localisation_error(
+def localisation_error(
     robot: SimulatedRobot, options: ExplorationOptions
 ) -> FiducialLocalisationError | None:
-    """What the rating takes for LE; None, for drift, where poses come from the simulator."""
+    """What the rating takes for LE; None, for drift, where poses come from the simulator.
+
+    Args:
+        robot: that localises itself, or not.
+        options: of its exploration.
+    """
     poses = robot.poses
     if not isinstance(poses, SelfLocalisation):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -94,6 +95,20 @@ class PoseSource(Protocol):
     def correct(self, correctable: CorrectableMap) -> None:
         """Let the scans of a map follow what became known of their poses since."""
 
+    def save(self, path: Path) -> None:
+        """Keep in a file what is needed to go on when this software was ended.
+
+        Raises:
+            MapFileError: the file cannot be written.
+        """
+
+    def resume(self, path: Path) -> None:
+        """Go on from what was kept, in the same map; before anything else is asked.
+
+        Raises:
+            MapFileError: the file cannot be used.
+        """
+
 
 class MeasuredPoses:
     """The true pose with noise, as a good localisation would measure it. Implements `PoseSource`.
@@ -132,3 +147,9 @@ class MeasuredPoses:
 
     def correct(self, correctable: CorrectableMap) -> None:
         """Poses stay as they are."""
+
+    def save(self, path: Path) -> None:
+        """Nothing need be kept."""
+
+    def resume(self, path: Path) -> None:
+        """The simulator knows where the robot is."""

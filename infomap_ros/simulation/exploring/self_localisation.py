@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +17,7 @@ from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.mapping import VoxelMap
@@ -120,6 +122,7 @@ class SelfLocalisation:
         self._kinematics = KinematicMotion(self.config.motion)
         self._odometry_alone = KinematicMotion(_without_kinematics(self.config.motion))
         self._posture: RobotPosture | None = None
+        self._is_resumed = False
         self._known: tuple[CameraPose, RobotPosture] | None = None
         self.last: Localisation | None = None
 
@@ -138,18 +141,24 @@ class SelfLocalisation:
         body = self._robot.solids_in(self._robot.camera_frame, joints)
         self.last = self.localizer.locate(view, self._prior(posture), voxel_map, body=body)
         self._posture = posture
-        if self.last.state == "tracking":
-            assert self.last.T_map_camera is not None and self.last.covariance is not None
-            self._known = CameraPose(self.last.T_map_camera, self.last.covariance), posture
+        if self.last.state == "tracking" or self._known is None:
+            self._note_pose(self.last, posture)
         return view
 
+    def _note_pose(self, told: Localisation, posture: RobotPosture) -> None:
+        """What a view told, or just after a restart, odometry and joints since what was kept."""
+        if told.T_map_camera is not None and told.covariance is not None:
+            self._known = CameraPose(told.T_map_camera, told.covariance), posture
+
     def initialise(self) -> None:
-        """Look at the target several times.
+        """Look at the target several times; after `resume`, find out where the robot is now.
 
         Raises:
-            PoseUnavailableError: it is not in view.
+            PoseUnavailableError: it is not in view, or nothing that is known is.
         """
         for _ in range(self.config.first_pairs):
+            if self._is_resumed and self._known is not None:
+                break
             self._simulator.step(_PAUSE)
             self.see()
         if self._known is None:
@@ -200,6 +209,16 @@ class SelfLocalisation:
         correctable.hear(self._simulator.stamp, kept.stamps, kept.transforms)
         correctable.correct()
 
+    def save(self, path: Path) -> None:
+        """Keep map and pose of the localisation in a file; see `PoseSource`."""
+        SavedLocalisation(self.localizer.state(), self._posture).save(path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from what was kept; odometry and joints tell the way since. See `PoseSource`."""
+        saved = SavedLocalisation.load(path)
+        saved.resume(self.localizer)
+        self._posture, self._is_resumed = saved.posture, True
+
     def _is_lost(self) -> bool:
         return self.last is not None and self.last.state in ("lost", "searching")
 
@@ -227,9 +246,9 @@ class SelfLocalisation:
         The kinematics' errors at the two ends of a way that no view tells count once, not at every
         pair that was taken in vain on it: those in between cancel.
         """
-        if self._posture is None or self.last is None:
+        if self._posture is None:
             return None
-        is_known = self.last.state == "tracking"
+        is_known = self.last is None or self.last.state == "tracking"
         kinematics = self._kinematics if is_known else self._odometry_alone
         return kinematics.between(self._posture, posture)
 

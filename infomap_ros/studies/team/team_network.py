@@ -69,7 +69,7 @@ def view_pose(start: float, now: float) -> FloatArray:
 
 
 @dataclass
-class SimulatedRobot:
+class NetworkRobot:
     """A robot: its own map, its part of the team, and what it costs.
 
     Attributes:
@@ -116,15 +116,15 @@ class TeamNetwork:
         self.robots = [self.make_robot(number) for number in range(robots)]
         self._channel, self._digested = Channel(robots, radio, self._rng), 0.0
 
-    def make_robot(self, number: int) -> SimulatedRobot:
+    def make_robot(self, number: int) -> NetworkRobot:
         """A robot that has seen nothing."""
         session = int(self._rng.integers(1, 2**32))
         member = TeamMember(number, session, 1000, self.config, self._team)
         own = VoxelMap(self.config)
         own.track_changes(True)
-        return SimulatedRobot(member, own)
+        return NetworkRobot(member, own)
 
-    def look(self, robot: SimulatedRobot) -> None:
+    def look(self, robot: NetworkRobot) -> None:
         """Let a robot take a view from where it is."""
         start = 2.0 * np.pi * robot.member.robot / len(self.robots)
         pose = view_pose(start, self.now)
@@ -164,7 +164,7 @@ class TeamNetwork:
         """How long what was sent still takes to be transmitted, at the most [s]."""
         return self._channel.backlog(self.now)
 
-    def _send(self, number: int, robot: SimulatedRobot, kind: str, rows: Rows) -> None:
+    def _send(self, number: int, robot: NetworkRobot, kind: str, rows: Rows) -> None:
         size = message_bytes(rows)
         robot.sent[kind] = robot.sent.get(kind, 0) + size
         self._channel.send(number, kind, rows, size, self.now)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT
-from infomap_ros.studies.team_network import SimulatedRobot, TeamNetwork
+from infomap_ros.studies.team.team_network import NetworkRobot, TeamNetwork
 
 LEAST_CHANGE = 0.02
 """Change of a probability that counts; less is what evidence near its limit still gains."""
@@ -47,7 +47,7 @@ class LagMeter:
         """Number of views of which somebody still misses something."""
         return len(self._views)
 
-    def look(self, robot: SimulatedRobot) -> None:
+    def look(self, robot: NetworkRobot) -> None:
         """Let a robot take a view, and remember what it changed."""
         before = _evidence(robot)
         version = robot.member.version
@@ -70,7 +70,7 @@ class LagMeter:
         self._views = [view for view in self._views if view.missing]
 
 
-def _evidence(robot: SimulatedRobot) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _evidence(robot: NetworkRobot) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Known voxels as single numbers, ascending, and their evidence as it is told."""
     indices, log_odds = robot.own.voxels()
     limit = SHARED_LOG_ODDS_LIMIT

@@ -27,13 +27,16 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.replay.mapping.map_files import MAP_FILE
-from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions
+from infomap_ros.simulation.exploring.exploration_run import localisation_error
 from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
+from infomap_ros.simulation.exploring.pose_source import PosedScan
 from infomap_ros.simulation.simulator import Simulator
-from infomap_ros.team import TeamConfig, TeamMember, version_at
+from infomap_ros.studies.team.team_options import TeamExplorationOptions
+from infomap_ros.team import TeamMember, version_at
 from infomap_ros.team.sent import message_bytes
 
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
+LOCALISATION_FILE = "localisation.infomap"
 _BUSY = 1.0  # [s] until a robot that had nothing to do asks again
 _TICK = 0.1  # [s]
 _TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
@@ -46,20 +49,20 @@ class RobotOutfit:
     Attributes:
         number: from 0 on; its id in the team.
         options: of its exploration.
-        sharing: how it shares its map.
         task: what is to be mapped.
         model: of the robot.
         folder: for its files.
         on_view: called after each view, with the robot.
+        on_scan: called with each scan that was fused.
     """
 
     number: int
-    options: ExplorationOptions
-    sharing: TeamConfig
+    options: TeamExplorationOptions
     task: TaskConfig
     model: RobotModel
     folder: Path
     on_view: Callable[[TeamRobot], None]
+    on_scan: Callable[[PosedScan], None]
 
 
 class TeamRobot:
@@ -86,16 +89,19 @@ class TeamRobot:
         self.map = self._own_map()
         version = version_at(simulator.stamp)
         config = self.map.config
-        self.member = TeamMember(outfit.number, session, version, config, outfit.sharing)
+        self.member = TeamMember(outfit.number, session, version, config, options.sharing)
         self.sent, self._told = 0, -np.inf
         self._bodies = TeamBodies(body=options.robot.body)
         self._robot = SimulatedRobot(
-            simulator, outfit.model, self.map, options.robot, teammates=self._bodies
+            simulator, outfit.model, self.map, options.robot, outfit.on_scan, self._bodies
         )
+        if (located := outfit.folder / LOCALISATION_FILE).exists():
+            self._robot.poses.resume(located)
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
         )
-        planner = ViewPlanner(outfit.model, self._robot.poses.rig, outfit.task, planning)
+        rig, error = self._robot.poses.rig, localisation_error(self._robot, options)
+        planner = ViewPlanner(outfit.model, rig, outfit.task, planning, error)
         self._teamwork = Teamwork(outfit.number, session, version)
         self._planner = TeamPlanner(
             planner, self._teamwork, self._announce, self._let_pass, lambda: simulator.time
@@ -120,7 +126,7 @@ class TeamRobot:
         """Explore to the end; first tell and hear who is where, after a restart what is known."""
         self._robot.state()
         self._knows_its_place = True
-        recovery = self.outfit.sharing.recovery if self.mission.views else 0.0
+        recovery = self.outfit.options.sharing.recovery if self.mission.views else 0.0
         self._let_pass(recovery + _TELLING)
         return self._exploration.run()
 
@@ -157,6 +163,7 @@ class TeamRobot:
             TeammatesBusyError: the exploration is asked to stop while it waits for others.
         """
         self.map.save(self.outfit.folder / MAP_FILE)
+        self._robot.poses.save(self.outfit.folder / LOCALISATION_FILE)
         self._let_pass(_TELLING)
         self.outfit.on_view(self)
         around = Surrounding(T_map_start=np.array(self.mission.home_pose))
@@ -185,7 +192,7 @@ class TeamRobot:
         if self._knows_its_place and now - self._announced >= self._teamwork.config.period - 1e-6:
             self._announce()
         spoken = [("update", rows) for rows in self.member.tell(self.map, now)]
-        if now - self._told >= self.outfit.sharing.digest_period - 1e-6:
+        if now - self._told >= self.outfit.options.sharing.digest_period - 1e-6:
             self._told = now
             spoken += [("digest", rows) for rows in self.member.digests(now)]
             spoken += [("request", rows) for rows in self.member.requests(now)]

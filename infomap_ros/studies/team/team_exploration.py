@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,59 +18,27 @@ import numpy as np
 
 from infomap_ros.exploration.loop import Ending, EndReason
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.company.radio import Channel, Radio
 from infomap_ros.simulation.company.team_world import TeamWorld
 from infomap_ros.simulation.company.turns import SwitchedOff
-from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, task_in
-from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
+from infomap_ros.simulation.exploring.exploration_run import map_frame, task_in
+from infomap_ros.simulation.exploring.pose_audit import PoseAudit
+from infomap_ros.simulation.exploring.visible_surface import (
+    map_errors,
+    surface_coverage,
+    visible_surface,
+)
 from infomap_ros.simulation.worlds.scenes import make_world
-from infomap_ros.studies.team_robot import RobotOutfit, TeamRobot
-from infomap_ros.team import TeamConfig
+from infomap_ros.studies.team.team_options import TeamExplorationOptions
+from infomap_ros.studies.team.team_robot import RobotOutfit, TeamRobot
 
 _TICK = 0.1  # [s] of robots that have nothing to do
 _MORE = 1.03  # by this factor the map must have grown for a robot that had ended to go on
 _AGREEING = 120.0  # [s] in which the maps must become the same at the end
-
-
-@dataclass(frozen=True)
-class TeamTaskConfig:
-    """A team and what may happen to it.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    robots: int = parameter(2, "Number of robots.", low=1, high=16)
-    coverage: float = parameter(
-        0.9, "The exploration ends when a robot's map has this share of the true surface.", low=0.0
-    )
-    loss: float = parameter(0.2, "Share of the packets that are lost.", low=0.0, high=0.95)
-    rate: float = parameter(10.0, "Of each robot's radio.", unit="Mbit/s", low=0.01, high=1000.0)
-    killed_at: float = parameter(
-        0.0,
-        "Coverage at which the software of the last robot is ended without warning, to be started "
-        "again after `down`; 0 for never.",
-        low=0.0,
-        high=1.0,
-    )
-    down: float = parameter(20.0, "Time until it is started again.", unit="s", low=0.0, high=1e4)
-
-    def __post_init__(self) -> None:
-        check_config(self)
-
-
-@dataclass(frozen=True)
-class TeamExplorationOptions(ExplorationOptions):
-    """Everything that can be set of the exploration of a team."""
-
-    team: TeamTaskConfig = field(default_factory=TeamTaskConfig)
-    sharing: TeamConfig = field(
-        default_factory=lambda: TeamConfig(bandwidth=0.6, message_size=1400, digest_period=0.2)
-    )
 
 
 @dataclass(frozen=True)
@@ -101,6 +69,9 @@ class TeamExploration:
 
     Attributes:
         world: with the simulated robots.
+        T_world_map: where the frame of all maps truly is, shape (4, 4): at the target, if they
+            localise themselves by it.
+        audits: how wrong the poses of the robots' scans were.
         robots: their software, as it runs now.
         looks: what the views brought.
         kills: how often software was ended.
@@ -117,15 +88,19 @@ class TeamExploration:
         settings = dataclasses.replace(options.simulator, seed=world.seed)
         count = options.team.robots
         self.world = TeamWorld(scene, description, settings, count, self._exchange)
-        self._visible = visible_surface(scene, options.planner.max_range).points
+        self.T_world_map = map_frame(scene, options.robot)
+        visible = visible_surface(scene, options.planner.max_range).points
+        self._visible = transform_points(invert_transform(self.T_world_map), visible)
+        self.audits = [PoseAudit(robot, self.T_world_map) for robot in self.world.simulators]
         self._rng = np.random.default_rng(world.seed)
         self._channel = Channel(count, Radio(options.team.rate * 1e6, options.team.loss), self._rng)
         frames = settings.robot
         model = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
-        task = dataclasses.replace(task_in(scene, options.task), known_fraction=1.0)
+        task = task_in(scene, options.task, self.T_world_map)
+        task = dataclasses.replace(task, known_fraction=1.0)
         self._outfits = [
-            RobotOutfit(n, options, options.sharing, task, model, out / str(n), self._on_view)
-            for n in range(count)
+            RobotOutfit(n, options, task, model, out / str(n), self._on_view, audit.note)
+            for n, audit in enumerate(self.audits)
         ]
         self._missions: dict[int, Mission] = {}
         self.robots: list[TeamRobot | None] = [self._start(n) for n in range(count)]
@@ -157,7 +132,19 @@ class TeamExploration:
             "sent_bytes": [robot.sent for robot in self.robots if robot],
             "ends": [self._endings[n].reason.value for n in sorted(self._endings)],
             "details": [self._endings[n].detail for n in sorted(self._endings)],
+            **self._errors(),
             "processor_seconds": round(time.process_time() - begin, 1),
+        }
+
+    def _errors(self) -> dict[str, Any]:
+        """How wrong the robots' poses and their common map are."""
+        shared = next(robot.member.replica.voxel_map for robot in self.robots if robot)
+        errors = map_errors(shared, self.world.simulators[0].world, self.T_world_map)
+        poses = [audit.figures() for audit in self.audits]
+        names = ("pose_error_rms", "pose_error_end", "pose_nees")
+        return {name: [each.get(name) for each in poses] for name in names} | {
+            "map_error_median": round(float(np.median(errors.distances)), 5),
+            "map_within_sigma": [round(errors.share_within(n), 4) for n in (1.0, 2.0, 3.0)],
         }
 
     def _start(self, number: int) -> TeamRobot:

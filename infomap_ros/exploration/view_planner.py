@@ -28,6 +28,7 @@ from infomap_ros.motion.whole_body import WholeBody
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.kept_promises import KeptPromises
 from infomap_ros.views.ranking.localisation_error import LocalisationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 from infomap_ros.views.vain_looks import VainLooks
@@ -84,6 +85,7 @@ class ViewPlanner:
         self._information = information
         self._choice = ViewChoice(self.config, information, localisation_error)
         self._vain = VainLooks(self.config.vain)
+        self._kept = KeptPromises()
         self._rng = np.random.default_rng(self.config.seed)
         self._heights = camera_heights(robot)
         self._start: ClearStart | None = None
@@ -123,7 +125,7 @@ class ViewPlanner:
         """
         robot = self._reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
-        situation = self._without_vain_looks(situation)
+        situation = self._without_vain_looks(situation, progress.entropy_bits)
         ask: dict[str, Any] = {"goal": self._goal, "thorough": not self.is_done(progress)}
         if robot.is_wider:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
@@ -132,13 +134,16 @@ class ViewPlanner:
             robot = self._reach(voxel_map, state, around.obstacles, widen=False)
         return self._choice.select(situation, robot, self._rng, **ask)
 
-    def _without_vain_looks(self, situation: Situation) -> Situation:
+    def _without_vain_looks(self, situation: Situation, entropy: float) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
-        views = situation.past_views[self._noted :]
+        views, left = situation.past_views[self._noted :], []
         self._noted = len(situation.past_views)
-        for view, left in zip(views, self._information.gains(situation, views), strict=True):
-            self._vain.note(left.keys, situation.voxel_map, view[:3, 3], situation.max_range)
-        return replace(situation, promising=self._vain.without_them(situation.voxel_map))
+        for view, gains in zip(views, self._information.gains(situation, views), strict=True):
+            left.append(float(gains.gains[~self._vain.are_given_up(gains.keys)].sum()))
+            self._vain.note(gains.keys, situation.voxel_map, view[:3, 3], situation.max_range)
+        self._kept.note(left, entropy)
+        promising = self._vain.without_them(situation.voxel_map)
+        return replace(situation, promising=promising, kept_shares=self._kept.shares)
 
     def way_home(
         self,
@@ -185,11 +190,12 @@ class ViewPlanner:
         return self._choice.share_left(situation, pose)
 
     def _take_note(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> None:
-        """Remember where views were taken, and which ones could not be."""
+        """Remember where views were taken, and which ones could not be: there was no look since."""
         if not self._past:
             gaps = np.linalg.norm(around.past_views[:, :3, 3] - state.T_map_camera[:3, 3], axis=1)
             self._past.extend(around.past_views[gaps > _SAME])
-        self._past.append(state.T_map_camera)
+        if not self._failures or not self._past:
+            self._past.append(state.T_map_camera)
         if self._start is None and self.config.start_clearance > 0.0:
             first = state.T_map_base if around.T_map_start is None else around.T_map_start
             self._start = ClearStart(first, self.config.start_clearance)

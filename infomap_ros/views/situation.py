@@ -128,6 +128,8 @@ class Situation:
         teammates: the other robots.
         views_so_far: number of views taken before.
         past_views: ``T_map_camera`` of them as far as known, shape (V, 4, 4).
+        kept_shares: share of what each of them could tell that it has told, shape (V,), NaN where
+            that is not known; see `views.kept_promises`. Empty where it is known of none.
         free_body: the robot's own body in the map frame: space that is free whatever the map says.
         clear_space: space that is declared free, map frame; what the map knows to be occupied is.
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
@@ -154,6 +156,7 @@ class Situation:
     teammates: Sequence[Teammate] = ()
     views_so_far: int = 0
     past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    kept_shares: FloatArray = field(default_factory=lambda: np.empty(0))
     free_body: Sequence[PlacedSolid] = ()
     clear_space: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
@@ -172,6 +175,10 @@ class Situation:
             raise InvalidInputError("heights", f"{self.heights} is not a band")
         past = float_array(self.past_views, "past_views").reshape(-1, 4, 4)
         object.__setattr__(self, "past_views", past)
+        shares = float_array(self.kept_shares, "kept_shares")
+        if shares.shape not in ((0,), (len(past),)):
+            raise InvalidInputError("kept_shares", f"shape {shares.shape} for {len(past)} views")
+        object.__setattr__(self, "kept_shares", shares)
         views = check_transforms(self.arm_views, "arm_views")
         object.__setattr__(self, "arm_views", views)
         if self.positions_hint is not None:

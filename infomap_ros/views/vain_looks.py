@@ -80,6 +80,10 @@ class VainLooks:
         counts = np.concatenate([self._counts[still], weights])
         self._counts = np.bincount(place, counts, len(self._keys)).astype(np.float64)
 
+    def are_given_up(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether voxels are given up, by their packed indices, shape (K,)."""
+        return np.isin(keys, self._keys[self._counts >= self.config.patience])
+
     def without_them(self, voxel_map: VoxelMap) -> VoxelMap:
         """A copy of the map in which the voxels that are given up count as free.
 

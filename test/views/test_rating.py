@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localisation_error import OdometryDrift, OdometryDriftConfig
@@ -117,6 +117,36 @@ def test_what_a_like_view_has_not_told_is_taken_off(situation: Situation) -> Non
     np.testing.assert_allclose(rated.terms["repetition"], expected, atol=1e-3)
     left = np.array(information) + rated.terms["repetition"]
     np.testing.assert_allclose(rated.shares, left / 100.0)
+
+
+def test_a_view_is_trusted_as_far_as_views_of_its_elevation_have_kept_their_promises(
+    situation: Situation,
+) -> None:
+    """Of three views upwards one told a half and two nothing; a level one told all."""
+    up, level = facing(0.0, (1.5, 2.0, 1.2), 0.6), facing(0.0, (1.5, 2.0, 1.2))
+    past, kept = np.stack([up, up, up, level]), np.array((0.5, 0.0, 0.0, 1.0))
+    now = with_fields(situation, past_views=past, kept_shares=kept)
+    config = RatingConfig(trust_distance=1e3, trust_credit=0.5, repetition_elevation=0.05)
+    beside = facing(0.0, (2.5, 2.5, 1.2), 0.6)
+    turned = facing(2.0, (1.5, 2.0, 1.2), 0.6)
+    rated = Rating(config).rate(
+        options_of(now, [beside, turned, level], [40.0, 40.0, 40.0], source=Prescribed({}))
+    )
+    alike = 3.0 * np.exp(-0.5 * (2.0 * np.cos(0.6) / config.trust_azimuth) ** 2)
+    shares = [2.5 / 3.5, (2.5 / 3.0) * alike / (alike + 0.5), 0.0]
+    np.testing.assert_allclose(rated.terms["repetition"], -40.0 * np.array(shares), atol=1e-6)
+
+
+def test_of_views_that_are_not_known_to_have_told_nothing_is_concluded(
+    situation: Situation,
+) -> None:
+    level = facing(0.0, (1.5, 2.0, 1.2))
+    for kept in (np.array((np.nan,)), np.empty(0)):
+        now = with_fields(situation, past_views=level[None], kept_shares=kept)
+        rated = Rating().rate(options_of(now, [level], [40.0], source=Prescribed({})))
+        np.testing.assert_array_equal(rated.terms["repetition"], 0.0)
+    with pytest.raises(InvalidInputError, match="kept_shares"):
+        with_fields(situation, past_views=level[None], kept_shares=np.ones(2))
 
 
 def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:

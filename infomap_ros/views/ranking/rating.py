@@ -82,6 +82,23 @@ class RatingConfig:
     repetition_elevation: float = parameter(
         0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
     )
+    trust_distance: float = parameter(
+        4.0,
+        "Distance over which the share that views of an elevation have told of what they could "
+        "tell says less of other views.",
+        unit="m",
+        low=0.001,
+        high=1000.0,
+    )
+    trust_azimuth: float = parameter(
+        3.0, "Turn over which it says less.", unit="rad", low=0.001, high=10.0
+    )
+    trust_credit: float = parameter(
+        0.3,
+        "So many views count as if they had told all, before others have shown what comes of such.",
+        low=0.001,
+        high=1e6,
+    )
     teammate_sigma: float = parameter(
         0.5,
         "Width of the Gaussian by which the risk falls off around a teammate.",
@@ -141,11 +158,7 @@ class Rating:
         self.config = config or RatingConfig()
         weight = self.config.information_weight
         distance = Distance(self.config.position_weights, self.config.rotation_weights)
-        repetition = Repetition(
-            self.config.repetition_distance,
-            self.config.repetition_azimuth,
-            self.config.repetition_elevation,
-        )
+        repetition = _repetition(self.config)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
@@ -171,3 +184,10 @@ class Rating:
             share = weight / max(self.config.information_weight, 1e-12)
             shares += share * values[term.name] / options.full_view
         return Ratings(values, total - risk * np.abs(total), shares, self.config)
+
+
+def _repetition(config: RatingConfig) -> Repetition:
+    elevation = config.repetition_elevation
+    near = config.repetition_distance, config.repetition_azimuth, elevation
+    wide = config.trust_distance, config.trust_azimuth, elevation
+    return Repetition(near, wide, config.trust_credit)

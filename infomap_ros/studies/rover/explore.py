@@ -97,7 +97,7 @@ class RoverTask:
         )
         return ExplorationOptions(
             world=WorldConfig(self.config.world, self.seed, self.config.size),
-            task=TaskConfig(known_fraction=1.0, max_views=self.views),
+            task=TaskConfig(known_fraction=1.0, max_views=self.views, vain_views=self.views),
             planner=self._planner(),
             robot=ExploringRobotConfig(pose_source="simulator"),
             simulator=SimulatorConfig(camera=camera),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
+from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
 from infomap_ros.mapping.voxels.keys import KEY_X, KEY_Y, table_slot, unpack
 
 POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
@@ -135,16 +136,6 @@ def _row_of(table: Any, cubes: Any, places: Any, keys: Any, sums: Any, used: Any
 
 
 @kernel
-def axis_start(position: float, direction: float, cell: int) -> tuple[int, float, float]:
-    """Step, parameter of the first crossing and its increment along one axis of a traversal."""
-    if direction > 0.0:
-        return 1, (cell + 1 - position) / direction, 1.0 / direction
-    if direction < 0.0:
-        return -1, (cell - position) / direction, -1.0 / direction
-    return 0, np.inf, np.inf
-
-
-@kernel
 def add_group(
     table: Any,
     cubes: Any,
@@ -180,27 +171,17 @@ def add_group(
     ox, oy, oz = group[1] / back, group[2] / back, group[3] / back
     rx, ry, rz = reach[0], reach[1], reach[2]
     x, y, z = ox + 0.5 - rx, oy + 0.5 - ry, oz + 0.5 - rz
-    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    step_x, next_x, delta_x = axis_start(x, 2.0 * rx, i)
-    step_y, next_y, delta_y = axis_start(y, 2.0 * ry, j)
-    step_z, next_z, delta_z = axis_start(z, 2.0 * rz, k)
+    voxel, crossings, steps, deltas = begin_walk(x, y, z, 2.0 * rx, 2.0 * ry, 2.0 * rz)
     leave, stored = 0.0, True
     while leave <= 1.0 and stored:
+        i, j, k = voxel
         near = key + (np.int64(i) << KEY_X) + (np.int64(j) << KEY_Y) + k
         row = _row_of(table, cubes, places, keys, sums, used, near)
         stored = row >= 0
         if stored:
             _add_to_row(sums, row, i * back, j * back, k * back, group)
-        leave = min(next_x, min(next_y, next_z))
-        if next_x == leave:
-            i += step_x
-            next_x += delta_x
-        elif next_y == leave:
-            j += step_y
-            next_y += delta_y
-        else:
-            k += step_z
-            next_z += delta_z
+        leave = way_through(crossings)
+        voxel, crossings = next_voxel(voxel, crossings, steps, deltas)
     return stored
 
 

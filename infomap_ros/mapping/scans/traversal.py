@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping.scans.association import NEAREST, set_reach, voxel_position, within_limit
 from infomap_ros.mapping.scans.cloud_normals import CELL_VOXELS, normal_at
+from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
 from infomap_ros.mapping.scans.scan import (
     INSIDE,
     SUM_COLUMNS,
     add_group,
-    axis_start,
     row_centre,
     row_of,
 )
@@ -173,15 +173,12 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
         False when the scratch storage is full.
     """
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-    i, j, k = int(np.floor(start[0])), int(np.floor(start[1])), int(np.floor(start[2]))
     last = pack(int(np.floor(end[0])), int(np.floor(end[1])), int(np.floor(end[2])))
-    step_x, next_x, delta_x = axis_start(start[0], dx, i)
-    step_y, next_y, delta_y = axis_start(start[1], dy, j)
-    step_z, next_z, delta_z = axis_start(start[2], dz, k)
+    voxel, crossings, steps, deltas = begin_walk(start[0], start[1], start[2], dx, dy, dz)
     block_key, row = np.int64(-1), np.int64(-1)
-    while pack(i, j, k) != last:
-        leave = min(next_x, min(next_y, next_z))
-        if leave > length:
+    while True:
+        i, j, k = voxel
+        if pack(i, j, k) == last or way_through(crossings) > length:
             return True
         key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
         if key != block_key:
@@ -190,16 +187,7 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
                 return False
         local = local_index(i, j, k)
         marks.bits[row, local >> 6] |= _ONE << np.uint64(local & 63)
-        if next_x == leave:
-            i += step_x
-            next_x += delta_x
-        elif next_y == leave:
-            j += step_y
-            next_y += delta_y
-        else:
-            k += step_z
-            next_z += delta_z
-    return True
+        voxel, crossings = next_voxel(voxel, crossings, steps, deltas)
 
 
 @njit(cache=True, nogil=True)
@@ -272,26 +260,16 @@ def cast_rays(
     for ray in range(len(origins)):
         x, y, z = origins[ray] * inverse_size
         dx, dy, dz = directions[ray] * inverse_size
-        i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-        step_x, next_x, delta_x = axis_start(x, dx, i)
-        step_y, next_y, delta_y = axis_start(y, dy, j)
-        step_z, next_z, delta_z = axis_start(z, dz, k)
+        voxel, crossings, steps, deltas = begin_walk(x, y, z, dx, dy, dz)
         block_key, slot, entered = np.int64(-1), np.int64(-1), 0.0
         distances[ray], hits[ray] = max_range, False
         while entered < max_range:
+            i, j, k = voxel
             key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
             if key != block_key:
                 block_key, slot = key, np.int64(find_block(blocks, key))
             if slot >= 0 and quanta_at(blocks, slot, local_index(i, j, k))[1] > 0:
                 distances[ray], hits[ray] = entered, True
                 break
-            entered = min(next_x, min(next_y, next_z))
-            if next_x == entered:
-                i += step_x
-                next_x += delta_x
-            elif next_y == entered:
-                j += step_y
-                next_y += delta_y
-            else:
-                k += step_z
-                next_z += delta_z
+            entered = way_through(crossings)
+            voxel, crossings = next_voxel(voxel, crossings, steps, deltas)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from infomap_ros.mapping.scans.scan import axis_start
+from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
 from infomap_ros.views.information.field import code_at
 from infomap_ros.views.information.ray_kernels import turned
 
@@ -29,7 +28,7 @@ def walk(
     path: Any,
     voxels: Any,
 ) -> int:
-    """Follow a ray through the grid (Amanatides and Woo 1987) to the first voxel that ends it.
+    """Follow a ray through the grid to the first voxel that ends it.
 
     Args:
         origin: relative to the directory, tuple [voxels].
@@ -45,28 +44,17 @@ def walk(
         Number of voxels, the one that ends the ray included.
     """
     x, y, z = origin
-    dx, dy, dz = direction
-    i, j, k = math.floor(x), math.floor(y), math.floor(z)
-    step_x, next_x, delta_x = axis_start(x, dx, i)
-    step_y, next_y, delta_y = axis_start(y, dy, j)
-    step_z, next_z, delta_z = axis_start(z, dz, k)
+    voxel, crossings, steps, deltas = begin_walk(x, y, z, direction[0], direction[1], direction[2])
     count, entered = 0, 0.0
     while entered < reach and count < len(path):
+        i, j, k = voxel
         path[count] = code_at(directory, codes, i, j, k)
         voxels[count, 0], voxels[count, 1], voxels[count, 2] = i, j, k
         count += 1
         if ends[path[count - 1]]:
             break
-        entered = min(next_x, min(next_y, next_z))
-        if next_x == entered:
-            i += step_x
-            next_x += delta_x
-        elif next_y == entered:
-            j += step_y
-            next_y += delta_y
-        else:
-            k += step_z
-            next_z += delta_z
+        entered = way_through(crossings)
+        voxel, crossings = next_voxel(voxel, crossings, steps, deltas)
     return count
 
 

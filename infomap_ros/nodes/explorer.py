@@ -27,17 +27,12 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.keep_clear import (
-    PAUSE,
-    KeepClearConfig,
-    KeepsClear,
-    Surroundings,
-)
+from infomap_ros.exploration.team.awareness import Awareness
+from infomap_ros.exploration.team.keep_clear import PAUSE, KeepClearConfig, KeepsClear
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
@@ -146,7 +141,7 @@ class ExplorerNode(MonitoredNode):
         log = RunLogFile(Path(self._config.log_file).absolute(), append=goes_on)
         self._log = log
         self._exploration = Exploration(
-            KeepsClear(self._robot, self._surroundings(), self.config(KeepClearConfig)),
+            KeepsClear(self._robot, self._awareness(), self.config(KeepClearConfig)),
             self._planner,
             self.config(TaskConfig),
             log,
@@ -159,12 +154,13 @@ class ExplorerNode(MonitoredNode):
         self._thread.start()
         return f"going on after {mission.views} views" if goes_on else "exploration begins"
 
-    def _surroundings(self) -> Surroundings:
+    def _awareness(self) -> Awareness:
         """Teammates are in the map: who still looks for its target does not know where they are."""
         tracker, robot = self._tracker, self._robot
-        return Surroundings(
+        return Awareness(
             robot.place,
-            lambda: body_extent(tracker.robot, tracker.joint_positions())[0],
+            tracker.joint_positions,
+            lambda joints: tracker.robot.solids_in(tracker.robot.base_frame, joints),
             lambda: () if robot.in_odometry else self._teammates.present(),
             lambda: tracker.wait_until(lambda: False, PAUSE, self._stopped),
             self._say,

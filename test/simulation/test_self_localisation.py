@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,6 +128,25 @@ def test_a_view_without_known_fiducials_is_taken_again(
         with pytest.raises(PoseUnavailableError):
             poses.take_scan(explored.map)
     assert len(taken) == pairs
+
+
+def test_what_was_kept_tells_the_pose_without_the_target(
+    explored: ExplorationRun, tmp_path: Path
+) -> None:
+    poses = explored._robot.poses
+    assert isinstance(poses, SelfLocalisation)
+    poses.save(tmp_path / "localisation.infomap")
+    again = SelfLocalisation(explored.simulator, poses._robot, explored.options.robot.stereo)
+    again.resume(tmp_path / "localisation.infomap")
+    again.initialise()
+
+    assert again.last is not None
+    assert not again.last.target_seen
+    audited = explored.audit.audit(explored.simulator.stamp, again.pose())
+    assert np.linalg.norm(audited.error[:3]) < 0.06
+    assert (
+        again.localizer.fiducials().positions.shape == poses.localizer.fiducials().positions.shape
+    )
 
 
 def test_a_world_without_target_is_refused() -> None:

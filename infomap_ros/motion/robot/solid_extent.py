@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -54,16 +54,22 @@ def body_extent(
     Raises:
         RobotModelError: a joint that moves a solid is missing.
     """
+    return upright_extent(robot.solids_in(robot.base_frame, joint_positions))
+
+
+def upright_extent(solids: Iterable[PlacedSolid]) -> tuple[float, float, float]:
+    """As `body_extent`, of solids that are placed in the base frame."""
     radius, bottom, top = 0.0, 0.0, 0.0
-    for placed in robot.solids_in(robot.base_frame, joint_positions):
-        low, high = _quick_extent(placed)
+    for placed in solids:
+        low, high = quick_extent(placed)
         corners = np.maximum(np.abs(low[:2]), np.abs(high[:2]))
         radius = max(radius, float(np.hypot(*corners)))
         bottom, top = min(bottom, float(low[2])), max(top, float(high[2]))
     return radius, bottom, top
 
 
-def _quick_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
+def quick_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
+    """As `solid_extent`, but polytopes count by the spheres that hold them."""
     if not isinstance(placed.solid, ConvexPolytope):
         return solid_extent(placed)
     middle, reach = placed.transform[:3, 3], placed.solid.bounding_radius

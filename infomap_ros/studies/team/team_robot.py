@@ -17,7 +17,8 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear, Surroundings
+from infomap_ros.exploration.team.awareness import Awareness
+from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear
 from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
@@ -25,7 +26,6 @@ from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.exploration_run import localisation_error
 from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
@@ -112,7 +112,7 @@ class TeamRobot:
         log = RunLogFile(outfit.folder / LOG_FILE, goes_on, clock=lambda: simulator.time)
         log.write("start", task=dataclasses.asdict(outfit.task), robot=f"robot {outfit.number}")
         self._exploration = Exploration(
-            KeepsClear(self._robot, self._surroundings()),
+            KeepsClear(self._robot, self._awareness()),
             self,
             outfit.task,
             log,
@@ -144,11 +144,12 @@ class TeamRobot:
         """Whether the budget of views is not spent."""
         return self.mission.views < self.outfit.task.max_views
 
-    def _surroundings(self) -> Surroundings:
+    def _awareness(self) -> Awareness:
         simulator, model = self._simulator, self.outfit.model
-        return Surroundings(
+        return Awareness(
             lambda: planar_pose(self._robot.state().T_map_base),
-            lambda: body_extent(model, self._robot.state().joints)[0],
+            lambda: self._robot.state().joints,
+            lambda joints: model.solids_in(model.base_frame, joints),
             lambda: self._teamwork.present(simulator.time),
             lambda: self._let_pass(PAUSE),
             lambda state, reason: self._exploration.say(state, reason),

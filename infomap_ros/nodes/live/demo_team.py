@@ -9,8 +9,6 @@ failed, as when the robots do not end with the same map.
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,16 +19,25 @@ from rich.status import Status
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.reports.team_report import write_team_report
-from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.nodes.live.demo_command import run_demo_command
+from infomap_ros.nodes.live.demo_exploration import (
+    REPORT_FILE,
+    add_exploration_options,
+    check_not_failed,
+    drop_results,
+    empty_folder,
+    robot_results,
+    status_line,
+    task_parameters,
+    write_summary,
+)
 from infomap_ros.nodes.live.kernels import compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
-from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.simulation.exploring.exploration_run import task_in
+from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
@@ -47,8 +54,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         InfomapError: it could not be done; says why.
     """
     out: Path = options.out
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
+    empty_folder(out)
     world = make_world(options.world, options.seed, size=options.size)
     begin = time.monotonic()
     status = Status("compiling kernels", console=console)
@@ -56,7 +62,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     with run, status:
 
         def show() -> None:
-            status.update(" | ".join(status_line(run, name) for name in run.names))
+            status.update(" | ".join(status_line(run.figures[n], n) for n in run.names))
 
         compile_kernels(
             lambda step: status.update(f"compiling kernels, minutes the first time: {step}")
@@ -76,32 +82,14 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     results |= {"seconds to compile": round(ready, 1)}
     results["seconds"] = round(time.monotonic() - begin, 1)
     _write_results(run, world, options, results)
-    failed = [name for name in run.names if results[f"{name} end"] == "failed"]
-    if failed:
-        detail = run.figures[failed[0]]["last reason"]
-        raise ProcessError(f"{failed[0]}: {detail}; see {run.folders[failed[0]] / 'log'}")
+    for name, folder in run.folders.items():
+        check_not_failed(results, folder, name)
     return results
 
 
-def status_line(run: LiveTeam, name: str) -> str:
-    """What a robot is doing, and how far the map is as it knows it."""
-    figures = run.figures[name]
-    if not figures:
-        return f"{name} is starting"
-    parts = [f"{name} {figures['state']}", f"{figures['views']} views"]
-    if "known fraction" in figures:
-        parts.append(f"{100.0 * float(figures['known fraction']):.0f} % known")
-    return ", ".join(parts)
-
-
 def _parameters(options: argparse.Namespace, world: World) -> dict[str, dict[str, object]]:
-    region = task_in(world, TaskConfig(), world.T_world_target)
-    task = {
-        "task.max_views": options.max_views,
-        "task.known_fraction": options.known_fraction,
-        "task.region_low": list(region.region_low),
-        "task.region_high": list(region.region_high),
-    }
+    limits = {"max_views": options.max_views, "known_fraction": options.known_fraction}
+    task = task_parameters(world, limits)
     return {
         "simulator": {
             "world": options.world,
@@ -147,12 +135,8 @@ def _results(run: LiveTeam, options: argparse.Namespace, agreed: str) -> dict[st
         "contacts": sum(run.contacts.values()),
     }
     for name, figures in run.figures.items():
-        results[f"{name} end"] = figures["state"].removeprefix("ended: ")
-        for figure in ("views", "distance [m]", "known fraction"):
-            known = figures.get(figure)
-            results[f"{name} {figure}"] = None if known is None else float(known)
-    drops = run.state.drops()
-    return results | {f"dropped: {reason}": count for reason, count in sorted(drops.items())}
+        results |= robot_results(figures, name)
+    return results | drop_results(run.state)
 
 
 def _write_results(
@@ -169,9 +153,9 @@ def _write_results(
     results["true coverage"] = round(
         surface_coverage(shared, transform_points(T_map_world, visible)), 4
     )
-    (out / SUMMARY_FILE).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_summary(out, results)
     write_team_report(
-        out / "report.html",
+        out / REPORT_FILE,
         {name: folder / LOG_FILE for name, folder in run.folders.items()},
         shared,
         f"{len(run.names)} rovers explore {options.world}, seed {options.seed}",
@@ -205,13 +189,9 @@ def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
     parser = argparse.ArgumentParser(prog="infomap demo-team", description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("out/demo-team"))
-    parser.add_argument("--world", default="mars", help="mars, office or cave")
-    parser.add_argument("--seed", type=int, default=1, help="of the world")
+    add_exploration_options(parser, "out/demo-team", max_views=12, voxel_size=0.06)
     parser.add_argument("--size", type=float, default=5.0, help="of the world [m]")
-    parser.add_argument("--max-views", type=int, default=12, help="of each rover")
     parser.add_argument("--known-fraction", type=float, default=0.9, help="that is enough")
-    parser.add_argument("--voxel-size", type=float, default=0.06, help="[m]")
     parser.add_argument("--width", type=int, default=320, help="of the images [px]")
     parser.add_argument("--loss", type=float, default=0.2, help="share of the team's messages")
     parser.add_argument(

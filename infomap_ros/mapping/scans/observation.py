@@ -193,13 +193,7 @@ def observe_rows(
         if count == 0.0:
             continue
         share = 1.0 / count
-        x, y, z = unpack(rows.keys[row])
-        ox, oy, oz = sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share
-        arm = (
-            (x + 0.5) * size + ox - t[0],
-            (y + 0.5) * size + oy - t[1],
-            (z + 0.5) * size + oz - t[2],
-        )
+        offset, arm = _place(sums, row, share, unpack(rows.keys[row]), size, t)
         nx, ny, nz = np.float64(sums[row, 10]), np.float64(sums[row, 11]), np.float64(sums[row, 12])
         sides[row] = side_of(nx, ny, nz)
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -208,7 +202,7 @@ def observe_rows(
             normal = (nx / length, ny / length, nz / length)
             variance = _smooth_variance(sums, row, sensor.rotation, scatter, normal, patch)
             variance += max(0.0, pose_variance_along(pose_covariance, arm, normal))
-            inside, inverse = _observe_smooth((ox, oy, oz), normal, variance, size, patch)
+            inside, inverse = _observe_smooth(offset, normal, variance, size, patch)
         else:
             total = _sum(
                 _rotate_symmetric(sensor.rotation, _covariance_sums(sums, row), scatter),
@@ -218,11 +212,30 @@ def observe_rows(
         if inverse[0] == 0.0:
             continue
         hits[row] = int(hit_quanta * inside + 0.5)
-        for i in range(6):
-            information[row, i] = inverse[i]
-        information[row, 6] = inverse[0] * ox + inverse[1] * oy + inverse[2] * oz
-        information[row, 7] = inverse[1] * ox + inverse[3] * oy + inverse[4] * oz
-        information[row, 8] = inverse[2] * ox + inverse[4] * oy + inverse[5] * oz
+        _write_information(information, row, inverse, offset)
+
+
+@kernel
+def _place(sums: Any, row: int, share: float, voxel: Any, size: float, origin: Any) -> Any:
+    """Mean of a row's points, relative to the voxel's centre and to the sensor [m], map frame."""
+    offset = (sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share)
+    arm = (
+        (voxel[0] + 0.5) * size + offset[0] - origin[0],
+        (voxel[1] + 0.5) * size + offset[1] - origin[1],
+        (voxel[2] + 0.5) * size + offset[2] - origin[2],
+    )
+    return offset, arm
+
+
+@kernel
+def _write_information(information: Any, row: int, inverse: Any, mean: Any) -> None:
+    """Write the information matrix `inverse` and the vector for a mean, both tuples."""
+    x, y, z = mean
+    for i in range(6):
+        information[row, i] = inverse[i]
+    information[row, 6] = inverse[0] * x + inverse[1] * y + inverse[2] * z
+    information[row, 7] = inverse[1] * x + inverse[3] * y + inverse[4] * z
+    information[row, 8] = inverse[2] * x + inverse[4] * y + inverse[5] * z
 
 
 @kernel

@@ -145,6 +145,7 @@ def gather_organised(
     width = points.shape[1]
     reach, axis, normal, group = groups.reach, groups.axis, groups.normal, groups.one
     shared = len(covariances) == 1
+    # In one piece: a kernel of its own for a tile takes a tenth of the time more.
     for v0 in range(first_row, last_row, TILE):
         for u0 in range(0, width, TILE):
             v, u = _tile_centre(points, v0, u0)

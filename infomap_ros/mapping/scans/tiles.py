@@ -17,6 +17,7 @@ from infomap_ros.mapping.voxels.keys import pack
 
 TILE = 8
 PIXELS = TILE * TILE
+_NOTHING = (0.0,) * 10
 
 
 class TileGroups(NamedTuple):
@@ -129,13 +130,10 @@ def gather_tile(
         tallies: see points.
     """
     height, width = points.shape[0], points.shape[1]
-    c0, c1, c2, c3, c4, c5 = columns
     keys, sums, used = groups.keys, groups.sums, 0
     squared_range = sensor.max_range**2
     stride = 0 if len(covariances) == 1 else 1
-    i = j = k = np.inf
-    key = np.int64(0)
-    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
+    corner, key, run = (np.inf, np.inf, np.inf), np.int64(0), _NOTHING
     for v in range(v0, min(v0 + TILE, height)):
         for u in range(u0, min(u0 + TILE, width)):
             x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
@@ -147,30 +145,50 @@ def gather_tile(
                 depth = z * sensor.max_range / np.sqrt(squared)
                 tallies[1] += 1
             else:
-                row = stride * (v * width + u)
-                a, d, f = covariances[row, c0], covariances[row, c3], covariances[row, c5]
-                if not (a > 0.0 and d > 0.0 and f > 0.0 and a + d + f < np.inf):
+                covariance = _covariance(covariances, stride * (v * width + u), columns)
+                if not _has_variances(covariance):
                     tallies[3] += 1
                     continue
-                mx, my, mz = voxel_position(sensor, x, y, z)
-                if not within_limit(mx, my, mz):
+                place = voxel_position(sensor, x, y, z)
+                if not within_limit(place[0], place[1], place[2]):
                     tallies[2] += 1
                     continue
-                dx, dy, dz = mx - i, my - j, mz - k
-                if not (0.0 <= dx < 1.0 and 0.0 <= dy < 1.0 and 0.0 <= dz < 1.0):
-                    used = _add_run(
-                        keys, sums, used, key, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz)
-                    )
-                    count = ox = oy = oz = xx = xy = xz = yy = yz = zz = 0.0
-                    i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
-                    key = pack(int(i), int(j), int(k))
-                    dx, dy, dz = mx - i, my - j, mz - k
-                count += 1.0
-                ox, oy, oz = ox + (dx - 0.5), oy + (dy - 0.5), oz + (dz - 0.5)
-                xx, yy, zz = xx + a, yy + d, zz + f
-                xy += covariances[row, c1]
-                xz += covariances[row, c2]
-                yz += covariances[row, c4]
+                if not _lies_in(place, corner):
+                    used = _add_run(keys, sums, used, key, run)
+                    corner = np.floor(place[0]), np.floor(place[1]), np.floor(place[2])
+                    key, run = pack(int(corner[0]), int(corner[1]), int(corner[2])), _NOTHING
+                run = _with_point(run, place, corner, covariance)
             lower[v >> 1, u >> 1] = min(lower[v >> 1, u >> 1], depth)
             upper[v >> 1, u >> 1] = max(upper[v >> 1, u >> 1], depth)
-    return _add_run(keys, sums, used, key, (count, ox, oy, oz, xx, xy, xz, yy, yz, zz))
+    return _add_run(keys, sums, used, key, run)
+
+
+@kernel
+def _covariance(covariances: Any, row: int, columns: Any) -> Any:
+    """Upper triangle of a covariance as a tuple."""
+    c0, c1, c2, c3, c4, c5 = columns
+    c = covariances
+    return c[row, c0], c[row, c1], c[row, c2], c[row, c3], c[row, c4], c[row, c5]
+
+
+@kernel
+def _has_variances(c: Any) -> bool:
+    """Whether the variances of an upper triangle are positive and finite."""
+    return c[0] > 0.0 and c[3] > 0.0 and c[5] > 0.0 and c[0] + c[3] + c[5] < np.inf
+
+
+@kernel
+def _lies_in(place: Any, corner: Any) -> bool:
+    """Whether a point lies in the voxel with this lower corner [voxels]."""
+    dx, dy, dz = place[0] - corner[0], place[1] - corner[1], place[2] - corner[2]
+    return 0.0 <= dx < 1.0 and 0.0 <= dy < 1.0 and 0.0 <= dz < 1.0
+
+
+@kernel
+def _with_point(run: Any, place: Any, corner: Any, c: Any) -> Any:
+    """A run as `_add_run` takes it, with one more point of its voxel."""
+    count, ox, oy, oz, xx, xy, xz, yy, yz, zz = run
+    ox, oy = ox + (place[0] - corner[0] - 0.5), oy + (place[1] - corner[1] - 0.5)
+    oz = oz + (place[2] - corner[2] - 0.5)
+    xx, xy, xz = xx + c[0], xy + c[1], xz + c[2]
+    return count + 1.0, ox, oy, oz, xx, xy, xz, yy + c[3], yz + c[4], zz + c[5]

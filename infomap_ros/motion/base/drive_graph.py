@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_kernels import BLOCKED, CLEAR, UNASKED, empty_lattice, wrapped
 from infomap_ros.motion.base.quick_stance import is_good
@@ -99,7 +100,7 @@ def _shares(step: NDArray[np.int64]) -> list[float]:
     return [n / count for n in range(1, count)]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ask_node(nodes: Any, i: int, j: int, h: int, grid: Any, ground: Any) -> Any:
     """State of a node that was not asked yet."""
     x, y = grid[0] + (i + 0.5) * grid[2], grid[1] + (j + 0.5) * grid[2]
@@ -131,7 +132,7 @@ def ask_turn(
     return turns[i, j, h]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ask_move(moves: Any, i: int, j: int, h: int, grid: Any, ground: Any) -> Any:
     """State of what lies on a move forwards that was not asked yet."""
     dx, dy, edge = MOVES[h, 0], MOVES[h, 1], grid[2]

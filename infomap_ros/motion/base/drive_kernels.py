@@ -10,9 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.motion.base.quick_stance import is_good
 
 UNASKED, CLEAR, BLOCKED = 0, 1, 2
@@ -25,13 +25,13 @@ def empty_lattice(easy: NDArray[np.bool_], headings: int) -> NDArray[np.uint8]:
     return np.repeat(states[:, :, None], headings, axis=2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def wrapped(angle: float) -> float:
     """The same angle within -pi .. pi [rad]."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def legs_of(
     ax: float, ay: float, ayaw: float, bx: float, by: float, byaw: float, reverse: bool
 ) -> tuple[float, float, float]:
@@ -49,7 +49,7 @@ def legs_of(
     return first, length, last
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def counts_of(first: float, length: float, last: float, spacing: float, angle: float) -> Any:
     """Steps of the three legs, none longer than `spacing` [m] or `angle` [rad]."""
     return (
@@ -59,7 +59,7 @@ def counts_of(first: float, length: float, last: float, spacing: float, angle: f
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pose_at(a: Any, b: Any, legs: Any, counts: Any, step: int) -> tuple[float, float, float]:
     """Place after a number of steps of the way from a to b."""
     turn, drive, last = counts
@@ -73,7 +73,7 @@ def pose_at(a: Any, b: Any, legs: Any, counts: Any, step: int) -> tuple[float, f
     return b[0], b[1], heading + (step - turn - drive) / last * legs[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cell_of(shape: Any, grid: Any, x: float, y: float, yaw: float) -> tuple[int, int, int]:
     """Cell of the lattice that holds a place; i = -1 outside. grid: x, y of its corner, edge."""
     nx, ny, headings = shape
@@ -84,7 +84,7 @@ def cell_of(shape: Any, grid: Any, x: float, y: float, yaw: float) -> tuple[int,
     return int(u), int(v), k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def known_drive(lattice: Any, grid: Any, a: Any, b: Any, reverse: bool) -> int:
     """Whether the way from a to b is CLEAR or BLOCKED; UNASKED where a cell was not asked yet."""
     angle = 2.0 * math.pi / lattice.shape[2]
@@ -99,7 +99,7 @@ def known_drive(lattice: Any, grid: Any, a: Any, b: Any, reverse: bool) -> int:
     return CLEAR
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def known_drive_in_cells(
     lattice: Any,
     ax: float,
@@ -114,7 +114,7 @@ def known_drive_in_cells(
     return known_drive(lattice, (0.0, 0.0, 1.0), (ax, ay, ayaw), (bx, by, byaw), reverse)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ask_cell(
     lattice: Any, grid: Any, i: int, j: int, k: int, ground: Any,
 ) -> int:  # fmt: skip
@@ -127,7 +127,7 @@ def ask_cell(
     return int(lattice[i, j, k])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ask_drive(
     lattice: Any, grid: Any, a: Any, b: Any, reverse: bool, ground: Any,
 ) -> int:  # fmt: skip
@@ -143,7 +143,7 @@ def ask_drive(
     return CLEAR
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drives_well(
     places: Any, reverse: bool, spacing: float, angle: float, ground: Any, fault: Any,
 ) -> bool:  # fmt: skip

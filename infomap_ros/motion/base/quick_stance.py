@@ -11,10 +11,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.easy_ground import steepest_balanced
 from infomap_ros.motion.base.settling import settle
@@ -108,7 +108,7 @@ def _pieces(columns: FloatArray, spacing: float) -> FloatArray:
     return np.concatenate([np.zeros((0, 4)), *pieces])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_good(ground: Any, x: float, y: float, yaw: float) -> bool:
     """Whether the robot may stand at x, y [m, map], heading yaw [rad]; `ground` is a `Ground`."""
     terrain, vehicle, quick = ground.terrain, ground.vehicle, ground.quick
@@ -131,7 +131,7 @@ def is_good(ground: Any, x: float, y: float, yaw: float) -> bool:
     return judge(terrain, vehicle, pose, gaps, measures) == STANDS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _on_soft_ground(terrain: Any, vehicle: Any, quick: Any, pose: Any) -> bool:
     """Whether no step or roughness beyond the limits is near a wheel."""
     inverse = 1.0 / terrain.resolution
@@ -144,7 +144,7 @@ def _on_soft_ground(terrain: Any, vehicle: Any, quick: Any, pose: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _is_clear(terrain: Any, quick: Any, pose: Any) -> bool:
     """Whether all pieces of the body are above all ground and below all obstacles near them."""
     bottom, top, pieces = quick.bottom, quick.top, quick.pieces

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numba import njit
+from infomap_ros.geometry.kernel import kernel
 
 _SETTLING_STEPS = 3  # the last with all points of the treads, those before with the lowest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def interpolate_height(heights: Any, u: float, v: float) -> float:
     """Height between cell middles, u and v in cells from the grid's corner; NaN where unknown."""
     u, v = u - 0.5, v - 0.5
@@ -24,7 +23,7 @@ def interpolate_height(heights: Any, u: float, v: float) -> float:
     return float(low + t * (high - low))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tilt_to(pose: Any, yaw: float, slope_x: float, slope_y: float) -> None:
     """Rotation of a pose from its heading and the rise of its plane along x and y of the map."""
     norm = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
@@ -38,7 +37,7 @@ def tilt_to(pose: Any, yaw: float, slope_x: float, slope_y: float) -> None:
     pose[0, 2], pose[1, 2], pose[2, 2] = zx, zy, zz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
     """Let the wheels down on the ground, as equal springs would: by least squares.
 
@@ -57,7 +56,6 @@ def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
     wheels, samples = contacts.shape[0], contacts.shape[1]
     slope_x, slope_y, pose[2, 3] = 0.0, 0.0, 0.0
     tilt_to(pose, yaw, 0.0, 0.0)
-    across = np.empty((wheels, 2))
     for step in range(_SETTLING_STEPS):
         r00, r01, r02, x = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
         r10, r11, r12, y = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
@@ -73,29 +71,35 @@ def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
                     return w
                 highest = max(highest, gap)
             gaps[w] = highest
-            a, b, c = centres[w, 0], centres[w, 1], centres[w, 2]
-            across[w, 0] = r00 * a + r01 * b + r02 * c
-            across[w, 1] = r10 * a + r11 * b + r12 * c
-        lift, rise_x, rise_y = _fit_plane(across, gaps)
+        lift, rise_x, rise_y = _fit_plane((r00, r01, r02), (r10, r11, r12), centres, gaps)
         slope_x, slope_y = slope_x + rise_x, slope_y + rise_y
         tilt_to(pose, yaw, slope_x, slope_y)
         pose[2, 3] += lift
         for w in range(wheels):
-            gaps[w] -= lift + rise_x * across[w, 0] + rise_y * across[w, 1]
+            x, y = _across((r00, r01, r02), centres, w), _across((r10, r11, r12), centres, w)
+            gaps[w] -= lift + rise_x * x + rise_y * y
     return -1
 
 
-@njit(cache=True, nogil=True)
-def _fit_plane(across: Any, gaps: Any) -> tuple[float, float, float]:
-    """Least-squares plane through gaps at points (x, y): value at the origin, slopes."""
+@kernel
+def _across(axis: Any, centres: Any, w: int) -> float:
+    """Where the middle of a wheel is along an axis from the base [m]."""
+    return float(axis[0] * centres[w, 0] + axis[1] * centres[w, 1] + axis[2] * centres[w, 2])
+
+
+@kernel
+def _fit_plane(along_x: Any, along_y: Any, centres: Any, gaps: Any) -> tuple[float, float, float]:
+    """Least-squares plane through the wheels' gaps: value at the origin, slopes."""
     n = len(gaps)
     mx, my, mz = 0.0, 0.0, 0.0
     for w in range(n):
-        mx, my, mz = mx + across[w, 0], my + across[w, 1], mz + gaps[w]
+        mx, my = mx + _across(along_x, centres, w), my + _across(along_y, centres, w)
+        mz += gaps[w]
     mx, my, mz = mx / n, my / n, mz / n
     xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0
     for w in range(n):
-        x, y, z = across[w, 0] - mx, across[w, 1] - my, gaps[w] - mz
+        x = _across(along_x, centres, w) - mx
+        y, z = _across(along_y, centres, w) - my, gaps[w] - mz
         xx, xy, yy, xz, yz = xx + x * x, xy + x * y, yy + y * y, xz + x * z, yz + y * z
     scale = 1.0 / (xx * yy - xy * xy)
     rise_x, rise_y = (yy * xz - xy * yz) * scale, (xx * yz - xy * xz) * scale

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.settling import settle
 
@@ -68,7 +69,7 @@ class VehicleArrays(NamedTuple):
     limits: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tip_margin(pose: Any, support: Any, centre_of_mass: Any) -> float:
     """Smallest angle by which the body must turn about an edge of its support to fall over [rad].
 
@@ -99,7 +100,7 @@ def tip_margin(pose: Any, support: Any, centre_of_mass: Any) -> float:
     return smallest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_within(terrain: Any, x: float, y: float, reach: float) -> bool:
     """Whether all within a distance of a place lies on the grid."""
     nx, ny = terrain.heights.shape
@@ -107,7 +108,7 @@ def is_within(terrain: Any, x: float, y: float, reach: float) -> bool:
     return reach <= u < nx * cells - reach and reach <= v < ny * cells - reach
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _under_wheels(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> None:
     """Largest step and roughness under the wheels."""
     inverse = 1.0 / terrain.resolution
@@ -126,7 +127,7 @@ def _under_wheels(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> None:
     measures[STEP], measures[ROUGHNESS] = step, roughness
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _body_clear(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> int:
     """Compare the body's columns with the ground below and with what is above."""
     bottom, top, columns = terrain.bottom, terrain.top, vehicle.columns
@@ -154,7 +155,7 @@ def _body_clear(terrain: Any, vehicle: Any, pose: Any, measures: Any) -> int:
     return STANDS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _column_outcome(
     terrain: Any, vehicle: Any, n: int, i: int, j: int, k: int, m: int, level: float, r22: float
 ) -> int:
@@ -177,7 +178,7 @@ def _column_outcome(
     return UNSEEN if high > terrain.seen[k, m] and not unseen_is_free else STANDS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stand(
     terrain: Any, vehicle: Any, x: float, y: float, yaw: float, pose: Any, gaps: Any, measures: Any
 ) -> int:
@@ -204,7 +205,7 @@ def stand(
     return judge(terrain, vehicle, pose, gaps, measures)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def judge(terrain: Any, vehicle: Any, pose: Any, gaps: Any, measures: Any) -> int:
     """Outcome of a stance that is settled and lies within the grid; see `stand`."""
     limits = vehicle.limits

@@ -10,7 +10,7 @@ import numpy as np
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 
-_ROUND, _LONG = 1e-6, 0.999
+_EQUAL, _ROUND, _LONG = 1e-14, 1e-6, 0.999
 
 
 def smallest_axes(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -53,6 +53,8 @@ def _smallest_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: fl
     a, b, c = xx - mean, yy - mean, zz - mean
     spread = math.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
     determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    if spread <= _EQUAL * abs(mean):
+        return xx, 1.0, 0.0, 0.0
     shape = 0.5 * determinant / (spread * spread * spread)
     if not (spread > _ROUND * abs(mean) and shape < _LONG):
         return math.nan, math.nan, math.nan, math.nan

@@ -150,6 +150,7 @@ class Contribution:
             known,
             quanta,
             information,
+            np.empty((5, 3)),
         )
 
     def states(self, robot: int, slots: NDArray[np.int64] | None = None) -> MapUpdate:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.voxels.block_kernels import find_block, find_or_add_block
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
@@ -25,7 +25,7 @@ from infomap_ros.team.versions import is_newer
 _ZERO = np.uint64(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mixed(value: Any) -> Any:
     """A word whose bits all depend on all bits of another (the finaliser of SplitMix64)."""
     x = np.uint64(value) + np.uint64(0x9E3779B97F4A7C15)
@@ -34,7 +34,7 @@ def mixed(value: Any) -> Any:
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _state_hash(local: int, log_odds: int, code: Any, other: Any) -> Any:
     """Hash of a voxel's state, 0 where it is not observed."""
     if log_odds == NOT_OBSERVED:
@@ -43,13 +43,13 @@ def _state_hash(local: int, log_odds: int, code: Any, other: Any) -> Any:
     return mixed(mixed(mixed(place) ^ code) ^ other)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_hash(key: Any, content: Any) -> Any:
     """Hash of a block with this key and the sum of its states' hashes; 0 where it is empty."""
     return _ZERO if content == _ZERO else mixed(mixed(np.uint64(key)) ^ content)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def accept_states(
     blocks: Any,
     planes: Any,
@@ -111,7 +111,7 @@ def accept_states(
     return len(versions)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_contribution(
     blocks: Any,
     planes: Any,
@@ -122,6 +122,7 @@ def add_contribution(
     known: Any,
     quanta: Any,
     information: Any,
+    work: Any,
 ) -> None:
     """Add what a robot knows of some voxels to sums.
 
@@ -135,9 +136,9 @@ def add_contribution(
         known: whether any robot knows them, shape (K,).
         quanta: sums of the evidence, shape (K,).
         information: sums of the information, shape (K, 9), double precision.
+        work: scratch, shape (5, 3).
     """
     table, owner, stored = codes.table, codes.owner, codes.information
-    work = np.empty((5, 3))
     last_key, slot = np.int64(-1), np.int64(-1)
     for row in range(len(quanta)):
         x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
@@ -159,7 +160,7 @@ def add_contribution(
             )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_told(planes: Any, slots: Any) -> int:
     """Number of voxels of some blocks of which a state was told."""
     total = 0
@@ -169,7 +170,7 @@ def count_told(planes: Any, slots: Any) -> int:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_told(
     blocks: Any,
     planes: Any,
@@ -199,14 +200,14 @@ def list_told(
             found += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hash_blocks(blocks: Any, planes: Any, hashes: Any) -> None:
     """Hash of each block, see `block_hash`."""
     for slot in range(blocks.counts[BLOCK_COUNT]):
         hashes[slot] = block_hash(blocks.keys[slot], planes.hashes[slot])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_blocks(blocks: Any, coordinates: Any, slots: Any) -> None:
     """Slots of blocks with coordinates (n, 3), -1 where there is none."""
     for row in range(len(coordinates)):
@@ -214,7 +215,7 @@ def find_blocks(blocks: Any, coordinates: Any, slots: Any) -> None:
         slots[row] = find_block(blocks, key)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_keys(keys: Any, coordinates: Any) -> None:
     """Coordinates (n, 3) of packed keys."""
     for row in range(len(keys)):
@@ -222,7 +223,7 @@ def unpack_keys(keys: Any, coordinates: Any) -> None:
         coordinates[row, 0], coordinates[row, 1], coordinates[row, 2] = x, y, z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hash_some(blocks: Any, planes: Any, slots: Any, hashes: Any) -> None:
     """As `hash_blocks`, of some blocks; 0 where the slot is -1."""
     for row in range(len(slots)):
@@ -230,3 +231,24 @@ def hash_some(blocks: Any, planes: Any, slots: Any, hashes: Any) -> None:
         hashes[row] = _ZERO
         if slot >= 0:
             hashes[row] = block_hash(blocks.keys[slot], planes.hashes[slot])
+
+
+@kernel
+def list_blocks(indices: Any, coordinates: Any) -> None:
+    """Coordinates of the blocks of voxels (K, 3), one for each time the block changes on the way.
+
+    Args:
+        indices: of the voxels, shape (K, 3).
+        coordinates: receives those of the blocks, shape (n, 3) with n `count_block_changes`.
+    """
+    found, last = 0, np.int64(-1)
+    for row in range(len(indices)):
+        x, y, z = (
+            indices[row, 0] >> BLOCK_BITS,
+            indices[row, 1] >> BLOCK_BITS,
+            indices[row, 2] >> BLOCK_BITS,
+        )
+        key = pack(x, y, z)
+        if key != last:
+            coordinates[found, 0], coordinates[found, 1], coordinates[found, 2] = x, y, z
+            found, last = found + 1, key

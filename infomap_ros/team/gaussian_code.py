@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -125,24 +126,24 @@ def code_tables() -> NDArray[np.float64]:
     return _TABLES
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sign(value: float) -> float:
     return 1.0 if value >= 0.0 else -1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _signed(word: Any, shift: int) -> Any:
     """16 bits of a word as a signed number."""
     bits = np.int64((word >> np.uint64(shift)) & np.uint64(0xFFFF))
     return (bits ^ 0x8000) - 0x8000
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _byte(word: Any, shift: int) -> Any:
     return np.int64((word >> np.uint64(shift)) & np.uint64(0xFF))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _axes(u: float, v: float, axes: Any) -> None:
     """Normal of octahedron coordinates in [-1, 1], and two axes across it, as rows (3, 3)."""
     z = 1.0 - abs(u) - abs(v)
@@ -164,7 +165,7 @@ def _axes(u: float, v: float, axes: Any) -> None:
     axes[2, 0], axes[2, 1], axes[2, 2] = y * c - z * b, z * a - x * c, x * b - y * a
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _roll(axes: Any, cosine: float, sine: float) -> None:
     """Turn the second and third row about the first."""
     for i in range(3):
@@ -173,7 +174,7 @@ def _roll(axes: Any, cosine: float, sine: float) -> None:
         axes[2, i] = cosine * second - sine * first
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _decode(word: Any, other: Any, tables: Any, offset: Any, axes: Any, sigmas: Any) -> None:
     """Offset (3,) and sigmas (3,) [voxels], and axes as rows (3, 3)."""
     for i in range(3):
@@ -185,7 +186,7 @@ def _decode(word: Any, other: Any, tables: Any, offset: Any, axes: Any, sigmas: 
     _roll(axes, tables[1, roll], tables[2, roll])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def information_of_code(
     word: Any, other: Any, size: float, tables: Any, work: Any, out: Any
 ) -> None:
@@ -240,7 +241,7 @@ def _decode_all(words: Any, tables: Any, offsets: Any, covariances: Any) -> None
                 covariances[row, i, j] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _variance(covariance: Any, axis: Any, other: Any) -> float:
     total = 0.0
     for i in range(3):

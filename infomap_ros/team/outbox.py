@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS
+from infomap_ros.mapping.voxels.voxel_states import count_block_changes
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
+from infomap_ros.team.contribution_kernels import list_blocks
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.sent import SentMessages, message_bytes
 from infomap_ros.team.update import MAX_SERIAL, MapUpdate
@@ -163,7 +164,9 @@ class Outbox:
         update = update.rows(self._replica.accept(update))
         if not len(update.versions):
             return []
-        self._touched.append(np.unique(update.indices >> BLOCK_BITS, axis=0))
+        blocks = np.empty((int(count_block_changes(update.indices)), 3), np.int32)
+        list_blocks(update.indices, blocks)
+        self._touched.append(blocks)
         return encode_update(update, self._config.message_size)
 
     def _tell_taken_back(self, voxel_map: VoxelMap, messages: list[NDArray[np.void]]) -> None:

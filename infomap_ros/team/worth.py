@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
 from infomap_ros.mapping.voxels.gaussians import find_row
@@ -55,6 +55,7 @@ def worth_of_changes(
     bits, sizes = np.zeros(len(slots)), np.zeros(len(slots))
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
     tables = _DIVERGENCES, code_tables()[0]
+    both = np.empty((2, INFORMATION_SIZE), np.float32)
     _weigh_changes(
         storage.blocks,
         storage.gaussians,
@@ -62,6 +63,7 @@ def worth_of_changes(
         slots,
         size,
         *tables,
+        both,
         bits,
         sizes,
     )
@@ -87,7 +89,7 @@ def worth_of_states(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _log_determinant(information: Any) -> float:
     """log2 of the determinant of an information matrix (xx, xy, xz, yy, yz, zz)."""
     xx, xy, xz = information[0], information[1], information[2]
@@ -100,7 +102,7 @@ def _log_determinant(information: Any) -> float:
     return math.log2(determinant) if determinant > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
     """As `_log_determinant`, of a code's second word; of a point anywhere in the voxel for 0."""
     if other == np.uint64(0):
@@ -112,7 +114,7 @@ def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _voxel_worth(
     blocks: Any,
     gaussians: Any,
@@ -124,6 +126,7 @@ def _voxel_worth(
     size: float,
     divergences: Any,
     sigmas: Any,
+    both: Any,
 ) -> tuple[float, float]:
     """Bits and bytes of one voxel; `other` is the block's slot in what was told, or -1."""
     known, quanta = quanta_at(blocks, slot, local)
@@ -136,7 +139,7 @@ def _voxel_worth(
     bits = divergences[now + _LIMIT, (was if was != NOT_OBSERVED else 0) + _LIMIT]
     if was == NOT_OBSERVED:
         bits += 1.0
-    information, spare = np.empty((2, INFORMATION_SIZE), np.float32)
+    information, spare = both[0], both[1]
     if now <= 0 or not read_information(gaussians, slot, local, 0.5 * size, information, spare):
         return bits, RUN_BYTES
     code, word = np.int64(-1), np.uint64(0)
@@ -149,7 +152,7 @@ def _voxel_worth(
     return bits + min(0.5 * abs(change), _MOST_BITS), SURFACE_BYTES
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weigh_changes(
     blocks: Any,
     gaussians: Any,
@@ -160,10 +163,11 @@ def _weigh_changes(
     size: float,
     divergences: Any,
     sigmas: Any,
+    both: Any,
     bits: Any,
     sizes: Any,
 ) -> None:
-    """Sum up over the changed voxels of the blocks."""
+    """Sum up over the changed voxels of the blocks; `both` is memory, shape (2, 9), float32."""
     for row in range(len(slots)):
         slot = slots[row]
         other = np.int64(find_block(told_blocks, blocks.keys[slot]))
@@ -182,6 +186,7 @@ def _weigh_changes(
                 size,
                 divergences,
                 sigmas,
+                both,
             )
             bits[row] += told
             sizes[row] += length

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.voxels.block_kernels import (
     find_or_add_block,
     make_room,
@@ -26,7 +27,7 @@ from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_inde
 from infomap_ros.mapping.voxels.records import put_records
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES
-from infomap_ros.mapping.voxels.surface_reading import read_record
+from infomap_ros.mapping.voxels.surface_reading import copy, read_record
 from infomap_ros.mapping.voxels.surface_storing import canonical
 
 
@@ -105,7 +106,8 @@ def put_states(storage: MapStorage, states: VoxelStates) -> NDArray[np.bool_]:
     rooms = count_block_changes(states.indices)
     storage.blocks = with_room(storage.blocks, rooms, rooms)
     blocks, records = len(storage.blocks.keys), np.full((count, SIDES), -1, np.int64)
-    _put_states(storage.blocks, storage.gaussians, *states, changed, records)
+    both = np.empty((2, INFORMATION_SIZE), np.float32)
+    _put_states(storage.blocks, storage.gaussians, *states, changed, records, both)
     for side in range(SIDES):
         put = records[:, side] >= 0
         information = states.information[put] if side == 0 else _nothing(np.count_nonzero(put))
@@ -119,7 +121,7 @@ def _nothing(count: Any) -> NDArray[np.float32]:
     return np.zeros((int(count), INFORMATION_SIZE), np.float32)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_block_changes(indices: Any) -> int:
     """How often the block changes along voxels, shape (K, 3): at least the number of blocks."""
     changes, last = 0, np.int64(-1)
@@ -158,7 +160,7 @@ def _invert_all(
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _put_states(
     blocks: Any,
     gaussians: Any,
@@ -168,9 +170,13 @@ def _put_states(
     information: Any,
     changed: Any,
     records: Any,
+    both: Any,
 ) -> None:
-    """Put the evidence; list in `records` those whose information is other than before."""
-    stored, new = np.empty(INFORMATION_SIZE, np.float32), np.empty(INFORMATION_SIZE, np.float32)
+    """Put the evidence; list in `records` those whose information is other than before.
+
+    `both` is memory, shape (2, 9), float32.
+    """
+    stored, new = both[0], both[1]
     kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
     narrow, wide, tracked = blocks.narrow, blocks.wide, len(blocks.dirty) > 0
     last_key, slot = np.int64(-1), np.int64(-1)
@@ -184,7 +190,7 @@ def _put_states(
         if known[row] != was[0] or quanta[row] != was[1]:
             changed[row] = True
             _put_quanta(blocks, slot, local, known[row], quanta[row])
-        new[:] = information[row]
+        copy(information[row], new)
         canonical(new)
         for side in range(SIDES):  # the second is left empty
             record = (slot * SIDES + side) * BLOCK_VOXELS + local
@@ -198,7 +204,7 @@ def _put_states(
             mark_dirty(blocks, slot, local)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _put_quanta(blocks: Any, slot: int, local: int, known: bool, quanta: int) -> None:
     """Set the evidence of one voxel."""
     if blocks.kind[slot] < NARROW:

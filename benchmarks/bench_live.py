@@ -2,9 +2,10 @@
 
 Prints one JSON line: dropped pairs and the delay from the arrival of an image to the arrival of the
 last map update of its stamp, both at a listener in a process of its own. Whether the machine had
-cores to give is told beside it (`machine.py`).
+cores to give is told beside it (`machine.py`). With --keep-scans there is somebody who could
+correct poses, so that map_fusion keeps its scans.
 
-    python benchmarks/bench_live.py [--frames 60] [--rate 1.0] [--voxel-size 0.05]
+    python benchmarks/bench_live.py [--frames 60] [--rate 1.0] [--voxel-size 0.05] [--keep-scans]
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from machine import Machine, cpu_seconds
+from nav_msgs.msg import Path as PoseList
 from stereo_bag import write_stereo_bag
 
 from infomap_ros.nodes.live.live_run import LiveRun
@@ -26,7 +28,9 @@ from infomap_ros.nodes.live.run_state import RunState
 WARM_UP = 5  # pairs that are not counted: discovery and first use of memory
 
 
-def measure(bag: Path, frames: int, rate: float, voxel_size: float) -> dict[str, object]:
+def measure(
+    bag: Path, frames: int, rate: float, voxel_size: float, keep_scans: bool
+) -> dict[str, object]:
     """Play the bag once and collect the figures."""
     fusion = {"voxel_size": voxel_size}
     with (
@@ -35,6 +39,8 @@ def measure(bag: Path, frames: int, rate: float, voxel_size: float) -> dict[str,
     ):
         run.watch_updates()
         run.watch_images()
+        if keep_scans:
+            run.publisher(PoseList, "keyframe_poses")
         run.start()
         run.spin_until(lambda: bool(run.state.updates), "the first update", 60.0)
         nodes = {name: run.pids[name] for name in ("stereo_range", "map_fusion")}
@@ -45,7 +51,8 @@ def measure(bag: Path, frames: int, rate: float, voxel_size: float) -> dict[str,
             run.spin_until(lambda: run.settled, "the last scan", 30.0)
         used = {n: 1e3 * (cpu_seconds(pid) - before[n]) / frames for n, pid in nodes.items()}
         result = figures(run.state, frames, rate, voxel_size)
-        return result | {"cpu_ms_per_pair": used, "machine": outside}
+        kept = {"scans_kept": keep_scans, "cpu_ms_per_pair": used, "machine": outside}
+        return result | kept
 
 
 def figures(state: RunState, frames: int, rate: float, voxel_size: float) -> dict[str, object]:
@@ -86,12 +93,14 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--rate", type=float, default=1.0)
     parser.add_argument("--voxel-size", type=float, default=0.05)
+    parser.add_argument("--keep-scans", action="store_true")
     parser.add_argument("--bag", type=Path, help="where the bag is kept between runs")
     options = parser.parse_args()
     bag = options.bag or Path("out/bench") / f"room_{options.frames}"
     bag.parent.mkdir(parents=True, exist_ok=True)
     write_stereo_bag(bag, options.frames)
-    result = measure(bag, options.frames, options.rate, options.voxel_size)
+    settings = options.frames, options.rate, options.voxel_size, options.keep_scans
+    result = measure(bag, *settings)
     print(json.dumps(rounded(result)))
 
 

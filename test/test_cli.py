@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import subprocess
 import sys
+from types import UnionType
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from infomap_ros import cli
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.studies import commands as studies
 
 from .replay.scenes import depth_frames, fill_after, write
 
@@ -132,6 +137,42 @@ def test_every_command_explains_itself(run, command):
     status, out, _ = run(command, "--help")
     assert status == 0
     assert "sage" in out
+
+
+LATE = [*cli.COMMANDS.values(), *studies.COMMANDS.values()]
+LATE_FUNCTIONS = [command for command in LATE if command.load() is not studies.app]
+
+
+@pytest.mark.parametrize("command", LATE, ids=lambda command: command.place)
+def test_the_list_of_commands_says_what_they_say_themselves(command):
+    loaded = command.load()
+    if loaded is studies.app:
+        assert command.help == loaded.info.help
+    else:
+        assert command.help == inspect.getdoc(loaded).splitlines()[0]
+
+
+@pytest.mark.parametrize("command", LATE_FUNCTIONS, ids=lambda command: command.place)
+def test_options_are_written_as_the_oldest_typer_reads_them(command):
+    for name, hint in inspect.get_annotations(command.load()).items():
+        assert not isinstance(hint, str), "from __future__ import annotations hides Annotated"
+        assert not isinstance(next(iter(get_args(hint)), hint), UnionType), (
+            f"{name} should be Optional"
+        )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["study", "--help"]])
+def test_the_list_of_commands_loads_none_of_them(arguments):
+    program = (
+        "import sys, infomap_ros.cli as cli\n"
+        "try: cli.main()\n"
+        "except SystemExit: pass\n"
+        "print({'numba', 'scipy', 'mujoco', 'matplotlib'} & set(sys.modules))"
+    )
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, text=True, capture_output=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+    assert "rover" in done.stdout or "localize" in done.stdout
 
 
 def test_a_study_leaves_its_figure_and_summary(tmp_path, run):

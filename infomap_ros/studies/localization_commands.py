@@ -1,7 +1,5 @@
 """The studies of localisation on the command line."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

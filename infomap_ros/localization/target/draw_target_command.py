@@ -1,7 +1,5 @@
 """Command ``infomap draw-target``: the board of tags to print."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Command ``infomap localize``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Optional

@@ -1,7 +1,5 @@
 """``infomap study metrics``."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

@@ -1,13 +1,11 @@
 """``infomap study planar`` and ``infomap study two``."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import numpy as np
 import typer
@@ -37,7 +35,7 @@ from infomap_ros.studies.planar.planar_study import (
 from infomap_ros.studies.planar.tasks import label_of, run_tasks
 
 FloorPlans = Annotated[
-    Path | None, typer.Option(help="folder with ROS maps (.yaml) to explore besides")
+    Optional[Path], typer.Option(help="folder with ROS maps (.yaml) to explore besides")
 ]
 
 

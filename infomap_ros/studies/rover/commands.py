@@ -1,7 +1,5 @@
 """``infomap study rover``."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import replace

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import numpy as np
-
 from infomap_ros.team.agent_text import agent_from_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
@@ -81,10 +79,6 @@ class AgentBoard:
         """All whose bodies count, by id: those that are present and those silent for long."""
         self._forget(now)
         return tuple(agent for _, agent in sorted(self._agents.items()))
-
-    def age(self, robot: int, now: float) -> float:
-        """Time since a robot was heard [s]; infinite where it never was."""
-        return now - self._heard.get(robot, -np.inf)
 
     def claims(self, now: float) -> dict[int, int]:
         """Claims of the others that are known, by their ids."""

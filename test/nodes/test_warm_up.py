@@ -40,7 +40,7 @@ replica = MapReplica(voxel_map.config)
 for step in range(3):
     points = camera.back_project(np.full((240, 320), 2.0 + 0.7 * step))
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (240, 320, 3, 3))
-    record = PointCloudRecord(0, "camera", points, covariances)
+    record = PointCloudRecord(0, "camera", points, covariances, np.zeros(points.shape, np.uint8))
     cloud = decode_point_cloud(encode_point_cloud(RclpyMessageTypes(), record))
     cloud = without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     pose = np.eye(4)

@@ -27,10 +27,9 @@ def warm_up(threads: int) -> None:
     """
     points = PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5).back_project(np.full((24, 32), 1.0))
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (24, 32, 3, 3))
-    message = encode_point_cloud(
-        RclpyMessageTypes(), PointCloudRecord(0, "warm_up", points, covariances)
-    )
-    cloud = decode_point_cloud(message)
+    colors = np.zeros(points.shape, np.uint8)
+    record = PointCloudRecord(0, "warm_up", points, covariances, colors)
+    cloud = decode_point_cloud(encode_point_cloud(RclpyMessageTypes(), record))
     without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     # Voxels so small that all tables grow.
     trial = VoxelMap(VoxelMapConfig(voxel_size=0.01, max_range=2.0, threads=threads))

@@ -27,6 +27,7 @@ _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _FARTHEST, _LARGEST = 1e6, 100.0  # [m]
+_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +110,11 @@ class Agent:
         if self.covariance is None:
             return 0.0
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+    @property
+    def reach(self) -> float:
+        """How far its body may be from where it says its axis is, by three sigmas [m]."""
+        return self.radius + _SIGMAS * self.position_sigma
 
 
 def knows(mate: Agent, robot: int, claim: int) -> bool:

@@ -199,3 +199,4 @@ def test_a_robot_that_has_started_again_is_the_same_robot() -> None:
 def test_a_pose_tells_how_sure_it_is() -> None:
     assert agent(covariance=np.diag([1.0, 4.0, 0.25, 1, 1, 1])).position_sigma == 2.0
     assert replace(agent(), covariance=None).position_sigma == 0.0
+    assert agent(covariance=1e-2 * np.eye(6), radius=0.4).reach == pytest.approx(0.7)

@@ -9,9 +9,6 @@ from infomap_ros.geometry import PlacedSolid
 from infomap_ros.motion.robot.solid_extent import upright_extent
 from infomap_ros.team.agents import Agent
 
-SIGMAS = 3.0
-"""Standard deviations of a teammate's position by which it is taken to be nearer."""
-
 NEARER = 0.05
 """Poses are noisy: who is nearer by less is where it was [m]."""
 

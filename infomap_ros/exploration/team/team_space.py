@@ -10,7 +10,6 @@ from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.views.situation import Teammate
 
-_SIGMAS = 3.0
 _LEAST_SHARE = 0.5  # of a body's radius, however near one stands to it
 
 
@@ -39,7 +38,6 @@ def bodies_in_the_way(
         own_radius: of this robot's body about its base [m].
         config: of the clearance.
     """
-    growth = config.clearance + _SIGMAS * agent.position_sigma
     here = agent.T_map_base[:2, 3]
     places = [here]
     if goes_on and agent.goal is not None:
@@ -49,7 +47,7 @@ def bodies_in_the_way(
     for number, place in enumerate(places):
         room = float(np.linalg.norm(place - own_place)) - own_radius
         least = _LEAST_SHARE * agent.radius if number == 0 else 0.0
-        radius = max(min(agent.radius + growth, room), least)
+        radius = max(min(agent.reach + config.clearance, room), least)
         if radius > 0.0:
             x, y = float(place[0]), float(place[1])
             name = f"robot {agent.robot}" if number == 0 else f"the way of robot {agent.robot}"

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot
-from infomap_ros.exploration.team.awareness import NEARER, SIGMAS, Awareness, who_and_how_near
+from infomap_ros.exploration.team.awareness import NEARER, Awareness, who_and_how_near
 from infomap_ros.geometry.transforms import FloatArray
 
 _SPACING = 0.05  # of the places of the way that are looked at [m]
@@ -48,7 +48,7 @@ class WatchedDrive:
             nearest = float(np.linalg.norm(ahead - there, axis=1).min())
             now = float(np.linalg.norm(here - there))
             came = nearest < self._planned.get(mate.robot, np.inf) - NEARER
-            gap = nearest - own - mate.radius - SIGMAS * mate.position_sigma
+            gap = nearest - own - mate.reach
             if came and nearest <= now and gap < distance:
                 found.append(who_and_how_near(mate, gap))
         return found

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot
-from infomap_ros.exploration.team.awareness import NEARER, SIGMAS, Awareness, who_and_how_near
+from infomap_ros.exploration.team.awareness import NEARER, Awareness, who_and_how_near
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.solid_extent import quick_extent
@@ -68,9 +68,8 @@ class WatchedReach:
         now, ahead = self._boxes(joints)[sweep.moved], sweep.boxes[self._passed :]
         found = []
         for mate in mates:
-            margin = SIGMAS * mate.position_sigma
-            gap = _gap(ahead, mate) - margin
-            if gap < min(distance, _gap(now, mate) - margin - NEARER):
+            gap = _gap(ahead, mate)
+            if gap < min(distance, _gap(now, mate) - NEARER):
                 found.append(who_and_how_near(mate, gap))
         return found
 
@@ -122,7 +121,7 @@ def _gap(boxes: FloatArray, mate: Agent) -> float:
         return np.inf
     there, low, high = mate.T_map_base[:3, 3], boxes[..., 0, :], boxes[..., 1, :]
     away = np.maximum(np.maximum(low - there, there - high), 0.0)
-    beside = np.hypot(away[..., 0], away[..., 1]) - mate.radius
+    beside = np.hypot(away[..., 0], away[..., 1]) - mate.reach
     above = np.maximum(low[..., 2] - there[2] - mate.top, there[2] + mate.bottom - high[..., 2])
     outside = np.hypot(np.maximum(beside, 0.0), np.maximum(above, 0.0))
     return float(np.where(outside > 0.0, outside, np.maximum(beside, above)).min())

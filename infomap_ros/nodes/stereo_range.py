@@ -49,7 +49,7 @@ class StereoRangeNodeConfig:
         high=1.0,
     )
     queue_size: int = parameter(
-        2, "Pairs that wait to be measured at most; the oldest gives way.", low=1, high=100
+        4, "Pairs that wait to be measured at most; the oldest gives way.", low=1, high=100
     )
 
     def __post_init__(self) -> None:

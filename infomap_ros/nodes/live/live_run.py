@@ -52,7 +52,7 @@ class LiveRun(LiveGraph):
         self.map_file = (map_file or out / "map.infomap").absolute()
         pair = [LEFT, RIGHT, "left/camera_info", "right/camera_info"]
         listeners = 1 if localisation is None else 2  # of the images
-        self._player = {
+        self._player: dict[str, Any] = {
             "bag": bag.absolute(),
             "wait_for_subscribers": [*pair * listeners, "camera_pose"],
             **(player or {}),
@@ -110,8 +110,10 @@ class LiveRun(LiveGraph):
             self.pids[name] = self._processes.start(name, self._localisation)
 
     def start_player(self) -> None:
-        """Start bag_player."""
-        self.pids["bag_player"] = self._processes.start("bag_player", self._player)
+        """Start bag_player, which waits for the nodes, and for this process if it watches images."""
+        waits = [*self._player["wait_for_subscribers"], *[LEFT] * self._watched[LEFT]]
+        player = self._player | {"wait_for_subscribers": waits}
+        self.pids["bag_player"] = self._processes.start("bag_player", player)
 
     def stop_player(self) -> None:
         """End bag_player before its bag ends, as when it loops.

@@ -110,7 +110,7 @@ class LiveRun(LiveGraph):
             self.pids[name] = self._processes.start(name, self._localisation)
 
     def start_player(self) -> None:
-        """Start bag_player, which waits for the nodes, and for this process if it watches images."""
+        """Start bag_player; it waits for the nodes, and for this process if it watches images."""
         waits = [*self._player["wait_for_subscribers"], *[LEFT] * self._watched[LEFT]]
         player = self._player | {"wait_for_subscribers": waits}
         self.pids["bag_player"] = self._processes.start("bag_player", player)

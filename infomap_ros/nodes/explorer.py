@@ -41,7 +41,8 @@ from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlann
 from infomap_ros.nodes.planning.ros_robot import RosRobot, RosRobotConfig
 from infomap_ros.nodes.planning.target_sight import TargetSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.team.teammates_near import TeammatesNear, TeammatesNearConfig
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.teammates_near import TeammatesNear
 
 _STATUS_PERIOD = 0.5  # [s]
 
@@ -82,7 +83,7 @@ class ExplorerNode(MonitoredNode):
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
         (KeepClearConfig, "keep_clear."),
-        (TeammatesNearConfig, ""),
+        (TeamIdentityConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:

@@ -51,8 +51,8 @@ from infomap_ros.nodes.team.map_moves import (
     describe_move,
     listen_to_moves,
 )
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-from infomap_ros.team.authentication import TeamKey
 
 
 class FiducialLocalizationNode(MonitoredNode):
@@ -60,6 +60,7 @@ class FiducialLocalizationNode(MonitoredNode):
 
     CONFIGS = (
         (FiducialLocalizationConfig, ""),
+        (TeamIdentityConfig, ""),
         (RobotTrackerConfig, ""),
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
@@ -88,7 +89,8 @@ class FiducialLocalizationNode(MonitoredNode):
         self._moved = self._seen = 0  # stamps [ns]
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
-            seal = MoveSeal(TeamKey.of_team(config.team_key), config.robot_id)
+            who = self.config(TeamIdentityConfig)
+            seal = MoveSeal(who.read_key(), who.robot_id)
             listen_to_moves(self, frame, self._worker, self._move_map, seal=seal)
         self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
         topics = self._source.image_topics, self._source.info_topics

@@ -41,10 +41,10 @@ from infomap_ros.nodes.fusion.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.fusion.map_outputs import MapOutputsConfig
 from infomap_ros.nodes.fusion.scan_gate import Scan, ScanGate
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
-from infomap_ros.nodes.fusion.update_stream import UpdateStreamConfig
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
 from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
@@ -85,7 +85,7 @@ class MapFusionNode(MonitoredNode):
         (MapFusionConfig, ""),
         (MapKeeperConfig, ""),
         (AssumedPoseConfig, ""),
-        (UpdateStreamConfig, ""),
+        (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
         (TeamRadioConfig, "team_map."),
         (MapOutputsConfig, ""),

@@ -41,6 +41,7 @@ from infomap_ros.nodes.planning.plan_warm_up import warm_up
 from infomap_ros.nodes.planning.search_plans import SearchPlans
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentsConfig
@@ -53,6 +54,7 @@ class NextBestViewNode(MonitoredNode):
 
     CONFIGS = (
         (MapListenerConfig, ""),
+        (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
         (TeamRadioConfig, "team_map."),
         (RobotTrackerConfig, ""),

@@ -24,10 +24,10 @@ from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_moves import MoveSeal
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.replay.messages import encode_pose
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team.agent_text import agent_to_text
@@ -54,7 +54,7 @@ class SightNode(MonitoredNode):
 
     CONFIGS = (
         (TeamTagsConfig, "team_tags."),
-        (FiducialLocalizationConfig, ""),
+        (TeamIdentityConfig, ""),
         (RobotTrackerConfig, ""),
     )
 

@@ -13,14 +13,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelChanges, VoxelMap
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.nodes.common import qos
@@ -28,6 +26,7 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import without_evidence
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
 from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import (
@@ -41,34 +40,9 @@ from infomap_ros.team import (
     next_version,
     version_at,
 )
-from infomap_ros.team.authentication import TeamKey
 
 _VOXEL_BYTES = 4  # of a message, about
 _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
-
-
-@dataclass(frozen=True)
-class UpdateStreamConfig:
-    """Who this robot is in its team.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    robot_id: int = parameter(
-        0, "Id of this robot in map_updates, unique in its team.", low=0, high=65535
-    )
-    team: tuple[int, ...] = parameter(
-        (), "Ids of the robots whose updates count; those of all robots where empty."
-    )
-    team_key: str = parameter(
-        "",
-        "File with the secret of the team: what is not signed with it is dropped. Empty: all is "
-        "taken for genuine.",
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 class UpdateStream:
@@ -79,7 +53,7 @@ class UpdateStream:
     """
 
     def __init__(self, node: MonitoredNode) -> None:
-        self._config = node.config(UpdateStreamConfig)
+        self._config = node.config(TeamIdentityConfig)
         self._sharing = node.config(TeamConfig)
         self._frame = node.config(ScanGateConfig).map_frame
         self._types = RclpyMessageTypes()
@@ -89,7 +63,7 @@ class UpdateStream:
         self._next_block = 0
         self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
-        self.key = TeamKey.of_team(self._config.team_key)
+        self.key = self._config.read_key()
         self._member: TeamMember | None = None
         self._on_tell: Callable[[], None] = lambda: None
         self._resumed = self._replaced = self._joined = False

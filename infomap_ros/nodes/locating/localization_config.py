@@ -65,14 +65,6 @@ class FiducialLocalizationConfig:
     fiducials_period: float = parameter(
         1.0, "Shortest time between two publications of fiducials.", unit="s", low=0.0, high=60.0
     )
-
-    robot_id: int = parameter(0, "Id of this robot in its team.", low=0, high=65535)
-    team: tuple[int, ...] = parameter(
-        (), "Ids of the robots that count as teammates; all where empty."
-    )
-    team_key: str = parameter(
-        "", "File with the secret of the team, as map_fusion has it; empty for none."
-    )
     follow_alignment: bool = parameter(
         False,
         "Move the map where map_alignment says: teammates that see this robot's tags, or a user. "

@@ -30,14 +30,13 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.replay.messages import encode_pose
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents import Agent
-from infomap_ros.team.authentication import TeamKey
 
 _GAP = 1.5  # longest time between two words of a teammate between which it is interpolated [s]
 _WAITING = 20  # sightings
@@ -74,9 +73,9 @@ class TeammateSight:
         stays: bool,
     ) -> None:
         self._node, self._worker, self._move, self._stays = node, worker, move, stays
-        self._config, who = node.config(TeamTagsConfig), node.config(FiducialLocalizationConfig)
+        self._config, who = node.config(TeamTagsConfig), node.config(TeamIdentityConfig)
         self._robot = who.robot_id
-        self._key = TeamKey.of_team(who.team_key)
+        self._key = who.read_key()
         self._board = AgentBoard(who.robot_id, None, team=who.team, key=self._key)
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)

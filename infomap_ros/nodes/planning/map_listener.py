@@ -16,10 +16,10 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.team_exchange import TeamExchange
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
 from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
-from infomap_ros.team.authentication import TeamKey
 
 _GROWTH = 1.01  # by this factor the map must grow to count as growing
 
@@ -48,14 +48,6 @@ class MapListenerConfig:
         high=60.0,
     )
 
-    robot_id: int = parameter(
-        0, "Id of this robot in map_updates, as map_fusion has it.", low=0, high=65535
-    )
-    team: tuple[int, ...] = parameter(
-        (), "Ids of the robots whose updates count; those of all robots where empty."
-    )
-    team_key: str = parameter("", "File with the secret of the team, as map_fusion has it.")
-
     def __post_init__(self) -> None:
         check_config(self)
 
@@ -71,7 +63,8 @@ class MapListener:
     def __init__(self, node: MonitoredNode, worker: Worker) -> None:
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
-        self._key = TeamKey.of_team(self._config.team_key)
+        self._team = node.config(TeamIdentityConfig)
+        self._key = self._team.read_key()
         self._member: TeamMember | None = None
         self._known, self._grown, self._arrived = 0, 0.0, False
         for topic in ("map_updates", UPDATES):
@@ -117,13 +110,13 @@ class MapListener:
 
     def _make_member(self, voxel_size: float) -> TeamMember:
         """A member of the team that only listens, and asks for what it missed."""
-        config = self._config
+        config, team = self._config, self._team
         map_config = VoxelMapConfig(
             voxel_size=round(voxel_size, 7), memory_limit=config.memory_limit
         )
         sharing = self._node.config(TeamConfig)
         return TeamMember(
-            config.robot_id, 0, 1, map_config, sharing, config.team, tells=False, key=self._key
+            team.robot_id, 0, 1, map_config, sharing, team.team, tells=False, key=self._key
         )
 
     def _note_growth(self, known: int) -> None:

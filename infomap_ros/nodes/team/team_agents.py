@@ -14,14 +14,13 @@ from infomap_ros.geometry import CameraCalibration
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.planning.map_listener import MapListenerConfig
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team import draw_session, version_at
 from infomap_ros.team.agents_config import AgentsConfig
-from infomap_ros.team.authentication import TeamKey
 
 _TICK = 0.05  # between two looks whether there is something to tell [s]
 _HEARTBEAT = 1.0  # longest time without a message, also where nothing moves [s]
@@ -31,7 +30,7 @@ class TeamAgents:
     """Carries what robots tell of themselves, for the node that chooses views.
 
     Args:
-        node: that speaks; has the configurations of tracker, map listener and agents.
+        node: that speaks; has the configurations of tracker, team and agents.
         tracker: knows where this robot is.
 
     Attributes:
@@ -43,10 +42,9 @@ class TeamAgents:
         self._node, self._tracker = node, tracker
         self._frame = node.config(RobotTrackerConfig).map_frame
         self._range = node.config(ViewPlannerConfig).max_range
-        listener, self._config = node.config(MapListenerConfig), node.config(AgentsConfig)
-        identity = listener.robot_id, draw_session(), version_at(time.time_ns())
-        key = TeamKey.of_team(listener.team_key)
-        self.team = Teamwork(*identity, self._config, listener.team, key)
+        who, self._config = node.config(TeamIdentityConfig), node.config(AgentsConfig)
+        identity = who.robot_id, draw_session(), version_at(time.time_ns())
+        self.team = Teamwork(*identity, self._config, who.team, who.read_key())
         self.doing = "idle"
         self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
         self._description = node.resolve_topic_name("robot_description")

@@ -20,14 +20,13 @@ from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.fusion.update_stream import UpdateStreamConfig
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.replay.messages import decode_text
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.authentication import TeamKey
 
 _MOST_DESCRIPTIONS = 64
 
@@ -60,9 +59,8 @@ class TeamBodyListener:
 
     def __init__(self, node: MonitoredNode, frame: str, on_news: Callable[[], None]) -> None:
         self._node, self._on_news = node, on_news
-        who = node.config(UpdateStreamConfig)
-        memory, key = node.config(AgentBoardConfig), TeamKey.of_team(who.team_key)
-        self._board = AgentBoard(who.robot_id, None, memory, who.team, key)
+        who, memory = node.config(TeamIdentityConfig), node.config(AgentBoardConfig)
+        self._board = AgentBoard(who.robot_id, None, memory, who.team, who.read_key())
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
         self._reading = node.config(RobotBodyConfig).robot
         self._topics: dict[int, str] = {}

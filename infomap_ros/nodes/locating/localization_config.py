@@ -68,7 +68,7 @@ class FiducialLocalizationConfig:
     follow_alignment: bool = parameter(
         False,
         "Move the map where map_alignment says: teammates that see this robot's tags, or a user. "
-        "The topic is not signed.",
+        "With team_key, only what is signed with it is heard.",
     )
     state_file: str = parameter(
         "",

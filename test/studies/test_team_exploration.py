@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infomap_ros.errors import ExplorationError, PoseUnavailableError
 from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.company.radio import Channel, Radio
 from infomap_ros.simulation.company.team_world import starts_abreast
 from infomap_ros.simulation.company.turns import SwitchedOff, Turns
+from infomap_ros.simulation.exploring.pose_source import MeasuredPoses
 from infomap_ros.studies.team.team_exploration import TeamExploration
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 
@@ -72,6 +74,18 @@ def test_rovers_that_localise_themselves_share_the_frame_of_the_board(tmp_path: 
     one, two = (robot.member.replica for robot in exploration.robots if robot is not None)
     assert not one.aside and not two.aside  # the maps do not contradict
     assert figures["map_within_sigma"][2] > 0.9
+
+
+def test_rovers_that_cannot_find_out_where_they_are_say_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_not_in_view(_: MeasuredPoses) -> None:
+        raise PoseUnavailableError("the board is not in view")
+
+    monkeypatch.setattr(MeasuredPoses, "initialise", is_not_in_view)
+    exploration = TeamExploration(with_settings(TeamExplorationOptions(), SMALL), tmp_path)
+    with pytest.raises(ExplorationError, match="not in view; the board"):
+        exploration.run()
 
 
 def test_threads_run_one_at_a_time_by_their_clocks() -> None:

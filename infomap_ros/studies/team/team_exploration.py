@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.loop import Ending, EndReason
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry import invert_transform, transform_points
@@ -109,12 +110,17 @@ class TeamExploration:
         self.kills, self._is_over = 0, False
 
     def run(self) -> dict[str, Any]:
-        """Explore to the end, let the maps agree, and say what came of it."""
+        """Explore to the end, let the maps agree, and say what came of it.
+
+        Raises:
+            ExplorationError: no robot has taken a view; says why.
+        """
         begin = time.process_time()
         names, simulators = self.world.names, self.world.simulators
         self.world.turns.run({name: partial(self._live, n) for n, name in enumerate(names)})
-        agreed = self._agree()
-        last = self.looks[-1]
+        if not self.looks:
+            raise ExplorationError("; ".join(ending.detail for ending in self._endings.values()))
+        agreed, last = self._agree(), self.looks[-1]
         return {
             "world": f"{self.options.world.name} {self.options.world.seed}",
             "robots": len(self.robots),

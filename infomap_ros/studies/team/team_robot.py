@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import TeammatesBusyError
+from infomap_ros.errors import PoseUnavailableError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.loop import Ending, Exploration, planar_pose
+from infomap_ros.exploration.loop import Ending, EndReason, Exploration, planar_pose
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, RobotState
@@ -124,7 +124,10 @@ class TeamRobot:
 
     def explore(self) -> Ending:
         """Explore to the end; first tell and hear who is where, after a restart what is known."""
-        self._robot.state()
+        try:
+            self._robot.state()
+        except PoseUnavailableError as error:
+            return self._exploration.end(Ending(EndReason.FAILED, str(error)))
         self._knows_its_place = True
         recovery = self.outfit.options.sharing.recovery if self.mission.views else 0.0
         self._let_pass(recovery + _TELLING)

@@ -9,6 +9,7 @@ import pytest
 
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
@@ -150,13 +151,23 @@ def test_doubtful_pose_keeps_more_room_where_a_view_is_left_then(robot, half_kno
     assert not any("unreachable before" in why for why in again.explanation["rejections"])
 
 
-def test_a_view_that_failed_is_not_chosen_at_once(robot, half_known):
+def test_a_view_that_failed_is_not_chosen_at_once_nor_counted_as_a_look(
+    robot, half_known, monkeypatch
+):
+    looks, select = list[int](), ViewChoice.select
+
+    def watched(choice, situation, *rest, **more):
+        looks.append(len(situation.past_views))
+        return select(choice, situation, *rest, **more)
+
+    monkeypatch.setattr(ViewChoice, "select", watched)
     planner = planner_of(robot)
     first = planner.choose(half_known, standing(robot))
     assert first.pose is not None and first.route is not None
     planner.failed(first.pose, "a wheel turned in place")
     second = planner.choose(half_known, standing(robot))
     assert any("a wheel turned" in reason for reason in second.explanation["rejections"])
+    assert set(looks) == {1}
 
 
 def test_a_planner_that_begins_anew_knows_what_views_have_told_in_vain(robot, half_known):

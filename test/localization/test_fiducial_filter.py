@@ -353,6 +353,28 @@ def test_nearly_all_fiducials_overrule_slipping_wheels() -> None:
     assert squared_distance(pose_error(slipped, estimated), covariance) < chi2.ppf(0.999, 6)
 
 
+@pytest.mark.parametrize(("shift", "clustered"), [(0.5, False), (0.2, True)])
+def test_wheels_are_not_overruled_by_a_leap_or_by_few_fiducials_in_one_place(
+    shift: float, clustered: bool
+) -> None:
+    rng = np.random.default_rng(12)
+    points = wall(50, rng)
+    if clustered:
+        points = points[0] + rng.uniform(-0.03, 0.03, (10, 3))
+    pose_filter = FiducialFilter(CAMERA)
+    pose_filter.add(observe(points, np.eye(4), rng))
+    rest = MotionPrior(np.eye(4), ODOMETRY)
+    pose_filter.predict(rest)
+    assert pose_filter.update(observe(points, np.eye(4), rng)).is_consistent
+    pose_filter.predict(rest)
+    leap = perturb_transform(np.eye(4), [shift, 0.0, 0.0, 0.0, 0.0, 0.0])
+    expected = pose_filter.pose[0]
+    update = pose_filter.update(observe(points, leap, rng))
+    assert not update.is_consistent
+    assert "contradicts" in update.reason
+    np.testing.assert_array_equal(pose_filter.pose[0], expected)
+
+
 def test_unseen_motion_adds_up_until_an_image_is_understood() -> None:
     rng = np.random.default_rng(13)
     points = wall(50, rng)

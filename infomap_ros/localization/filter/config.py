@@ -60,6 +60,20 @@ class FiducialFilterConfig:
         low=4,
         high=1000,
     )
+    overruling_sigmas: float = parameter(
+        30.0,
+        "A motion that is farther from its prior than so many standard deviations does not "
+        "overrule it.",
+        low=1.0,
+        high=1e4,
+    )
+    overruling_told: float = parameter(
+        0.9,
+        "Share of the motion's variance, enlarged so that the prior agrees, which an image that "
+        "overrules it must take away in every direction: few fiducials that leave one open do not.",
+        low=0.0,
+        high=1.0,
+    )
     drift_memory: float = parameter(
         0.9,
         "Share of a fiducial's summed innovations that is left after one more image.",

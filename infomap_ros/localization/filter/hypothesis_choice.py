@@ -22,6 +22,7 @@ from infomap_ros.localization.filter.pose_hypothesis import (
     Hypothesis,
     examine,
     examine_with_or_without_prior,
+    share_told,
 )
 from infomap_ros.localization.filter.sight import BoolArray, Measured
 
@@ -82,6 +83,8 @@ def explain(
         overruled = True
         found = hypotheses(state, wider, image, voters, config)
         chosen, reason = choose(found, contested, int(voters.sum()), config)
+        if chosen is not None and share_told(state, chosen, image.indices) < config.overruling_told:
+            return None, CONTRADICTION, False
     if chosen is not None:
         chosen = _joined(state, chosen, image, admitted, config)
     return chosen, reason, overruled
@@ -210,7 +213,8 @@ def overruled_prior(
     """The motion prior with as much uncertainty as the images show that it has.
 
     Wheels slip and arms are pushed: where nearly all fiducials, and enough that are known for
-    long, agree with each other but not with the prior, it is the prior that is wrong.
+    long, agree with each other but not with the prior, it is the prior that is wrong. By how much
+    it can be has a limit.
 
     Args:
         prior: of the motion.
@@ -223,7 +227,8 @@ def overruled_prior(
         The prior that fits; None where the images do not suffice to overrule it.
     """
     for one in found:
-        enough = one.count >= config.overruling_share * np.count_nonzero(voters)
+        possible = one.motion_nis <= config.overruling_sigmas**2
+        enough = possible and one.count >= config.overruling_share * np.count_nonzero(voters)
         known_long = np.count_nonzero(one.members & established) >= config.overruling_count
         if enough and known_long and one.has_plausible_residuals(config):
             return MotionPrior(prior.T_before_after, one.motion_nis * prior.covariance)

@@ -14,6 +14,7 @@ from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.invariant_state import InvariantState
 from infomap_ros.localization.filter.lie import logarithm
 from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.pose_errors import square_root
 from infomap_ros.localization.filter.sight import (
     BoolArray,
     Correction,
@@ -194,6 +195,25 @@ def examine(
         _motion_nis(correction, noise, expectation.motion_covariance),
         innovations,
     )
+
+
+def share_told(state: InvariantState, hypothesis: Hypothesis, group: NDArray[np.int64]) -> float:
+    """How much of the motion a hypothesis tells where it tells least, 0 to 1.
+
+    Args:
+        state: before the motion.
+        hypothesis: of an image.
+        group: indices of the image's fiducials in the state, shape (M,).
+
+    Returns:
+        Smallest share, over all directions, of the motion prior's variance that the image takes
+        away.
+    """
+    rows = state.fiducial_rows(group[hypothesis.members]).ravel()
+    expectation, correction = hypothesis.expectation, hypothesis.correction
+    noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(rows) // 3, 1))
+    white = correction.whitened(noise) @ square_root(expectation.motion_covariance)
+    return float(np.linalg.eigvalsh(white.T @ white)[0])
 
 
 def _compared(sight: Sight, members: BoolArray) -> tuple[Correction, FloatArray] | None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import pinocchio
 
 from infomap_ros.errors import RobotModelError
+from infomap_ros.geometry.transforms import FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def joint_limits(model: pinocchio.Model, index: int) -> JointLimits:
         RobotModelError: the lower limit is above the upper one.
     """
     name, joint = str(model.names[index]), model.joints[index]
-    speed = float(model.upperVelocityLimit[joint.idx_v])
+    speed = float(_velocity_limits(model)[joint.idx_v])
     speed = speed if speed > 0.0 else math.inf
     if joint.nq == 2:
         return JointLimits(name, -math.inf, math.inf, speed, True)
@@ -51,3 +53,10 @@ def joint_limits(model: pinocchio.Model, index: int) -> JointLimits:
     if not lower <= upper:
         raise RobotModelError(f"joint '{name}' has the lower limit {lower:g}, upper {upper:g}")
     return JointLimits(name, lower, upper, speed)
+
+
+def _velocity_limits(model: pinocchio.Model) -> FloatArray:
+    """Largest speeds by velocity index; Pinocchio 3, which ROS has, knows one for both signs."""
+    if hasattr(model, "upperVelocityLimit"):
+        return np.asarray(model.upperVelocityLimit)
+    return np.asarray(model.velocityLimit)

@@ -55,8 +55,9 @@ def test_a_robot_tells_where_it_is_and_what_it_is_heading_for(graph: Any) -> Non
     stage = Stage(graph, robot_id=6)
     stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
     stage.status.publish(status())
-    first = len(said)
-    graph.spin_until(lambda: len(said) > first, "a message")
+    graph.spin_until(
+        lambda: said and np.allclose(told(said)[-1].T_map_base, stage.rover.base), "where it is"
+    )
     here = told(said)[-1]
     assert (here.robot, here.goal, here.max_range) == (6, None, 4.0)
     np.testing.assert_allclose(here.T_map_camera, stage.rover.T_map_camera(), atol=1e-9)
@@ -67,9 +68,10 @@ def test_a_robot_tells_where_it_is_and_what_it_is_heading_for(graph: Any) -> Non
 
     choice = stage.plan()
     assert choice.pose is not None
-    claimed = [agent for agent in told(said) if agent.goal is not None]
-    np.testing.assert_allclose(claimed[-1].goal, choice.pose, atol=1e-6)
-    assert claimed[-1].claim > here.claim
+    graph.spin_until(lambda: told(said)[-1].goal is not None, "the goal")
+    claimed = told(said)[-1]
+    np.testing.assert_allclose(claimed.goal, choice.pose, atol=1e-6)
+    assert claimed.claim > here.claim
     stage.status.publish(DiagnosticStatus(**{**as_fields(status()), "message": "ended: done"}))
     graph.spin_until(lambda: told(said)[-1].goal is None, "the goal given up")
     assert told(said)[-1].state == "ended: done"

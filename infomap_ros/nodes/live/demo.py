@@ -22,10 +22,10 @@ from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
-    add_exploration_options,
     check_not_failed,
     drop_results,
     empty_folder,
+    exploration_parser,
     robot_results,
     status_line,
     task_parameters,
@@ -48,7 +48,8 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     out: Path = options.out
     empty_folder(out)
     world = make_world(options.world, options.seed)
-    task = task_parameters(world, {"max_views": options.max_views})
+    limits = {"max_views": options.max_views, "known_fraction": options.known_fraction}
+    task = task_parameters(world, limits)
     parameters = {
         "simulator": {"world": options.world, "world_seed": options.seed},
         "map_fusion": {"voxel_size": options.voxel_size},
@@ -94,9 +95,9 @@ def write_results(out: Path, results: dict[str, object]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
-    parser = argparse.ArgumentParser(prog="infomap demo", description=__doc__.split("\n")[0])
-    add_exploration_options(parser, "out/demo", max_views=60, voxel_size=0.05)
-    parser.add_argument("--strategy", default="largest_information")
+    about = __doc__.split("\n")[0]
+    parser = exploration_parser("demo", about, "out/demo", max_views=60, voxel_size=0.05)
+    parser.add_argument("--strategy", default="largest_information", help="that chooses views")
     options = parser.parse_args(arguments)
     return run_demo_command("demo", options.out, lambda console: run_demo(options, console))
 

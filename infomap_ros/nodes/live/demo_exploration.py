@@ -19,15 +19,24 @@ REPORT_FILE = "report.html"
 _STARTING = "starting the nodes; kernels are compiled the first time"
 
 
-def add_exploration_options(
-    parser: argparse.ArgumentParser, out: str, max_views: int, voxel_size: float
-) -> None:
-    """Add the options that both demos know, with the defaults of one of them."""
-    parser.add_argument("--out", type=Path, default=Path(out))
+def exploration_parser(
+    name: str, description: str, out: str, max_views: int, voxel_size: float
+) -> argparse.ArgumentParser:
+    """The command line that both demos have, with the defaults of one of them."""
+    parser = argparse.ArgumentParser(
+        prog=f"infomap {name}",
+        description=description,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--out", type=Path, default=Path(out), help="folder for the results")
     parser.add_argument("--world", default="mars", help="mars, office or cave")
     parser.add_argument("--seed", type=int, default=1, help="of the world")
     parser.add_argument("--max-views", type=int, default=max_views, help="of each rover")
+    parser.add_argument(
+        "--known-fraction", type=float, default=0.9, help="of the reachable surface, is enough"
+    )
     parser.add_argument("--voxel-size", type=float, default=voxel_size, help="[m]")
+    return parser
 
 
 def empty_folder(out: Path) -> None:

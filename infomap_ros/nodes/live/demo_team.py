@@ -25,10 +25,10 @@ from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
-    add_exploration_options,
     check_not_failed,
     drop_results,
     empty_folder,
+    exploration_parser,
     robot_results,
     status_line,
     task_parameters,
@@ -188,10 +188,9 @@ def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
-    parser = argparse.ArgumentParser(prog="infomap demo-team", description=__doc__.split("\n")[0])
-    add_exploration_options(parser, "out/demo-team", max_views=12, voxel_size=0.06)
+    about = __doc__.split("\n")[0]
+    parser = exploration_parser("demo-team", about, "out/demo-team", max_views=12, voxel_size=0.06)
     parser.add_argument("--size", type=float, default=5.0, help="of the world [m]")
-    parser.add_argument("--known-fraction", type=float, default=0.9, help="that is enough")
     parser.add_argument("--width", type=int, default=320, help="of the images [px]")
     parser.add_argument("--loss", type=float, default=0.2, help="share of the team's messages")
     parser.add_argument(

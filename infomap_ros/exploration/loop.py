@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.drift_guard import DriftGuard
 from infomap_ros.exploration.last_views import LastViews
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.planar import planar_pose, way_length
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import Choice, Interrupted, Motion, Planner, Robot
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.exploration.way_back import WayBack
 from infomap_ros.motion.route import Route
 
 
@@ -91,7 +89,7 @@ class Exploration:
         self._robot, self._planner, self._log = robot, planner, log
         self._plan_only, self._on_step, self._clock = plan_only, on_step, clock
         self._failures, self._marked = 0, clock()
-        self._last_views = LastViews(task)
+        self._last_views, self._back = LastViews(task), WayBack()
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -124,6 +122,8 @@ class Exploration:
 
     def _take_next_view(self) -> Ending | None:
         """Select a camera configuration, move there, acquire and merge what it sees."""
+        if self._back.is_due and not self._plan_only:
+            return self._go_back()
         try:
             choice = self._choose()
         except TeammatesBusyError as busy:
@@ -146,7 +146,10 @@ class Exploration:
         if problem and not self.control.interrupted():
             self._planner.failed(choice.pose, problem)
             return self._fail(problem)
-        return None if problem else self._look()
+        ending = None if problem else self._look()
+        if self._back.is_due:
+            self._planner.failed(choice.pose, self.last_reason)
+        return ending
 
     def _initialise(self) -> None:
         """Note where the mission began."""
@@ -164,7 +167,9 @@ class Exploration:
         if self.control.interrupted():
             return None
         if problem:
+            self._back.failed()
             return self._fail(f"look: {problem}")
+        self._back.looked(self._robot.state())
         self.mission.views += 1
         self._failures = 0
         return None
@@ -257,14 +262,28 @@ class Exploration:
     def _go_home(self) -> None:
         """Go to where the mission began; where that fails, say so and stay."""
         self._enter("going home")
-        home = self.mission.home_base, self.mission.home_joints
-        choice = self._planner.way_home(self._robot.state(), *home)
+        home, control = (self.mission.home_base, self.mission.home_joints), self.control
+        problem = self._go_to(*home, "home", lambda: control.request is not Request.HOME)
+        self.last_reason = f"home: {problem}" if problem else "at home"
+
+    def _go_back(self) -> Ending | None:
+        """After a look that failed, look from where the last one did not."""
+        self._enter("going back to the last look")
+        self._back.take()
+        interrupted = self.control.interrupted
+        problem = self._go_to(self._back.base, self._back.joints, "back", interrupted)
+        return None if problem or interrupted() else self._look()
+
+    def _go_to(
+        self, base: Sequence[float], joints: Mapping[str, float], why: str, interrupted: Interrupted
+    ) -> str:
+        """Go to a place of the base and a posture; returns empty, or why it did not get there."""
+        choice = self._planner.way_home(self._robot.state(), base, joints)
         problem = choice.reason
         if choice.route is not None:
-            control = self.control
-            problem = self.follow(choice.route, lambda: control.request is not Request.HOME)
-        self._log.write("motion", action="home", outcome=problem, path=[])
-        self.last_reason = f"home: {problem}" if problem else "at home"
+            problem = self.follow(choice.route, interrupted)
+        self._log.write("motion", action=why, outcome=problem, path=[])
+        return problem
 
     def _enter(self, state: str, reason: str | None = None) -> None:
         self.state = state
@@ -276,15 +295,3 @@ class Exploration:
         self.mission.seconds += now - self._marked
         self._marked = now
         self._on_step(self)
-
-
-def planar_pose(T_map_base: FloatArray) -> tuple[float, float, float]:
-    """x, y [m] and yaw [rad] of a pose, shape (4, 4)."""
-    yaw = float(np.arctan2(T_map_base[1, 0], T_map_base[0, 0]))
-    return float(T_map_base[0, 3]), float(T_map_base[1, 3]), yaw
-
-
-def way_length(path: ArrayLike) -> float:
-    """Length of a way through points, shape (n, 3) [m]."""
-    points = np.asarray(path, dtype=np.float64)
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) if len(points) > 1 else 0.0

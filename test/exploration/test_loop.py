@@ -11,8 +11,9 @@ import pytest
 
 from infomap_ros.errors import ConfigError, MissionFileError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.loop import EndReason, Exploration, planar_pose, way_length
+from infomap_ros.exploration.loop import EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.planar import planar_pose, way_length
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import make_transform
@@ -46,6 +47,26 @@ def test_done_when_expanse_and_resolution_suffice() -> None:
     assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]
     assert run.exploration.mission.views == 2
     assert run.exploration.mission.distance == pytest.approx(1.0)
+
+
+def test_goes_back_to_the_last_look_once_where_a_look_fails() -> None:
+    run = Run(view(1.0), view(2.0), view(3.0), view(4.0, known=0.97))
+    looks, places = iter([True, True, False, True, False, False, True]), []
+
+    def lose(deed: str) -> None:
+        if deed == "look":
+            places.append(run.robot.place[0])
+            run.robot.problems = {} if next(looks) else {"look": "the camera is lost"}
+
+    run.robot.during = lose
+    assert run.exploration.run().reason is EndReason.DONE
+    # from 2 back to 1, where it looks; from 3 back to 1, in vain; it goes on as it would
+    assert places[:5] == [0.0, 1.0, 2.0, 1.0, 3.0]
+    assert len(run.planner.failures) == 2
+    assert [note["outcome"] for note in run.notes.of("motion") if note["action"] == "back"] == [
+        "",
+        "",
+    ]
 
 
 def test_ends_where_views_bring_nothing_any_more() -> None:

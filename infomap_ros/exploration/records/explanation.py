@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.exploration.loop import planar_pose
+from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.views.decision import RatedView, ViewDecision
 

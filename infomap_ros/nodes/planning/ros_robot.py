@@ -11,7 +11,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.exploration.loop import planar_pose
+from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray

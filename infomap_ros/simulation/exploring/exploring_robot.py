@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.loop import planar_pose
+from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.geometry import PoseRecord, invert_transform

@@ -12,8 +12,9 @@ import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.loop import Ending, EndReason, Exploration, planar_pose
+from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig

@@ -122,8 +122,9 @@ class Localizer(KnownMap):
         self._scene.resume(state)
         self._keyframe = self._recalled = np.array(state["keyframe"])
         self._stamp = self._fixed = int(state["stamp"])
-        self._state = "coasting" if bool(state["was_known"]) else "lost"
-        self._is_resumed = True
+        self._state, self._is_resumed = "coasting", True
+        if not bool(state["was_known"]):
+            self._lose()
 
     def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
         """Put the map's frame elsewhere; see `KnownMap.move_map`.

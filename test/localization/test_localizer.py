@@ -11,6 +11,7 @@ from infomap_ros.geometry.transforms import perturb_transform
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 from .fiducial_scene import pose_error, squared_distance
@@ -172,6 +173,19 @@ def test_a_saved_state_goes_on_with_a_prior_and_is_lost_without():
     again = follow(third, poses[5:9], first=12)
     assert again[-1].state == "tracking"
     check(again[-1], poses[8], 0.02)
+
+
+def test_knowledge_without_a_pose_finds_the_camera_wherever_odometry_puts_it():
+    poses = along(16)
+    first = Localizer(CAMERA, T_map_camera=poses[0])
+    follow(first, poses)
+    unplaced = SavedLocalisation(first.state(), None).without_pose()
+    second = Localizer(CAMERA)
+    second.resume(unplaced.state)
+    rest = MotionPrior(np.eye(4), np.diag([0.002**2] * 3 + [0.002**2] * 3))
+    results = [second.locate(view((20 + i) * STEP, poses[2], seed=40 + i), rest) for i in range(4)]
+    assert results[-1].state == "tracking"
+    check(results[-1], poses[2], 0.02)
 
 
 class SeenTarget:

@@ -204,7 +204,10 @@ def _step_residuals(edge: _Beside, state: FloatArray) -> tuple[FloatArray, Float
 def _line(
     edge: _Beside, state: FloatArray, residual: FloatArray, jacobian: FloatArray, contrast: float
 ) -> _Line | None:
-    """The line if it is a step from dark to bright along the whole edge, else None."""
+    """The line if it is a step from dark to bright along the whole edge, else None.
+
+    None too where the pixels leave something of it open, as when it lies beyond all of them.
+    """
     dark, bright = state[3] + state[4] * edge.s, state[5] + state[6] * edge.s
     if (bright - dark).min() < contrast:
         return None
@@ -212,7 +215,10 @@ def _line(
     if np.sqrt(noise) > 0.5 * float(np.mean(bright - dark)):
         return None
     information = jacobian.T @ jacobian
-    inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    try:
+        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
     covariance = max(float(noise), _LEAST_NOISE**2) * inverse[:2, :2]
     return _Line(edge, float(state[0]), float(state[1]), covariance)
 

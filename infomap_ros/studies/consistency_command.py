@@ -2,19 +2,19 @@
 
 import json
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from infomap_ros.studies.common.command_line import Out
 from infomap_ros.studies.consistency_figure import draw_histograms
 from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
 
 
 def map_consistency(
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    out: Out,
     scenes: Annotated[int, typer.Option(help="random scenes")] = ConsistencyConfig.scenes,
     seed: Annotated[int, typer.Option(help="of the first scene")] = ConsistencyConfig.seed,
 ) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -71,7 +70,7 @@ def drift(
 
 
 def pose_consistency(
-    out: Annotated[Path, typer.Option(help="folder for the results", show_default=False)],
+    out: Out,
     runs: Annotated[
         int, typer.Option(help="random runs of each scenario")
     ] = PoseConsistencyConfig.runs,

@@ -156,7 +156,7 @@ def _covariances(cells: _Cells, points: NDArray[np.float32]) -> NDArray[np.float
 
 
 @kernel
-def _copy_points(source, points):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _copy_points(source: Any, points: Any) -> None:
     """Copy points, all three coordinates NaN where one is not finite."""
     for v in range(points.shape[0]):
         for u in range(points.shape[1]):
@@ -167,7 +167,7 @@ def _copy_points(source, points):  # type: ignore[no-untyped-def]  # pragma: no 
 
 
 @kernel
-def _unpack_colors(packed, colors):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _unpack_colors(packed: Any, colors: Any) -> None:
     """Red, green and blue of 0x00RRGGBB."""
     for v in range(colors.shape[0]):
         for u in range(colors.shape[1]):
@@ -178,7 +178,7 @@ def _unpack_colors(packed, colors):  # type: ignore[no-untyped-def]  # pragma: n
 
 
 @kernel
-def _expand(points, upper, covariances):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _expand(points: Any, upper: Any, covariances: Any) -> Any:
     """Write 3x3 matrices from upper triangles; number of the first point without one.
 
     Points that were not measured get NaN. A matrix passes when its principal minors are not
@@ -207,7 +207,7 @@ def _expand(points, upper, covariances):  # type: ignore[no-untyped-def]  # prag
 
 
 @kernel
-def _is_covariance(a, b, c, d, e, f):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _is_covariance(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:
     """Whether the numbers of an upper triangle, row by row, are those of a covariance."""
     xx, xy, xz = np.float64(a), np.float64(b), np.float64(c)
     yy, yz, zz = np.float64(d), np.float64(e), np.float64(f)

@@ -81,15 +81,15 @@ def measure(threads: int, colour: bool, runs: int) -> dict[str, float]:
     )
 
     def rest() -> bytes:
-        pair = rectifier.rectify(*raw)
+        pair = rectifier.rectify(*raw, grey_right=True)
         greys = [grey(image) for image in pair]
         return sensor.measure_matched(pair[0], *greys, disparity).packed.tobytes()
 
     works = {
         "sgbm": lambda: plain.compute(left, right),
         "rest": rest,
-        "rectify": lambda: rectifier.rectify(*raw),
-        "whole": lambda: sensor.measure(*rectifier.rectify(*raw)).packed.tobytes(),
+        "rectify": lambda: rectifier.rectify(*raw, grey_right=True),
+        "whole": lambda: sensor.measure(*rectifier.rectify(*raw, grey_right=True)).packed.tobytes(),
     }
     rest()
     times = {name: [] for name in works}

@@ -96,6 +96,21 @@ class StereoConfig:
         low=0.25,
         high=100.0,
     )
+    max_grazing_angle: float = parameter(
+        1.405,
+        "A disparity range within edge_window that only a surface seen at a larger angle from its "
+        "normal would have counts as a jump too...",
+        unit="rad",
+        low=0.1,
+        high=1.55,
+    )
+    edge_noise: float = parameter(
+        1.0,
+        "...but none up to this, which a match may have by chance.",
+        unit="px",
+        low=0.0,
+        high=100.0,
+    )
     min_texture: float = parameter(
         0.3,
         "Pixels whose neighbourhood has a smaller horizontal gradient (rms) are dropped.",
@@ -139,17 +154,17 @@ class StereoConfig:
         choices=("disparity", "printed"),
     )
     sigma_scale: float = parameter(
-        0.131,
+        0.136,
         "Disparity model: matching sigma at a residual of 1 grey level and texture 1 px wide.",
         unit="px",
         low=0.001,
         high=100.0,
     )
     sigma_residual_power: float = parameter(
-        0.462, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
+        0.419, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
     )
     sigma_texture_power: float = parameter(
-        0.88, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
+        0.928, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
     sigma_floor: float = parameter(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
@@ -163,7 +178,7 @@ class StereoConfig:
         high=10.0,
     )
     printed_s: float = parameter(
-        0.224,
+        0.234,
         "Printed model: intrinsic constant as a disparity error; S of eq. (1) is this over focal "
         "length [px] times baseline [m].",
         unit="px",
@@ -174,7 +189,7 @@ class StereoConfig:
         (0.13, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
     )
     printed_n: float = parameter(
-        2.13, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
+        2.07, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
     )
     printed_rho: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),

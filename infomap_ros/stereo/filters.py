@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
@@ -77,17 +78,21 @@ def drop_speckles(disparity: NDArray[np.int16], invalid: int, config: StereoConf
 
 
 def edge_free(
-    disparity: NDArray[np.int16], invalid: int, config: StereoConfig
+    disparity: NDArray[np.int16], invalid: int, config: StereoConfig, rig: StereoRig
 ) -> NDArray[np.bool_]:
     """Pixels with neither a jump of disparity nor a hole within edge_window.
 
     Semi-global matching smears the foreground over the background by about half a block at
-    depth edges; such pixels carry the error of a whole jump and no sigma can describe them.
+    depth edges; such pixels carry the error of a whole jump and no sigma can describe them. A jump
+    of 2 px is little where things are near and a tenth of the depth or more where they are far. A
+    plane seen at an angle a from its normal has, at the disparity D from infinity, a gradient of
+    tan(a) D / f: what is steeper than that for any angle one believes in is a jump.
 
     Args:
         disparity: shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
-        config: edge_window and edge_threshold.
+        config: edge_window, edge_threshold, max_grazing_angle and edge_noise.
+        rig: the pair.
 
     Returns:
         shape (H, W), bool; False too within the window of the image border.
@@ -95,23 +100,29 @@ def edge_free(
     window = np.ones((config.edge_window, config.edge_window), np.uint8)
     low, high = cv2.erode(disparity, window), cv2.dilate(disparity, window)
     keep = np.empty(disparity.shape, np.bool_)
-    limit = math.ceil(config.edge_threshold * SUBPIXELS)
-    _smooth_places(low, high, invalid, limit, config.edge_window // 2 + 1, keep)
+    steepest = (config.edge_window - 1) * math.tan(config.max_grazing_angle) / rig.left.fx
+    limits = np.array((config.edge_noise, config.edge_threshold), np.float32) * SUBPIXELS
+    offset = np.float32(rig.principal_offset * SUBPIXELS)
+    _smooth_places(
+        low, high, invalid, limits, np.float32(steepest), offset, config.edge_window, keep
+    )
     return keep
 
 
 @kernel
-def _smooth_places(low, high, invalid, limit, rim, keep):  # type: ignore[no-untyped-def]
+def _smooth_places(low, high, invalid, limits, steepest, offset, window, keep):  # type: ignore[no-untyped-def]
     height, width = keep.shape
+    rim, (least, most) = window // 2 + 1, limits
     keep[:] = False
     for v in range(rim, height - rim):
         for u in range(rim, width - rim):
-            jump = np.int32(high[v, u]) - np.int32(low[v, u])
-            keep[v, u] = (low[v, u] > invalid) & (jump < limit)
+            bottom = np.float32(low[v, u])
+            limit = min(max(steepest * (bottom + offset), least), most)
+            keep[v, u] = (low[v, u] > invalid) & (np.float32(high[v, u]) - bottom < limit)
 
 
 def has_support(keep: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     """Pixels about which at least a `share` of the 9 x 9 pixels is kept, shape (H, W)."""
     mask = keep.view(np.uint8)
     kept = cv2.boxFilter(mask, cv2.CV_8U, _SUPPORT, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(kept >= share * _SUPPORT[0] * _SUPPORT[1])
+    return np.asarray(kept >= math.ceil(share * _SUPPORT[0] * _SUPPORT[1]))

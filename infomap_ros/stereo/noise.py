@@ -87,18 +87,29 @@ def _samples(config: StereoConfig) -> int:
     return (config.refinement_window + config.smoothing_window - 1) ** 2
 
 
-def sigma_from_quality(quality: MatchQuality, config: StereoConfig) -> NDArray[np.float32]:
+def sigma_from_quality(
+    quality: MatchQuality, config: StereoConfig, bands: RowBands
+) -> NDArray[np.float32]:
     """Standard deviation of refined disparities, shape (H, W), float32 [px].
 
     ``sigma^2 = (scale * residual^a * width^c)^2 + bound``, at least sigma_floor^2, with the terms
     of `MatchTerms`. Within 1 % (the logarithms are approximated).
+
+    Args:
+        quality: of the matches.
+        config: the noise model's parameters.
+        bands: threads to work in.
     """
     powers = np.array([0.5 * config.sigma_residual_power, 0.5 * config.sigma_texture_power])
     numbers = np.array([config.sigma_scale, config.sigma_floor, _samples(config)])
     sigma = np.empty(quality.disparity.shape, np.float32)
-    planes = [plane.ravel() for plane in quality[1:]]
     arguments = (powers.astype(np.float32), numbers.astype(np.float32))
-    _sigma_kernel(*planes, *arguments, sigma.ravel())
+
+    def work(first: int, end: int) -> None:
+        planes = (plane[first:end].ravel() for plane in quality[1:])
+        _sigma_kernel(*planes, *arguments, sigma[first:end].ravel())
+
+    bands.run(work)
     return sigma
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.bands import RowBands
+from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.matching import SUBPIXELS
 
 # Keeps the step small where the gradient is at the level of image noise [grey levels^2].
@@ -76,6 +77,39 @@ def refine(
         smooth = cv2.blur(quality.disparity, (smoothing, smoothing))
         quality = quality._replace(disparity=np.asarray(smooth, dtype=np.float32))
     return quality
+
+
+def is_determined(
+    quality: MatchQuality, config: StereoConfig, bands: RowBands
+) -> NDArray[np.bool_]:
+    """Matches with the least texture and the least contrast to what they do not explain.
+
+    Args:
+        quality: of the matches.
+        config: min_texture and min_contrast.
+        bands: threads to work in.
+
+    Returns:
+        shape (H, W), bool.
+    """
+    determined = np.empty(quality.gradient.shape, np.bool_)
+    least, contrast = np.float32(config.min_texture**2), np.float32(config.min_contrast)
+
+    def work(first: int, end: int) -> None:
+        planes = (p[first:end] for p in (quality.gradient, quality.residual, determined))
+        _find_determined(least, contrast, *planes)
+
+    bands.run(work)
+    return determined
+
+
+@kernel
+def _find_determined(least, contrast, gradient, residual, determined):  # type: ignore[no-untyped-def]
+    height, width = determined.shape
+    for v in range(height):
+        for u in range(width):
+            g = gradient[v, u]
+            determined[v, u] = (g >= least) & (g >= contrast * residual[v, u])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -16,7 +16,7 @@ from infomap_ros.geometry import (
     rig_from_calibrations,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.stereo.images import check_image
+from infomap_ros.stereo.images import check_image, grey
 
 _PINHOLE_MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "": (0, 4, 5)}
 _FISHEYE = "equidistant"
@@ -45,13 +45,15 @@ class StereoRectifier:
         self._maps = _maps(left, "left"), _maps(right, "right")
 
     def rectify(
-        self, left: ArrayLike, right: ArrayLike
+        self, left: ArrayLike, right: ArrayLike, *, grey_right: bool = False
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Rectify a raw pair.
 
         Args:
             left: shape (H, W) or (H, W, 3), uint8.
             right: shape (H, W) or (H, W, 3), uint8.
+            grey_right: the right image is wanted without its colours, which nothing in this
+                package looks at; that is faster.
 
         Returns:
             Rectified left and right image; black where the raw image does not reach.
@@ -60,11 +62,13 @@ class StereoRectifier:
             InvalidInputError: an image is not uint8 with 1 or 3 channels.
             CalibrationError: an image does not have its calibration's size.
         """
-        return self._remap(left, 0, "left image"), self._remap(right, 1, "right image")
+        left_pixels = check_image(left, self.rig.left, "left image")
+        right_pixels = check_image(right, self.rig.right, "right image")
+        if grey_right:
+            right_pixels = grey(right_pixels)
+        return self._remap(left_pixels, 0), self._remap(right_pixels, 1)
 
-    def _remap(self, image: ArrayLike, side: int, name: str) -> NDArray[np.uint8]:
-        camera = (self.rig.left, self.rig.right)[side]
-        pixels = check_image(image, camera, name)
+    def _remap(self, pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
         rectified = cv2.remap(pixels, *self._maps[side], cv2.INTER_LINEAR)
         return np.asarray(rectified, dtype=np.uint8)
 

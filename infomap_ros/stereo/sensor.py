@@ -18,7 +18,7 @@ from infomap_ros.stereo.filters import (
 from infomap_ros.stereo.images import check_image, grey
 from infomap_ros.stereo.matching import DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
-from infomap_ros.stereo.quality import MatchQuality, refine
+from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
 from infomap_ros.stereo.range_cloud import RangeCloud
 
 
@@ -93,7 +93,7 @@ class StereoRangeSensor:
             disparity: the matcher's, shape (H, W) [1/16 px].
         """
         keep, quality = self.assess(left_grey, right_grey, disparity)
-        sigma = sigma_from_quality(quality, self.config)
+        sigma = sigma_from_quality(quality, self.config, self._bands)
         ranges = range_from_disparity(
             self.rig, self.config, keep, quality.disparity, sigma, self._bands
         )
@@ -135,9 +135,8 @@ class StereoRangeSensor:
             config.smoothing_window,
             self._bands,
         )
-        keep = edge_free(checked, invalid, config)
-        keep &= quality.gradient >= config.min_texture**2
-        keep &= quality.gradient >= config.min_contrast * quality.residual
+        keep = edge_free(checked, invalid, config, self.rig)
+        keep &= is_determined(quality, config, self._bands)
         keep &= has_support(keep, config.min_support)
         return keep, quality
 

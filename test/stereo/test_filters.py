@@ -3,11 +3,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.filters import drop_inconsistent, drop_speckles, edge_free
 
 INVALID = -16
+
+
+def rig(offset: float = 0.0) -> StereoRig:
+    left = PinholeCamera(640, 480, 300.0, 300.0, 320.0, 240.0)
+    right = PinholeCamera(640, 480, 300.0, 300.0, 320.0 + offset, 240.0)
+    return StereoRig(left, right, 0.1)
 
 
 def naive_left_right(disparity, tolerance):
@@ -55,13 +62,41 @@ def test_speckles_smaller_than_the_limit_go():
 
 
 def test_edges_agree_with_the_obvious_window(rng):
-    disparity = (64 + rng.integers(0, 40, (30, 40))).astype(np.int16)
+    disparity = (rng.integers(0, 27, (30, 40)) + 330 * (np.arange(40) > 19)).astype(np.int16)
+    disparity[18:, :8] //= 3
     disparity[10, 20] = INVALID
-    found = edge_free(disparity, INVALID, StereoConfig(edge_window=5, edge_threshold=2.0))
+    config = StereoConfig(edge_window=5, edge_threshold=2.0, max_grazing_angle=1.4, edge_noise=0.7)
+    found = edge_free(disparity, INVALID, config, rig(offset=3.0))
     expected = np.zeros((30, 40), bool)
     for v in range(3, 27):
         for u in range(3, 37):
             window = disparity[v - 2 : v + 3, u - 2 : u + 3]
-            expected[v, u] = window.min() > INVALID and int(np.ptp(window)) < 32
+            steep = 4 * np.tan(1.4) / 300.0 * (window.min() / 16 + 3.0)
+            jump = np.clip(steep, 0.7, 2.0)
+            expected[v, u] = window.min() > INVALID and np.ptp(window) / 16 < jump
     np.testing.assert_array_equal(found, expected)
     assert 0 < expected.sum() < expected.size
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 1.35])
+@pytest.mark.parametrize("offset", [0.0, 12.0])
+def test_a_plane_seen_at_a_believable_angle_has_no_edges(angle, offset):
+    """The floor 2.5 m away, seen at an angle from its normal, by intersecting every ray."""
+    pair = rig(offset)
+    v, u = np.mgrid[0:480, 0:640].astype(float)
+    normal = np.array((0.0, -np.sin(angle), -np.cos(angle)))
+    rays = np.stack(((u - 320.0) / 300.0, (v - 240.0) / 300.0, np.ones_like(u)), axis=-1)
+    depth = normal[2] * 2.5 / (rays @ normal)
+    disparity = np.round(16.0 * (300.0 * 0.1 / depth - offset)).astype(np.int16)
+    found = edge_free(disparity, -(2**15), StereoConfig(), pair)
+    assert found[220:260, 300:340].all()
+
+
+def test_a_small_jump_far_away_is_an_edge():
+    """From 3.0 to 3.6 m, 1.7 px, over 4 px as a matcher joins them: a wall that is not there."""
+    near, far = 300.0 * 0.1 / 3.0, 300.0 * 0.1 / 3.6
+    row = np.interp(np.arange(640), (318, 322), (near, far))
+    disparity = np.tile(np.round(16.0 * row).astype(np.int16), (480, 1))
+    found = edge_free(disparity, INVALID, StereoConfig(), rig())
+    assert not found[:, 319:322].any()
+    assert found[10:-10, 10:315].all() and found[10:-10, 326:-10].all()

@@ -85,10 +85,12 @@ def test_sigma_kernel_is_the_power_law_within_one_percent(rng):
     planes = [np.exp(rng.uniform(-2.0, 8.0, (50, 60))).astype(np.float32) for _ in range(4)]
     quality = MatchQuality(*planes)
     exact = sigma_from_terms(match_terms(quality, CONFIG), CONFIG)
-    np.testing.assert_allclose(sigma_from_quality(quality, CONFIG), exact, rtol=0.01)
+    found = sigma_from_quality(quality, CONFIG, RowBands(50, 2))
+    np.testing.assert_allclose(found, exact, rtol=0.01)
 
 
 def test_sigma_is_never_below_its_floor():
     zero = np.zeros((4, 5), np.float32)
     config = StereoConfig(sigma_floor=0.3)
-    assert sigma_from_quality(MatchQuality(zero, zero, zero, zero), config).min() >= 0.3
+    sigma = sigma_from_quality(MatchQuality(zero, zero, zero, zero), config, RowBands(4))
+    assert sigma.min() >= 0.3

@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 
+from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.bands import RowBands
-from infomap_ros.stereo.quality import refine
+from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
 
 INVALID = -16
 
@@ -80,6 +81,15 @@ def test_a_fraction_of_a_pixel_is_recovered(rng):
     assert np.abs(middle - 10.3).max() < 0.05
 
 
+def test_a_match_needs_texture_and_contrast_to_what_is_left_unexplained():
+    config = StereoConfig(min_texture=3.0, min_contrast=0.5)
+    gradient = np.array([[8.9, 9.0, 20.0], [20.0, 100.0, 0.0]], np.float32)
+    residual = np.array([[0.0, 0.0, 40.0], [41.0, 201.0, 0.0]], np.float32)
+    quality = MatchQuality(gradient, residual, gradient, gradient)
+    found = is_determined(quality, config, RowBands(2, 2))
+    assert found.tolist() == [[False, True, True], [False, False, False]]
+
+
 def test_kernels_run_uncompiled_with_the_same_result(rng, tmp_path):
     arrays = scene(rng)
     np.savez(tmp_path / "scene.npz", *arrays)
@@ -90,8 +100,9 @@ def test_kernels_run_uncompiled_with_the_same_result(rng, tmp_path):
         "from infomap_ros.stereo.noise import sigma_from_quality\n"
         "from infomap_ros.stereo.quality import refine\n"
         "scene = list(np.load(sys.argv[1]).values())\n"
-        "quality = refine(*scene, -16, 5, 3, RowBands(14))\n"
-        "np.savez(sys.argv[2], *quality, sigma_from_quality(quality, StereoConfig()))\n"
+        "bands = RowBands(14)\n"
+        "quality = refine(*scene, -16, 5, 3, bands)\n"
+        "np.savez(sys.argv[2], *quality, sigma_from_quality(quality, StereoConfig(), bands))\n"
     )
     results = []
     for jit in ("0", "1"):

@@ -82,6 +82,19 @@ def test_rectified_dots_lie_where_the_rig_projects_their_points(model):
     np.testing.assert_allclose(rectifier.rig.depth_from_disparity(disparity), turned[:, 2])
 
 
+def test_a_right_image_without_colours_is_that_of_the_coloured_one(rng):
+    left, right = rectify_calibrations(*raw_pair("plumb_bob"), T_RIGHT_LEFT)
+    shape = (left.height, left.width, 3)
+    images = [rng.integers(0, 256, shape).astype(np.uint8) for _ in range(2)]
+    rectifier = StereoRectifier(left, right)
+    coloured = rectifier.rectify(*images)
+    pair = rectifier.rectify(*images, grey_right=True)
+    np.testing.assert_array_equal(pair[0], coloured[0])
+    assert pair[1].shape == shape[:2]
+    difference = pair[1].astype(int) - cv2.cvtColor(coloured[1], cv2.COLOR_RGB2GRAY)
+    assert np.abs(difference).max() <= 2  # what rounding in another order makes
+
+
 def test_rotations_bring_both_cameras_to_one_orientation():
     left, right = rectify_calibrations(*raw_pair("plumb_bob"), T_RIGHT_LEFT)
     turn = right.rectification @ T_RIGHT_LEFT[:3, :3] @ left.rectification.T

@@ -89,7 +89,7 @@ class PairPreparation:
     def prepare(
         self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], StereoRangeSensor]:
-        """Rectified left and right image, grey or RGB, and the sensor.
+        """Rectified left and right image and the sensor; the left image may be RGB.
 
         Raises:
             InfomapError: images or calibrations cannot be used.
@@ -97,7 +97,7 @@ class PairPreparation:
         tools = self._tools_for(tuple(calibrations))
         left, right = (intensity_pixels(image) for image in images)
         if tools.rectifier is not None:
-            left, right = tools.rectifier.rectify(left, right)
+            left, right = tools.rectifier.rectify(left, right, grey_right=True)
         return left, right, tools.sensor
 
     def _tools_for(self, calibrations: tuple[CameraCalibration, ...]) -> _Tools:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import typer
-from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.replay.commands.late_commands import (
@@ -73,7 +73,9 @@ def doctor(context: typer.Context) -> None:
 
 def main() -> None:
     """Run the command line; errors end it with one line and exit status 1."""
-    threadpool_limits(1, user_api="blas")  # its threads spin, and slow down small problems
+    # Read where a command, or a process that it starts, loads OpenBLAS, whose threads spin, and
+    # slow down small problems.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
     except (InfomapError, OSError) as error:

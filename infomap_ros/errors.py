@@ -5,9 +5,28 @@ script can translate all of them in one place. An error names the thing that is 
 the offending values.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import FunctionType
+
 
 class InfomapError(Exception):
-    """Base of all errors raised by infomap_ros."""
+    """Base of all errors raised by infomap_ros; they pass from one process to another."""
+
+    def __reduce__(self) -> tuple[Callable[..., InfomapError], tuple[object, ...]]:
+        """Pickle message and attributes, as Python would call `__init__` with the message alone."""
+        return _as_raised, (type(self), self.args, dict(self.__dict__))
+
+
+def _as_raised(
+    kind: type[InfomapError], args: tuple[object, ...], values: Mapping[str, object]
+) -> InfomapError:
+    """An error as it was in another process."""
+    takes_more = isinstance(kind.__init__, FunctionType)  # than the message
+    error = kind.__new__(kind, *args) if takes_more else kind(*args)
+    error.__dict__.update(values)
+    return error
 
 
 class ConfigError(InfomapError, ValueError):

@@ -6,6 +6,8 @@ import os
 import shutil
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as nodes and commands do: its threads spin
+
 import numpy as np
 import pytest
 

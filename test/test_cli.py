@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import subprocess
 import sys
 from types import UnionType
@@ -173,6 +174,27 @@ def test_the_list_of_commands_loads_none_of_them(arguments):
     done = subprocess.run(command, text=True, capture_output=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
     assert "rover" in done.stdout or "localize" in done.stdout
+
+
+def test_a_command_computes_small_matrices_in_one_thread():
+    program = """
+import sys
+from threadpoolctl import threadpool_info
+from infomap_ros.cli import main
+
+sys.argv = ["infomap", "map", "--settings"]
+try:
+    main()
+finally:
+    import numpy.linalg, scipy.linalg
+    threads = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+    print("threads", *threads)
+"""
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, text=True, capture_output=True, check=True, env=free)
+    threads = done.stdout.splitlines()[-1].split()
+    assert threads[0] == "threads" and set(threads[1:]) == {"1"}
 
 
 def test_a_study_leaves_its_figure_and_summary(tmp_path, run):

@@ -56,8 +56,8 @@ def draw_drift(panels: Sequence[DriftPanel], paths: Sequence[str | Path]) -> Non
     for row in axes:
         row[0].set_ylabel("RMS position error [mm]")
     runs = len(panels[0].errors["default"])
-    axes[0][0].legend(
-        fontsize=7, loc="upper left", title=f"{runs} runs, {100 * CONFIDENCE:.0f} % bands",
+    axes[0][-1].legend(  # most fiducials, smallest errors: there is room above the curves
+        fontsize=7, loc="upper right", title=f"{runs} runs, {100 * CONFIDENCE:.0f} % bands",
         title_fontsize=7,
     )  # fmt: skip
     for path in paths:

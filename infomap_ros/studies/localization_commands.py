@@ -1,12 +1,9 @@
 """The studies of localisation on the command line."""
 
-import json
 import time
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
 from infomap_ros.studies.common.command_line import (
     DrawOnly,
@@ -82,15 +79,11 @@ def pose_consistency(
     """
     from infomap_ros.studies.pose_figure import draw_nees
 
-    config = PoseConsistencyConfig(runs=runs, seed=seed)
     start = time.monotonic()
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("runs", total=runs * len(SCENARIOS))
-        results = run_pose_consistency(config, lambda done: progress.update(task, completed=done))
+    with refusals(), progress_bar("runs", runs * len(SCENARIOS)) as advance:
+        results = run_pose_consistency(PoseConsistencyConfig(runs=runs, seed=seed), advance)
     out.mkdir(parents=True, exist_ok=True)
     draw_nees(results, out / "pose_consistency.png")
     figures = pose_summary(results, time.monotonic() - start)
-    (out / "summary.json").write_text(json.dumps(figures) + "\n", encoding="utf-8")
-    typer.echo(pose_table(results))
-    typer.echo(json.dumps(figures))
+    finish("pose_consistency", pose_table(results), figures, out)
     raise typer.Exit(0 if all(result.is_consistent for result in results) else 1)

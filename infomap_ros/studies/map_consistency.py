@@ -21,6 +21,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.studies.analytic_scene import AnalyticScene, random_scene
+from infomap_ros.studies.common.tables import markdown
 from infomap_ros.studies.noisy_scans import CAMERA, NoisyScan, simulate_scans
 
 CONFIDENCE = 0.95
@@ -154,21 +155,19 @@ def run_study(
 
 def table(results: Sequence[ConsistencyResult]) -> str:
     """The results as a Markdown table."""
-    percent = f"{100 * CONFIDENCE:.0f} %"
-    lines = [
-        f"| voxel | scenes | mean NEES | {percent} band | mean NEES of all voxels "
-        "| within 1, 2, 3 sigma |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    names = [
+        "voxel", "scenes", "mean NEES", f"{100 * CONFIDENCE:.0f} % band",
+        "mean NEES of all voxels", "within 1, 2, 3 sigma",
+    ]  # fmt: skip
+    lines = []
     for result in results:
         low, high = result.band
         shares = ", ".join(f"{100 * share:.1f}" for share in result.shares_within())
-        lines.append(
-            f"| {100 * result.voxel_size:g} cm | {len(result.independent)} "
-            f"| {result.mean_nees:.2f} | {low:.2f} to {high:.2f} "
-            f"| {result.mean_nees_of_all:.2f} | {shares} % |"
-        )
-    return "\n".join(lines)
+        lines.append([
+            f"{100 * result.voxel_size:g} cm", len(result.independent), f"{result.mean_nees:.2f}",
+            f"{low:.2f} to {high:.2f}", f"{result.mean_nees_of_all:.2f}", f"{shares} %",
+        ])  # fmt: skip
+    return markdown(names, lines)
 
 
 def summary(results: Sequence[ConsistencyResult], seconds: float) -> dict[str, float]:

@@ -20,6 +20,7 @@ from infomap_ros.geometry import perturb_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization import FiducialFilter, FiducialObservations, FilterUpdate, free_motion
+from infomap_ros.studies.common.tables import markdown
 from infomap_ros.studies.fiducial_room import CAMERA, Room, circle, odometry, pose_error
 
 CONFIDENCE = 0.95
@@ -237,23 +238,19 @@ def pose_table(results: Sequence[ScenarioResult]) -> str:
     """The results as a Markdown table."""
     runs = len(results[0].last)
     six, three = ("{:.2f} to {:.2f}".format(*mean_band(runs, freedom)) for freedom in (6, 3))
-    lines = [
-        f"| scenario | pose half way ({six}) | last pose ({six}) | kept pose ({six}) "
-        f"| fiducial ({three}) | updated | wrong | last error |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    names = [
+        "scenario", f"pose half way ({six})", f"last pose ({six})", f"kept pose ({six})",
+        f"fiducial ({three})", "updated", "wrong", "last error",
+    ]  # fmt: skip
+    lines = []
     for result in results:
         values = (result.halfway, result.last, result.kept, result.fiducial)
         means = ["-" if result.scenario.speed > 0.0 else f"{v.mean():.2f}" for v in values]
-        cells = [
-            result.scenario.name,
-            *means,
-            f"{100 * result.updated:.1f} %",
-            f"{result.wrong} of {result.images}",
-            f"{1e3 * result.last_error:.0f} mm",
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append([
+            result.scenario.name, *means, f"{100 * result.updated:.1f} %",
+            f"{result.wrong} of {result.images}", f"{1e3 * result.last_error:.0f} mm",
+        ])  # fmt: skip
+    return markdown(names, lines)
 
 
 def pose_summary(results: Sequence[ScenarioResult], seconds: float) -> dict[str, float]:

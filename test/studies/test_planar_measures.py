@@ -11,14 +11,17 @@ from scipy import stats
 
 from infomap_ros.studies.baselines.tour import open_tour, tour_length
 from infomap_ros.studies.common.bands import band, curve_band
+from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig
 from infomap_ros.studies.planar.measures import (
     area_under_coverage,
     distance_to,
     fraction_at,
     saving,
 )
-from infomap_ros.studies.planar.planar_study import Row, compare, savings_of
+from infomap_ros.studies.planar.planar_study import BASELINES, Row, compare, savings_of
+from infomap_ros.studies.planar.relations import relations, way_ratio
 from infomap_ros.studies.planar.savings_figure import draw_savings
+from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 
 DISTANCE = np.array([0.0, 0.0, 10.0, 30.0])
 FRACTION = np.array([0.1, 0.2, 0.5, 0.9])
@@ -123,3 +126,30 @@ def test_tours_are_nearly_the_shortest() -> None:
         excess.append(found / min(lengths))
     assert min(excess) == pytest.approx(1.0)
     assert max(excess) < 1.1
+
+
+def record(seed: int, strategy: str, ways: list[float], shares: list[float]) -> Record:
+    task = Task(WorldName("caves", seed), strategy, ExplorationConfig(), 10)
+    found = Exploration(np.array(shares), np.array(ways), *[np.zeros(1)] * 3, ended="")
+    return Record(task, found)
+
+
+def test_ways_of_baselines_are_compared_where_both_came_so_far() -> None:
+    nearest, tour = BASELINES[:2]
+    records = [
+        record(0, nearest, [0.0, 100.0, 300.0], [0.1, 0.5, 0.9]),
+        record(0, tour, [0.0, 50.0, 60.0], [0.1, 0.5, 0.9]),
+        record(1, nearest, [0.0, 200.0, 300.0], [0.1, 0.6, 0.9]),
+        record(1, tour, [0.0, 400.0, 900.0], [0.1, 0.5, 0.8]),  # ends before
+    ]
+    half = way_ratio(records, "FrontierTour", "NearestFrontier", 0.5)
+    assert (half.mean, half.count) == (pytest.approx(1.0), 2)  # of 1/2 and 2
+    last = way_ratio(records, "FrontierTour", "NearestFrontier", 0.9)
+    assert (last.mean, last.count) == (pytest.approx(0.2), 1)
+    assert (
+        way_ratio(records, "FrontierTour", "NearestFrontier", 0.1).count == 0
+    )  # by the first view
+    line = relations(records, 0.9).splitlines()[2]
+    assert line.startswith("| FrontierTour | NearestFrontier | all |")
+    assert line.endswith("| 0.20 (1) |")
+    assert relations(records[::2], 0.9) == ""

@@ -18,7 +18,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.rover.explore import RoverExploration, RoverTask
-from infomap_ros.studies.rover.rasters import SweepRaster
+from infomap_ros.studies.rover.rasters import OneWayRaster, SweepRaster
 from infomap_ros.studies.rover.rover_study import (
     OWN,
     RoverStudyConfig,
@@ -40,7 +40,7 @@ def made_up(points: list[float], mapped: int = 3) -> RoverExploration:
     surface = np.random.default_rng(1).normal(size=(9, 3)).astype(np.float32)
     first_seen = np.where(np.arange(9) < mapped, 1, 0).astype(np.int16)
     return RoverExploration(
-        np.array(points), distance, distance, cameras, surface, first_seen, 0, "budget spent"
+        np.array(points), distance, distance, cameras, surface, first_seen, 0, "", "budget spent"
     )
 
 
@@ -122,24 +122,39 @@ def looking(x: float, y: float, azimuth: float) -> FloatArray:
     return make_transform(rotation, np.array([x, y, 0.5]))
 
 
-def test_sweep_goes_on_along_its_row_and_keeps_its_heading() -> None:
-    here, views = looking(0.2, 0.2, 0.3), [(1.8, 0.2), (0.6, 0.2), (-0.2, 0.2), (0.6, 0.2)]
-    turns = (0.3, 2.0, 0.3, 0.4)
-    poses = np.array([looking(*place, turn) for place, turn in zip(views, turns, strict=True)])
+def options_at(here: FloatArray, past_views: list[FloatArray], poses: FloatArray) -> Any:
+    """What a scan that has looked from some poses chooses among in an empty map."""
     situation = Situation(
         VoxelMap(),
         PinholeCamera(64, 48, 40.0, 40.0, 31.5, 23.5),
         4.0,
         here,
         region=RegionOfTask(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 1.0])),
-        past_views=np.array([here]),
+        past_views=np.array(past_views),
     )
-    surroundings: Any = SimpleNamespace(voxel_size=0.05)
-    options: Any = SimpleNamespace(situation=situation, surroundings=surroundings, poses=poses)
+    surroundings = SimpleNamespace(voxel_size=0.05)
+    return SimpleNamespace(situation=situation, surroundings=surroundings, poses=poses)
+
+
+def test_sweep_goes_on_along_its_row_and_keeps_its_heading() -> None:
+    here, views = looking(0.2, 0.2, 0.3), [(1.8, 0.2), (0.6, 0.2), (-0.2, 0.2), (0.6, 0.2)]
+    turns = (0.3, 2.0, 0.3, 0.4)
+    poses = np.array([looking(*place, turn) for place, turn in zip(views, turns, strict=True)])
+    options = options_at(here, [here], poses)
     ratings: Any = None
     values = SweepRaster().score(options, ratings).values
     # this row runs towards -x: one step ahead; then from the row's begin; then the smaller turn
     assert list(np.argsort(-values)) == [2, 0, 3, 1]
-    past = np.array([here, poses[2]])
-    options.situation = replace(situation, past_views=past)
+    options = options_at(here, [here, poses[2]], poses)
     assert list(np.argsort(-SweepRaster().score(options, ratings).values)) == [0, 3, 1, 2]
+
+
+def test_one_way_scan_turns_only_where_no_view_is_left_that_way() -> None:
+    first, here = looking(0.2, 0.2, 0.3), looking(0.6, 0.2, 0.5)
+    poses = np.array([looking(-0.6, 0.2, 0.6), looking(-0.2, 0.2, 2.0), looking(-1.0, 0.2, 0.2)])
+    options = options_at(here, [first, here], poses)
+    ratings: Any = None
+    values = OneWayRaster().score(options, ratings).values
+    # the row runs towards -x; the next place, from which the camera would turn, comes last
+    assert list(np.argsort(-values)) == [0, 2, 1]
+    assert list(np.argsort(-SweepRaster().score(options, ratings).values)) == [1, 0, 2]

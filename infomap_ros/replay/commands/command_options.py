@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -16,12 +18,47 @@ Bag = Annotated[
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
 Source = Annotated[Optional[str], typer.Option(help="auto, stereo or depth")]
 Rectify = Annotated[Optional[str], typer.Option(help="auto, yes or no")]
-Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
+_Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
 Urdf = Annotated[str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")]
 Setting = Annotated[
     Optional[list[str]],
     typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting"),
 ]
+
+
+IMAGE_TOPICS = ("left_image", "right_image", "left_info", "right_info", "depth", "info")
+"""Topics of every command that takes images from a bag."""
+
+
+def takes_topics(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command one more option for each topic, which is empty where it is not given.
+
+    The command gets them by its parameter ``topics``, the topic by its name; an option that has to
+    be called ``pose_topic``, because ``pose`` might mean something else, is the topic ``pose``.
+
+    Args:
+        names: of the options.
+    """
+
+    def give(command: Callable[..., None]) -> Callable[..., None]:
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        own = [
+            p.replace(kind=keyword)
+            for p in inspect.signature(command).parameters.values()
+            if p.name != "topics"
+        ]
+        topics = [inspect.Parameter(n, keyword, default="", annotation=_Topic) for n in names]
+
+        @wraps(command)
+        def run(**given: Any) -> None:
+            told = {name.removesuffix("_topic"): given.pop(name) for name in names}
+            command(**given, topics=told)
+
+        run.__annotations__ = {p.name: p.annotation for p in (*own, *topics)}
+        run.__dict__["__signature__"] = inspect.Signature([*own, *topics])
+        return run
+
+    return give
 
 
 def lists_settings(options: Callable[[], Any]) -> Callable[[bool], None]:

@@ -1,6 +1,7 @@
 """Command ``infomap localize``."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -8,15 +9,16 @@ import typer
 
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.commands.command_options import (
+    IMAGE_TOPICS,
     Bag,
     Out,
     Rectify,
     Setting,
     Source,
-    Topic,
     Urdf,
     given_settings,
     lists_settings,
+    takes_topics,
 )
 from infomap_ros.replay.commands.progress_bar import run_with_bar
 from infomap_ros.replay.commands.settings import with_settings
@@ -24,24 +26,17 @@ from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
 
 
+@takes_topics(*IMAGE_TOPICS, "color", "odometry", "joints")
 def localize(
     bag: Bag,
     out: Out,
+    topics: Mapping[str, str],
     source: Source = None,
     rectify: Rectify = None,
     motion: Annotated[
         Optional[str], typer.Option(help="auto, odometry, or none for the images alone")
     ] = None,
     target: Annotated[Optional[str], typer.Option(help="kind of the target, none or tags")] = None,
-    left_image: Topic = "",
-    right_image: Topic = "",
-    left_info: Topic = "",
-    right_info: Topic = "",
-    depth: Topic = "",
-    info: Topic = "",
-    color: Topic = "",
-    odometry: Topic = "",
-    joints: Topic = "",
     robot: Urdf = "",
     setting: Setting = None,
     settings: Annotated[
@@ -58,17 +53,6 @@ def localize(
         "input.rectify": rectify,
         "input.motion": motion,
         "target.kind": target,
-    }
-    topics = {
-        "left_image": left_image,
-        "right_image": right_image,
-        "left_info": left_info,
-        "right_info": right_info,
-        "depth": depth,
-        "info": info,
-        "color": color,
-        "odometry": odometry,
-        "joints": joints,
     }
     given = given_settings(shortcuts, setting)
     options = with_settings(LocalizeOptions(topics=topics, robot=robot), given)

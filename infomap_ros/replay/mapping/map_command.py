@@ -1,6 +1,7 @@
 """Command ``infomap map``."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -9,15 +10,16 @@ import typer
 from infomap_ros.errors import CapacityError
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.commands.command_options import (
+    IMAGE_TOPICS,
     Bag,
     Out,
     Rectify,
     Setting,
     Source,
-    Topic,
     Urdf,
     given_settings,
     lists_settings,
+    takes_topics,
 )
 from infomap_ros.replay.commands.progress_bar import run_with_bar
 from infomap_ros.replay.commands.settings import with_settings
@@ -25,22 +27,16 @@ from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
 
 
+@takes_topics(*IMAGE_TOPICS, "pose_topic", "joints")
 def map_bag(
     bag: Bag,
     out: Out,
+    topics: Mapping[str, str],
     voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel [m]")] = None,
     max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
     source: Source = None,
     rectify: Rectify = None,
     poses: Annotated[Optional[str], typer.Option(help="auto, bag or localize")] = None,
-    left_image: Topic = "",
-    right_image: Topic = "",
-    left_info: Topic = "",
-    right_info: Topic = "",
-    depth: Topic = "",
-    info: Topic = "",
-    pose_topic: Topic = "",
-    joints: Topic = "",
     map_frame: Annotated[Optional[str], typer.Option(help="frame of the map")] = None,
     pose_frame: Annotated[
         Optional[str], typer.Option(help="whose pose the pose topic tells")
@@ -64,16 +60,6 @@ def map_bag(
         "input.poses": poses,
         "input.map_frame": map_frame,
         "input.pose_frame": pose_frame,
-    }
-    topics = {
-        "left_image": left_image,
-        "right_image": right_image,
-        "left_info": left_info,
-        "right_info": right_info,
-        "depth": depth,
-        "info": info,
-        "pose": pose_topic,
-        "joints": joints,
     }
     given = given_settings(shortcuts, setting)
     options = with_settings(MapOptions(topics=topics, robot=robot), given)

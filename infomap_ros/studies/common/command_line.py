@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from infomap_ros.errors import InfomapError
+from infomap_ros.views.ranking.strategies import make_strategy
 
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
 Quick = Annotated[bool, typer.Option("--quick", help="a small study, in less than a minute")]
@@ -30,6 +32,23 @@ def workers(jobs: int) -> int:
     return jobs or os.cpu_count() or 1
 
 
+def chosen_strategies(names: str, usual: tuple[str, ...]) -> tuple[str, ...]:
+    """What the option `Strategies` asks for; classes may be in files of the current folder.
+
+    Args:
+        names: with commas between them.
+        usual: taken where there are none.
+
+    Raises:
+        ConfigError: there is no such strategy.
+    """
+    sys.path.insert(0, str(Path.cwd()))
+    found = tuple(name.strip() for name in names.split(",")) if names else usual
+    for name in found:
+        make_strategy(name)
+    return found
+
+
 @contextmanager
 def refusals() -> Iterator[None]:
     """One clear line instead of a traceback for what the library refuses."""
@@ -42,9 +61,13 @@ def refusals() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr; gives a function that is told how many are done."""
+    """A bar on stderr, lines where that is a file; gives a function that is told what is done."""
     columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda done: typer.echo(f"{name}: {done} of {total}", err=True)
+        return
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(name, total=total)
         yield lambda done: bar.update(task, completed=done)
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -96,13 +100,18 @@ def run_all(
         progress(done)
     missing = [task for task, result in found.items() if result is None] if compute else []
     if missing:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        spawned = get_context("spawn")
+        with ProcessPoolExecutor(jobs, mp_context=spawned, initializer=_end_when_told) as pool:
             futures = {pool.submit(_run_and_keep, task, kept): task for task in missing}
-            for future in as_completed(futures):
-                found[futures[future]] = future.result()
-                done += 1
-                if progress is not None:
-                    progress(done)
+            try:
+                for future in as_completed(futures):
+                    found[futures[future]] = future.result()
+                    done += 1
+                    if progress is not None:
+                        progress(done)
+            except BaseException:  # interrupted, or a run failed: no other is begun
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     return {task: result for task, result in found.items() if result is not None}
 
 
@@ -124,6 +133,22 @@ def in_all_worlds(
     for run in runs:
         found.setdefault(world(run), set()).add(label(run))
     return [run for run in runs if found[world(run)] == labels]
+
+
+def _end_when_told() -> None:
+    """Let a worker end at once with Ctrl-C, and when its parent is gone.
+
+    Without it, a worker takes the interrupt for the failure of one run, and goes on to the next.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
 
 
 def _run_and_keep(task: Task[Result], kept: Kept[Result]) -> Result:

@@ -1,6 +1,5 @@
 """``infomap study planar`` and ``infomap study two``."""
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from infomap_ros.studies.common.command_line import (
     Out,
     Quick,
     Strategies,
+    chosen_strategies,
     finish,
     progress_bar,
     refusals,
@@ -32,6 +32,7 @@ from infomap_ros.studies.planar.planar_study import (
     tasks_of,
     team_tasks,
 )
+from infomap_ros.studies.planar.relations import relations
 from infomap_ros.studies.planar.tasks import label_of, run_tasks
 
 FloorPlans = Annotated[
@@ -55,15 +56,10 @@ def planar(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
     with refusals():
         config = replace(PlanarStudyConfig(), worlds=worlds, seed=seed, scans=scans, cell=cell)
-        if strategies:
-            config = replace(config, strategies=tuple(strategies.split(",")))
-        if is_quick:
-            given = config.strategies if strategies else None
-            config = quick(config)
-            config = replace(config, strategies=given) if given else config
+        config = quick(config) if is_quick else config
+        config = replace(config, strategies=chosen_strategies(strategies, config.strategies))
         tasks = tasks_of(config, _plans_in(floor_plans))
         start = time.monotonic()
         with progress_bar("explorations", len(tasks)) as advance:
@@ -75,8 +71,9 @@ def planar(
         records = complete(records)
         rows = report.rows_of(records, config)
     report.draw_figures(records, config, out)
-    tables = report.overview(rows, config) + "\n" + report.comparisons(rows, config)
-    finish("planar", tables, report.summary(rows, time.monotonic() - start), out)
+    tables = [report.overview(rows, config), report.comparisons(rows, config)]
+    tables.append(relations(records, config.share))
+    finish("planar", "\n".join(tables), report.summary(rows, time.monotonic() - start), out)
 
 
 def two(
@@ -94,14 +91,12 @@ def two(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    sys.path.insert(0, str(Path.cwd()))
     with refusals():
         config = TeamStudyConfig(worlds=worlds, seed=seed, sensors=sensors, scans=scans)
         if is_quick:
             quickly = ("random", "largest_information")
             config = replace(config, worlds=0, scans=12, candidates=120, strategies=quickly)
-        if strategies:
-            config = replace(config, strategies=tuple(strategies.split(",")))
+        config = replace(config, strategies=chosen_strategies(strategies, config.strategies))
         tasks, start = team_tasks(config), time.monotonic()
         with progress_bar("explorations", len(tasks)) as advance:
             records = run_tasks(tasks, out / "runs", workers(jobs), advance, compute=not draw_only)

@@ -60,7 +60,8 @@ def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
     lines = [_overview_line(rows, name) for name in dict.fromkeys(row.strategy for row in rows)]
     note = (
         f"Mean ± half width of the {100 * CONFIDENCE:.0f} % band over worlds. Where a strategy did "
-        "not get so far, all its way counts, so that the distance is at least the number given.\n"
+        "not get so far, all its way counts, so that the distance is at least the number given. "
+        "The first run of an installation compiles, which counts as choice.\n"
     )
     return markdown(names, lines) + "\n" + note
 
@@ -86,7 +87,7 @@ def comparisons(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
         "strategy",
         "against",
         "worlds",
-        "difference of the area [%]",
+        "difference of the area [points of %]",
         f"saved on the way to {100 * config.share:g} % [%]",
         "worlds with a bound only",
     )
@@ -152,11 +153,16 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
         "By kind of world: mean, bands from three worlds on",
     )
     first = [r for r in records if str(r.task.world) == str(records[0].task.world)]
-    shown = ("random", "largest_information", "look_ahead", "FrontierTour")
-    chosen = [record for record in first if record.task.label in shown]
+    chosen = [record for record in first if _is_shown(record.task.strategy)]
     if chosen:
         world = chosen[0].task.world.make()
         draw_ways(world, chosen, config.sensor, config.scans, out / "planar_ways")
+
+
+def _is_shown(strategy: str) -> bool:
+    """Whether its way is drawn: some of the study's own strategies, and all that a user brings."""
+    shown = ("random", "largest_information", "look_ahead", "FrontierTour")
+    return label_of(strategy) in shown or strategy not in PlanarStudyConfig().strategies
 
 
 def _draw_comparison(records: Sequence[Record], config: PlanarStudyConfig, out: Path) -> None:

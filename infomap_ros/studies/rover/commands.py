@@ -1,6 +1,5 @@
 """``infomap study rover``."""
 
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from infomap_ros.studies.common.command_line import (
     Out,
     Quick,
     Strategies,
+    chosen_strategies,
     finish,
     progress_bar,
     refusals,
@@ -55,14 +55,12 @@ def rover(
     """
     from infomap_ros.studies.rover.figures import all_figures
 
-    sys.path.insert(0, str(Path.cwd()))  # strategies may be in the current folder
     with refusals():
         config = RoverStudyConfig(
             worlds=worlds, seed=seed, raster_views=raster_views, raster_worlds=raster_worlds
         )
         config = quick(config) if is_quick else config
-        if strategies:
-            config = replace(config, strategies=tuple(strategies.split(",")))
+        config = replace(config, strategies=chosen_strategies(strategies, config.strategies))
         tasks, start = tasks_of(config), time.monotonic()
         kept = Kept(out / "runs", RoverExploration)
         with progress_bar("explorations", len(tasks)) as advance:

@@ -22,6 +22,7 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.contacts import ContactEvent
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
@@ -132,6 +133,7 @@ class RoverExploration:
         first_seen: number of the view after which each of them was first mapped, shape (N,); 0
             where never.
         contacts: that should not be.
+        touched: what touched what in them, how deep, when and where.
         ended: why it ended.
     """
 
@@ -142,6 +144,7 @@ class RoverExploration:
     surface: NDArray[np.float32]
     first_seen: NDArray[np.int16]
     contacts: int
+    touched: str
     ended: str
 
     def after(self, view: int) -> float:
@@ -188,12 +191,29 @@ def _explore(task: RoverTask) -> RoverExploration:
         try:
             watcher.begin(run, surface_of(run, task.config))
             ending = run.run()
-            contacts = run.simulator.contacts
+            events = run.simulator.contact_events
         finally:
             run.close()
     points, distance, seconds = np.array(watcher.rows).T
     cameras, surface = np.array(watcher.cameras), watcher.surface.points.astype(np.float32)
-    ended = f"{ending.reason.value}: {ending.detail}"
     return RoverExploration(
-        points, distance, seconds, cameras, surface, watcher.first_seen, contacts, ended
+        points,
+        distance,
+        seconds,
+        cameras,
+        surface,
+        watcher.first_seen,
+        contacts=len(events),
+        touched="; ".join(map(_told, events)),
+        ended=f"{ending.reason.value}: {ending.detail}",
+    )
+
+
+def _told(event: ContactEvent) -> str:
+    """A contact in words."""
+    x, y, z = event.place
+    depth = 1e3 * event.depth
+    return (
+        f"{event.link} touched {event.other}, {depth:.1f} mm deep, after {event.time:.1f} s, "
+        f"at ({x:.2f}, {y:.2f}, {z:.2f}) m"
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from infomap_ros.studies.common.figure_style import band_note, draw_band, save, style_of
@@ -28,7 +29,7 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
     """Fig. 17, and the way that the views took; PNG and SVG, `path` without suffix."""
     labels = labels_of(results)
     styles = style_of(labels)
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.7), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     for label in labels:
@@ -37,7 +38,8 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
         _draw_strategy(right, own, config, ("distance", 1.0), styles[label])
     _label(left, "mapped points of the true surface [1000]", config)
     _label(right, "way of the base [m]", config)
-    left.legend(fontsize=8)
+    handles, names = left.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names), fontsize=8)
     worlds = len({task.seed for task in results})
     figure.suptitle(f"Fig. 17 over many worlds: {band_note(worlds)}", fontsize=10)
     save(figure, path)
@@ -51,10 +53,12 @@ def _draw_strategy(
     label = next(iter(own)).label
     at = np.arange(1.0, config.views + 1.0)
     draw_band(axes, at, scale * curves_of(own.values(), config.views, name), style, label)
+    thin, note = {**style, "linewidth": 0.8}, f"{label}, each world"
     for task, result in own.items():
         if task.views > config.views:
             curve = scale * curves_of([result], task.views, name)[0]
-            axes.plot(np.arange(1.0, task.views + 1.0), curve, **{**style, "linewidth": 0.8})
+            axes.plot(np.arange(1.0, task.views + 1.0), curve, label=note, **thin)
+            note = "_"  # one line of the legend for all worlds
 
 
 def _label(axes: Any, name: str, config: RoverStudyConfig) -> None:
@@ -70,13 +74,23 @@ def draw_regions(results: Results, path: Path) -> None:
     """Fig. 18: what is mapped of the first world, from above, and the places of the views."""
     first = next(iter(results)).seed
     shown = [(task, result) for task, result in results.items() if task.seed == first]
-    figure = Figure(figsize=(3.6 * len(shown), 4.2), layout="constrained")
+    figure = Figure(figsize=(3.6 * len(shown), 4.8), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (task, result) in zip(panels, shown, strict=True):
         _draw_region(axes, task, result)
     panels[0].set_ylabel("y [m]")
+    _add_legend(figure)
     save(figure, path)
+
+
+def _add_legend(figure: Figure) -> None:
+    marks = ((_MAPPED, "mapped surface"), (_UNMAPPED, "not mapped"), (_VIEWS, "views, way between"))
+    handles = [
+        Line2D([], [], linestyle="", marker="o", markersize=5, color=colour, label=name)
+        for colour, name in marks
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(marks), fontsize=8)
 
 
 def _draw_region(axes: Any, task: RoverTask, result: RoverExploration) -> None:

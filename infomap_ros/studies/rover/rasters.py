@@ -50,3 +50,20 @@ class SweepRaster(Raster):
         opening = options.situation.camera.field_of_view[0]
         sectors = max(1, math.ceil(2.0 * math.pi / opening))
         return np.floor(self._order(options, poses) / sectors)
+
+
+class OneWayRaster(SweepRaster):
+    """As the sweep, but looks the way of the first view until no such place is left.
+
+    So the camera sees the same part of the scene from places side by side, as the region that the
+    paper's scan has mapped in 41 steps suggests.
+    """
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """Those of the sweep; views that look another way come after all others."""
+        values = super().score(options, ratings).values
+        situation = options.situation
+        first = situation.past_views[0] if len(situation.past_views) else situation.T_map_camera
+        along = options.poses[:, :3, 2] @ first[:3, 2]
+        narrowest = math.cos(0.5 * situation.camera.field_of_view[0])
+        return Scores(values - (along < narrowest) * (1.0 - values.min(initial=0.0)))

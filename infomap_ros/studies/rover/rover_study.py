@@ -19,8 +19,13 @@ from infomap_ros.studies.rover.explore import RoverConfig, RoverExploration, Rov
 
 OWN = "largest_information"
 _HERE = "infomap_ros.studies.rover.rasters"
-RASTERS = ("raster", f"{_HERE}.SweepRaster", f"{_HERE}.VoxelRaster")
-"""Sequential scans with long, short and the shortest steps."""
+RASTERS = (
+    "raster",
+    f"{_HERE}.SweepRaster",
+    f"{_HERE}.VoxelRaster",
+    f"{_HERE}.OneWayRaster",
+)
+"""Sequential scans with long, short and the shortest steps, and one that does not turn."""
 
 Results = Mapping[RoverTask, RoverExploration]
 
@@ -142,6 +147,7 @@ class Row:
         points_end: mapped at the end.
         distance: way of the base until the views at which strategies are compared [m].
         contacts: that should not be.
+        touched: what touched what in them.
         seconds: time of the processor for a view, with simulation, stereo, map and choice [s].
         ended: why.
     """
@@ -155,6 +161,7 @@ class Row:
     points_end: float
     distance: float
     contacts: int
+    touched: str
     seconds: float
     ended: str
 
@@ -176,6 +183,7 @@ def _row(task: RoverTask, result: RoverExploration, config: RoverStudyConfig) ->
         float(result.points[-1]),
         float(result.distance[last]),
         result.contacts,
+        result.touched,
         float(np.diff(result.seconds).mean()) if len(result.seconds) > 1 else 0.0,
         result.ended,
     )

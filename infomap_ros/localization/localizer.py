@@ -228,7 +228,7 @@ class Localizer(KnownMap):
                 self._scene.note(seen, update)
                 return len(update.used), ""
         seen = self._noise.applied(seen)
-        return self._recovery.recover(view, seen, self._state == "lost")
+        return self._recovery.recover(view, seen, self._state == "lost", prior)
 
     def _update(self, seen: FiducialObservations) -> FilterUpdate:
         """Filter; where the fiducials disagree, with larger sigmas."""
@@ -259,6 +259,7 @@ class Localizer(KnownMap):
         """From now on the camera may be anywhere."""
         if self._state != "lost":
             self._state = "lost"
+            self._recovery.lose()
             self._filter.predict(MotionPrior(np.eye(4), np.diag(np.square(_ANYWHERE))))
 
     def _note_step(self, view: RangeView, before: FloatArray) -> None:

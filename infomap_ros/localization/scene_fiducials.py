@@ -21,6 +21,11 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.localization.fiducials.tracker import FiducialTracker
+from infomap_ros.localization.fiducials.viewpoints import (
+    look_the_same,
+    moved_viewpoint,
+    viewpoint,
+)
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
@@ -28,7 +33,6 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.mapping import VoxelMap
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
-_SAME_ANGLE, _SAME_SCALE = 0.35, 1.4  # [rad, 1] within which a fiducial looks the same
 _SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
 _STILL = 0.3  # [px]
 _EXPECTED_WAY, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
@@ -51,7 +55,7 @@ class SceneFiducials:
         self._tracker = FiducialTracker(config.tracker)
         self._next = 0
         self._contradicted: dict[int, int] = {}  # times in a row
-        self._seen_from: dict[int, FloatArray] = {}  # where the camera was, in the map [m]
+        self._seen_from: dict[int, FloatArray] = {}  # the camera's viewpoint
         self._at_update: dict[int, FloatArray] = {}  # pixels in the last update
 
     def clear(self) -> None:
@@ -109,8 +113,8 @@ class SceneFiducials:
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Fiducials that would be found in a view if the camera were at a pose.
 
-        Those that lie within the image where a range is measured, and are seen from about where
-        they were seen before.
+        Those that lie within the image where a range is measured, and look as they did when they
+        were seen before.
 
         Args:
             view: the last one.
@@ -125,12 +129,8 @@ class SceneFiducials:
         if not len(rows):
             return np.zeros(0, np.int64), np.zeros(0, np.bool_)
         positions = known.positions[rows]
-        before = np.stack([self._seen_from[int(number)] for number in known.ids[rows]]) - positions
-        now = T_map_camera[:3, 3] - positions
-        lengths = np.linalg.norm(before, axis=1), np.linalg.norm(now, axis=1)
-        cosine = (before * now).sum(axis=1) / (lengths[0] * lengths[1])
-        similar = (cosine > np.cos(_SAME_ANGLE)) & (lengths[1] < _SAME_SCALE * lengths[0])
-        similar &= lengths[0] < _SAME_SCALE * lengths[1]
+        before = np.stack([self._seen_from[int(number)] for number in known.ids[rows]])
+        similar = look_the_same(positions, before, T_map_camera)
         inside = transform_points(invert_transform(T_map_camera), positions)
         measured = view.inverse_depths(self._camera.project(inside))[0]
         chosen = similar & np.isfinite(measured)
@@ -172,7 +172,7 @@ class SceneFiducials:
     def note(self, seen: FiducialObservations, update: FilterUpdate) -> None:
         """Remember an update, and give up what contradicts the others again and again."""
         self._at_update = dict(zip(seen.ids.tolist(), seen.pixels, strict=True))
-        place = self._filter.pose[0][:3, 3].copy()
+        place = viewpoint(self._filter.pose[0])
         for number in update.used.tolist():
             self._seen_from[number] = place
             self._contradicted.pop(number, None)
@@ -215,13 +215,14 @@ class SceneFiducials:
         self._tracker.remove(np.concatenate([np.setdiff1d(ids, added), forgotten]))
         for number in forgotten.tolist():
             self._seen_from.pop(number, None)
-        self._seen_from.update(dict.fromkeys(added.tolist(), self._filter.pose[0][:3, 3].copy()))
+        self._seen_from.update(dict.fromkeys(added.tolist(), viewpoint(self._filter.pose[0])))
         return len(added)
 
     def move(self, T_new_old: FloatArray) -> None:
         """The map's frame was put elsewhere, shape (4, 4)."""
-        turn, shift = T_new_old[:3, :3], T_new_old[:3, 3]
-        self._seen_from = {name: turn @ at + shift for name, at in self._seen_from.items()}
+        self._seen_from = {
+            name: moved_viewpoint(T_new_old, seen) for name, seen in self._seen_from.items()
+        }
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it knows beside the filter, as arrays for a file."""
@@ -229,7 +230,7 @@ class SceneFiducials:
         own = {
             "scene_next": np.array(self._next),
             "scene_ids": np.array(list(self._seen_from), np.int64),
-            "scene_seen_from": np.array(places).reshape(-1, 3),
+            "scene_viewpoints": np.array(places).reshape(-1, 2, 3),
         }
         return own | {f"tracker_{name}": array for name, array in self._tracker.state().items()}
 
@@ -247,7 +248,7 @@ class SceneFiducials:
         }
         self._tracker = FiducialTracker.from_state(tracker, self._config.tracker)
         self._next = int(state["scene_next"])
-        places = zip(state["scene_ids"].tolist(), state["scene_seen_from"], strict=True)
+        places = zip(state["scene_ids"].tolist(), state["scene_viewpoints"], strict=True)
         self._seen_from = dict(places)
 
     def _give_up(self, ids: NDArray[np.int64]) -> None:

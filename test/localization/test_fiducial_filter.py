@@ -337,6 +337,31 @@ def test_new_fiducials_on_a_moving_body_do_not_decide() -> None:
     assert squared_distance(pose_error(np.eye(4), estimated), covariance) < chi2.ppf(0.999, 6)
 
 
+@pytest.mark.parametrize(("moved", "is_believed"), [(0.0, True), (0.3, False)])
+def test_after_a_contradiction_those_that_may_not_vote_are_witnesses(
+    moved: float, is_believed: bool
+) -> None:
+    """Forty that vote and agree are believed again if thirty new ones agree with them too."""
+    rng = np.random.default_rng(23)
+    points = wall(70, rng)
+    old = points[:40].copy()
+    pose_filter = FiducialFilter(CAMERA)
+    pose_filter.add(observe(old, np.eye(4), rng))
+    pose_filter.predict(free_motion(0.1))
+    assert pose_filter.update(observe(old, np.eye(4), rng)).is_consistent
+    old[::2] += [0.15, 0.05, 0.0]
+    pose_filter.predict(free_motion(0.5))
+    assert not pose_filter.update(observe(old, np.eye(4), rng)).is_consistent
+    old[::2] -= [0.15, 0.05, 0.0]
+    pose_filter.predict(free_motion(0.1))
+    pose_filter.add(observe(points, pose_filter.pose[0], rng))
+    points[40:] += [moved, 0.0, 0.1 * moved]
+    update = pose_filter.update(observe(points, np.eye(4), rng))
+    assert update.is_consistent == is_believed, update.reason
+    if not is_believed:
+        assert "too few" in update.reason
+
+
 def test_nearly_all_fiducials_overrule_slipping_wheels() -> None:
     rng = np.random.default_rng(12)
     points = wall(50, rng)

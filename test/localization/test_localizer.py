@@ -14,6 +14,7 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
+from . import room_views
 from .fiducial_scene import pose_error, squared_distance
 from .room_views import CAMERA, STEP, dark, looking, view
 
@@ -101,6 +102,27 @@ def test_a_camera_that_was_covered_and_carried_is_found_again_where_it_is_known(
             check(result, pose, 0.02)
 
 
+@pytest.mark.parametrize(
+    ("has_odometry", "share", "is_found"),
+    [(False, 0.35, True), (True, 0.35, False), (True, 1, True)],
+)
+def test_where_odometry_says_it_cannot_be_a_camera_is_found_by_many_fiducials_alone(
+    has_odometry: bool, share: float, is_found: bool
+):
+    poses, rest = along(20), MotionPrior(np.eye(4), 1e-6 * np.eye(6))
+    prior = rest if has_odometry else None
+    localizer = Localizer(CAMERA, LocalizerConfig(max_coasting=0.5), T_map_camera=poses[0])
+    follow(localizer, poses)
+    blind = [localizer.locate(dark((21 + i) * STEP), prior) for i in range(7)]
+    assert blind[-1].state == "lost"
+    seen = view(40 * STEP, poses[8])
+    seen.image[:, int(share * CAMERA.width) :] = 0
+    result = localizer.locate(seen, prior)
+    assert result.state == ("tracking" if is_found else "lost")
+    if is_found:
+        check(result, poses[8], 0.02)
+
+
 def test_a_camera_that_was_carried_to_an_unknown_place_stays_lost():
     poses = along(8)
     localizer = Localizer(CAMERA, T_map_camera=poses[0])
@@ -141,6 +163,35 @@ def test_odometry_that_does_not_know_of_being_carried_is_not_believed_for_long()
             again.locate(view((21 + i) * STEP, elsewhere, seed=i), rest).state for i in range(count)
         ]
         assert "tracking" not in states and states[-1] == "lost"
+
+
+def test_a_camera_that_comes_back_upside_down_is_not_taken_to_be_elsewhere():
+    poses = along(12)
+    localizer = Localizer(CAMERA, T_map_camera=poses[0])
+    follow(localizer, poses)
+    over = make_transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    noise = np.diag([0.002**2] * 3 + [0.002**2] * 3)
+    for i in range(5):
+        motion = MotionPrior(np.eye(4) if i else over, noise)
+        result = localizer.locate(view((13 + i) * STEP, poses[-1] @ over, seed=13 + i), motion)
+        assert result.state != "lost"
+    assert result.state == "tracking"
+    check(result, poses[-1] @ over, 0.02)
+
+
+def test_before_a_wall_that_repeats_itself_a_lost_camera_is_found_where_odometry_says(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    pieces = [np.tile(texture[:40, :40], (16, 16)) for texture in room_views._TEXTURES]
+    monkeypatch.setattr(room_views, "_TEXTURES", pieces)
+    poses, rest = along(12), MotionPrior(np.eye(4), 1e-6 * np.eye(6))
+    localizer = Localizer(CAMERA, LocalizerConfig(max_coasting=0.5), T_map_camera=poses[0])
+    follow(localizer, poses)
+    blind = [localizer.locate(dark((13 + i) * STEP), rest) for i in range(7)]
+    assert blind[-1].state == "lost"
+    result = localizer.locate(view(30 * STEP, poses[-1], seed=30), rest)
+    assert result.state == "tracking"
+    check(result, poses[-1], 0.02)
 
 
 def test_nothing_on_the_robots_body_is_chosen():

@@ -14,7 +14,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.model_check import check_pose, flat_share, visible_points
 from infomap_ros.localization.target.model_fit import ModelFitter
-from infomap_ros.localization.target.model_scene import ModelScene
+from infomap_ros.localization.target.model_scene import ModelScene, on_large_planes
 from infomap_ros.localization.target.model_search import register
 from infomap_ros.localization.target.model_shape import ModelShape, load_model, shape_from_triangles
 from infomap_ros.localization.target.model_target import ModelTargetConfig, ModelTargetDetector
@@ -157,6 +157,12 @@ def test_a_symmetric_model_is_refused(rng: np.random.Generator) -> None:
     result = symmetric.detect(CloudView(range_map(box(size), some_pose(rng), rng, clutter=3)))
     assert isinstance(result, TargetRefusal)
     assert result.reason == "ambiguous"
+
+
+def test_points_that_share_no_plane_are_on_none(rng: np.random.Generator) -> None:
+    points = rng.uniform(-1.0, 1.0, (120, 3))
+    normals = np.where(np.arange(120)[:, None] % 2 == 0, np.eye(3)[0], -np.eye(3)[0])
+    assert not on_large_planes(points, normals, extent=0.1, tolerance=1e-9).any()
 
 
 def test_an_empty_range_map_is_refused(detector: ModelTargetDetector) -> None:

@@ -17,7 +17,13 @@ from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_corners import refine_corners
 from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
-from infomap_ros.localization.target.tag_pose import pixel_jacobian
+from infomap_ros.localization.target.tag_pose import (
+    KnownPoints,
+    fit_pose,
+    initial_poses,
+    no_ranges,
+    pixel_jacobian,
+)
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 from infomap_ros.stereo import RangeCloud
 
@@ -93,6 +99,22 @@ def test_the_derivative_of_pixels_is_that_of_finite_differences(rng: np.random.G
         ahead = CAMERA.project(transform_points(perturb_transform(pose, step), points))
         behind = CAMERA.project(transform_points(perturb_transform(pose, -step), points))
         np.testing.assert_allclose(jacobian[:, :, axis], (ahead - behind) / 2e-6, atol=1e-4)
+
+
+def test_points_on_a_line_or_in_one_pixel_have_no_pose(rng: np.random.Generator) -> None:
+    on_line = np.arange(8.0)[:, None] * [0.1, 0.0, 0.0]
+    apart = rng.normal(size=(8, 3))
+    pixels = 300.0 + 20.0 * rng.normal(size=(8, 2))
+    assert len(initial_poses(on_line, pixels, CAMERA)) == 0
+    assert len(initial_poses(apart, np.full((8, 2), 300.0), CAMERA)) == 0
+
+
+def test_no_fit_begins_with_points_behind_the_camera() -> None:
+    square = np.array([[-0.1, 0.1, 0.0], [0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [-0.1, -0.1, 0.0]])
+    known = KnownPoints(square, np.zeros((4, 2)), np.broadcast_to(np.eye(2), (4, 2, 2)))
+    for z in (-1.0, 0.0):
+        behind = make_transform(np.eye(3), [0.0, 0.0, z])
+        assert fit_pose(CAMERA, known, no_ranges(), behind) is None
 
 
 def test_rendered_boards_are_found_within_their_covariance(rng: np.random.Generator) -> None:

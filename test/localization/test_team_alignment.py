@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import invert_transform, perturb_transform
-from infomap_ros.localization.target.map_alignment import Alignment, align_by_target
+from infomap_ros.localization.target.map_alignment import (
+    Alignment,
+    align_by_target,
+    fuse_alignments,
+)
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetSighting
@@ -89,3 +93,15 @@ def test_robots_that_see_the_same_target_have_one_map(rng: np.random.Generator) 
         assert np.linalg.norm(error[:3]) < 0.03
         values.append(error @ np.linalg.solve(between.covariance, error))
     assert np.mean(values) < 16.0
+
+
+def test_a_sighting_without_error_in_some_direction_is_left_out(rng: np.random.Generator) -> None:
+    told = TeamAlignment(sightings=2)
+    exact = Alignment(ELSEWHERE, np.diag([1e-4, 0.0, 1e-4, 1e-4, 1e-4, 1e-4]))
+    assert told.add(exact) is None
+    assert told.problem == "a sighting without an error in some direction"
+    assert told.add(sighting(ELSEWHERE, rng)) is None
+    assert told.problem == ""
+    assert told.add(sighting(ELSEWHERE, rng)) is not None
+    with pytest.raises(InvalidInputError, match="singular"):
+        fuse_alignments([exact, exact])

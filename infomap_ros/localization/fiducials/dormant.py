@@ -102,10 +102,20 @@ class DormantFiducials:
         search = np.full(len(rows), reach)
         warps = scale[:, None, None] * np.eye(2)
         aligned = align_templates(view.image, tracks.templates, places, warps, search)
-        found = believed(aligned, places, search, self.config)
+        seen = aligned._replace(sigmas=at_scale(aligned.sigmas, aligned.warps))
+        found = believed(seen, places, search, self.config, self.config.max_recalled_sigma)
         tracks.pixels[:], tracks.warps[:] = aligned.pixels, aligned.warps
         tracks.flowed[:], tracks.followed[:], tracks.missed[:] = aligned.pixels, True, 0
         return tracks.select(found), aligned.sigmas[found]
+
+
+def at_scale(sigmas: FloatArray, warps: FloatArray) -> FloatArray:
+    """Sigmas of templates, shape (N,), that are seen from elsewhere, through warps (N, 2, 2).
+
+    From farther away a template covers fewer pixels, and fits as much worse.
+    """
+    scale = np.sqrt(np.abs(np.linalg.det(warps)))
+    return np.asarray(sigmas / np.clip(scale, 1.0 / _LARGEST_SCALE, 1.0))
 
 
 def believed(
@@ -113,6 +123,7 @@ def believed(
     places: FloatArray,
     search: NDArray[np.int64],
     config: FiducialTrackerConfig,
+    max_sigma: float | None = None,
 ) -> NDArray[np.bool_]:
     """Which alignments are believed, shape (N,).
 
@@ -121,9 +132,11 @@ def believed(
         places: where they were expected, shape (N, 2) [px].
         search: whole pixels that were searched about them, shape (N,).
         config: limits.
+        max_sigma: largest sigma, where it is not the one of `config` [px].
     """
+    largest = config.max_sigma if max_sigma is None else max_sigma
     allowed = config.max_shift + np.sqrt(2.0) * search
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(aligned.pixels - places, axis=1) <= allowed
-        sharp = config.sigma_factor * aligned.sigmas <= config.max_sigma
+        sharp = config.sigma_factor * aligned.sigmas <= largest
     return np.asarray(near & sharp & (aligned.correlations >= config.min_correlation))

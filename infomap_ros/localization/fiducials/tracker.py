@@ -21,7 +21,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.appearance import describe, descriptor_size, find_again
-from infomap_ros.localization.fiducials.dormant import DormantFiducials, believed
+from infomap_ros.localization.fiducials.dormant import DormantFiducials, at_scale, believed
 from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.optical_flow import OpticalFlow
 from infomap_ros.localization.fiducials.patch_alignment import (
@@ -271,7 +271,7 @@ class FiducialTracker:
         tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
 
     def _observe(self, view: RangeView, tracks: Tracks, noise: FloatArray) -> FiducialObservations:
-        config = self.config
+        config, noise = self.config, at_scale(noise, tracks.warps)
         sigmas = np.sqrt(np.square(config.sigma_factor * noise) + tracks.creep)
         inverse, spread = view.inverse_depths(tracks.pixels)
         return FiducialObservations(

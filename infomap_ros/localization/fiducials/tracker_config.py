@@ -39,6 +39,14 @@ class FiducialTrackerConfig:
         low=0.01,
         high=10.0,
     )
+    max_recalled_sigma: float = parameter(
+        0.3,
+        "Likewise of fiducials that are found again: of those less certain every third was "
+        "another thing.",
+        unit="px",
+        low=0.01,
+        high=10.0,
+    )
     max_warp: float = parameter(
         1.8,
         "A template is renewed when it has to be stretched or shrunk by more than this factor.",

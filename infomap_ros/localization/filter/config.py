@@ -74,6 +74,14 @@ class FiducialFilterConfig:
         low=0.0,
         high=1.0,
     )
+    least_redundancy: float = parameter(
+        0.6,
+        "Share of a gross error of a fiducial's pixel that must show in the image however uncertain"
+        " the map is, else the fiducial does not count: of m that alone tell where a place is, "
+        "1 - 1/m shows.",
+        low=0.0,
+        high=0.99,
+    )
     drift_memory: float = parameter(
         0.9,
         "Share of a fiducial's summed innovations that is left after one more image.",

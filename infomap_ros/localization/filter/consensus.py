@@ -100,14 +100,17 @@ def _pose_from_pixels(
     if len(points) < 2 * _LEAST:
         return None
     cv2.setRNGSeed(0)
-    found, vector, translation, inliers = cv2.solvePnPRansac(
-        points.astype(np.float64),
-        measured.values[:, :2].astype(np.float64),
-        measured.camera.matrix,
-        None,
-        reprojectionError=_PIXEL_ERROR,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
+    try:
+        found, vector, translation, inliers = cv2.solvePnPRansac(
+            points.astype(np.float64),
+            measured.values[:, :2].astype(np.float64),
+            measured.camera.matrix,
+            None,
+            reprojectionError=_PIXEL_ERROR,
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:  # all in one pixel
+        return None
     if not found:
         return None
     pose = make_transform(cv2.Rodrigues(vector)[0], translation.ravel())

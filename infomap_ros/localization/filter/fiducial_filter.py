@@ -133,7 +133,7 @@ class FiducialFilter:
             return FilterUpdate(False, reason, nothing, nothing, unknown, np.nan, 0, np.nan)
         self._history.agreed(known.ids, chosen.members, chosen.innovations)
         self._apply(chosen, indices)
-        used, rejected = known.ids[chosen.members], known.ids[~chosen.members]
+        used, rejected = known.ids[chosen.members], known.ids[chosen.rejected]
         return FilterUpdate(
             True, "", used, rejected, unknown, chosen.correction.nis,
             chosen.degrees_of_freedom, chosen.motion_nis, overruled,
@@ -183,11 +183,14 @@ class FiducialFilter:
         P, over = state.P, invariant_from_pose(measured[None])[0]
         S = P[:6, :6] + over @ noise @ over.T
         innovation = invariant_difference(measured, state.T_map_camera)
-        if float(innovation @ np.linalg.solve(S, innovation)) > self._pose_limit:
+        try:
+            factor = np.linalg.cholesky(S)
+        except np.linalg.LinAlgError:  # noise that vanishes in rounding beside P
             return False
-        factor = np.linalg.cholesky(S)
-        white = solve_triangular(factor, P[:6], lower=True)
         pull = solve_triangular(factor, innovation, lower=True)
+        if float(pull @ pull) > self._pose_limit:
+            return False
+        white = solve_triangular(factor, P[:6], lower=True)
         state.add_to_covariance(-white.T, white)
         state.correct(white.T @ pull)
         return True

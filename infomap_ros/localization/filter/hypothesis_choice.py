@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +25,13 @@ from infomap_ros.localization.filter.pose_hypothesis import (
     share_told,
 )
 from infomap_ros.localization.filter.sight import BoolArray, Measured
+from infomap_ros.localization.filter.support import controlled
 
 CONTRADICTION = "the motion that the fiducials show contradicts the expected one"
 DISAGREEMENT = "the fiducials do not agree on one pose"
 AMBIGUITY = "two groups of fiducials show different motions"
 MINORITY = "too few of the fiducials agree on one pose"
+UNSUPPORTED = "too few of the fiducials would be found out if they were wrong"
 CONTESTED = (DISAGREEMENT, AMBIGUITY, MINORITY)
 _MOST = 3
 _SUSPICIOUS = 0.01  # probability of a motion so far from its prior
@@ -85,9 +87,10 @@ def explain(
         chosen, reason = choose(found, contested, int(voters.sum()), config)
         if chosen is not None and share_told(state, chosen, image.indices) < config.overruling_told:
             return None, CONTRADICTION, False
-    if chosen is not None:
-        chosen = _joined(state, chosen, image, admitted, config)
-    return chosen, reason, overruled
+    if chosen is None:
+        return None, reason, overruled
+    chosen = _supported(state, _joined(state, chosen, image, admitted, config), image, config)
+    return chosen, "" if chosen is not None else UNSUPPORTED, overruled
 
 
 def _joined(
@@ -105,6 +108,30 @@ def _joined(
     ):
         return chosen
     return joined if joined.count >= chosen.count else chosen
+
+
+def _supported(
+    state: InvariantState, chosen: Hypothesis, image: Image, config: FiducialFilterConfig
+) -> Hypothesis | None:
+    """The chosen hypothesis without those that nothing would contradict if they were wrong.
+
+    None where too few are left, or these do not agree.
+    """
+    members = np.flatnonzero(chosen.members)
+    sight = chosen.expectation.sight(state, image.indices[members], image.measured.select(members))
+    enough = controlled(sight, chosen.correction.jacobian, config.least_redundancy)
+    if enough.all():
+        return chosen
+    rest, undecided = chosen.members.copy(), np.zeros(len(image.ids), bool)
+    rest[members[~enough]], undecided[members[~enough]] = False, True
+    if np.count_nonzero(rest) < config.least_fiducials:
+        return None
+    smaller = examine(
+        state, chosen.expectation, Group(image.indices, image.measured, rest, rest), config
+    )
+    if smaller is None or smaller.count < config.least_fiducials:
+        return None
+    return replace(smaller, undecided=undecided)
 
 
 def hypotheses(
@@ -181,16 +208,24 @@ def choose(
         return None, AMBIGUITY
     # Who wins must not hang on what happens to be in view.
     was_contested = 2 * np.count_nonzero(best.members & contested) > best.count
-    needed = config.majority * known
+    needed, count = config.majority * known, best.count
     if was_contested:
-        needed = config.overruling_share * len(contested)
+        # Those that did not vote count too, or they would keep all others from being believed.
+        needed, count = config.overruling_share * len(contested), _witnesses(best, config)
     least = max(config.least_fiducials, config.ambiguity * best.count)
     excluded = sum(
         one.count for one in sound if one.count >= least and not one.has_plausible_motion(config)
     )
-    if best.count + excluded < needed:
+    if count + excluded < needed:
         return None, MINORITY
     return best, ""
+
+
+def _witnesses(hypothesis: Hypothesis, config: FiducialFilterConfig) -> int:
+    """How many fiducials of the image agree, be they its members or not."""
+    gate = chdtri(3, 1.0 - config.fiducial_gate)
+    agree = (hypothesis.innovations**2).sum(axis=1) <= gate
+    return int(np.count_nonzero(agree | hypothesis.members))
 
 
 def _is_rival(one: Hypothesis, best: Hypothesis, config: FiducialFilterConfig) -> bool:

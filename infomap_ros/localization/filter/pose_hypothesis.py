@@ -12,7 +12,7 @@ from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.invariant_state import InvariantState
-from infomap_ros.localization.filter.lie import logarithm
+from infomap_ros.localization.filter.lie import left_jacobian, logarithm
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.pose_errors import square_root
 from infomap_ros.localization.filter.sight import (
@@ -51,7 +51,9 @@ class Expectation:
         motion = invert_transform(state.T_map_camera) @ pose
         expected = prior.T_before_after
         turned = logarithm(expected[:3, :3] @ motion[:3, :3].T)
-        shift = np.concatenate([expected[:3, 3] - motion[:3, 3], turned])
+        # So that correcting the pose by it gives the expected pose, however far off that is.
+        moved = np.linalg.solve(left_jacobian(turned), expected[:3, 3] - motion[:3, 3])
+        shift = np.concatenate([moved, turned])
         noise = state.motion_noise(pose, state.T_map_camera[:3, :3])
         return cls(pose, shift, prior.covariance, noise)
 
@@ -89,6 +91,7 @@ class Hypothesis:
         degrees_of_freedom: number of the members' values.
         motion_nis: squared distance of the motion from its prior, six degrees of freedom.
         innovations: of all fiducials against the members, with unit covariance, shape (M, 3).
+        undecided: those that agree, but would agree elsewhere too, shape (M,).
     """
 
     expectation: Expectation
@@ -97,6 +100,12 @@ class Hypothesis:
     degrees_of_freedom: int
     motion_nis: float
     innovations: FloatArray
+    undecided: BoolArray
+
+    @property
+    def rejected(self) -> BoolArray:
+        """Those that contradict the members, shape (M,)."""
+        return np.asarray(~(self.members | self.undecided))
 
     @property
     def count(self) -> int:
@@ -194,6 +203,7 @@ def examine(
         int(freedom[used].sum()),
         _motion_nis(correction, noise, expectation.motion_covariance),
         innovations,
+        np.zeros(len(used), bool),
     )
 
 

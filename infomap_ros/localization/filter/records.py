@@ -19,7 +19,8 @@ class FilterUpdate:
             pose that agrees with the expected motion; the pose is the predicted one.
         reason: why not; empty if it is consistent.
         used: ids of the fiducials that the pose rests on, shape (U,).
-        rejected: ids of known fiducials that contradict them or move, shape (R,).
+        rejected: ids of known fiducials that contradict them or move, shape (R,); neither used nor
+            rejected are those that nothing would contradict if they were wrong.
         unknown: ids that the filter does not hold, shape (K,).
         nis: normalised innovation squared of the used ones; NaN where there was no update.
         degrees_of_freedom: number of measured values in `nis`, which is its mean if all is right.

@@ -23,6 +23,7 @@ CONTRADICTION = 22.5
 """Squared normalised distance of six numbers that one in a thousand honest pairs exceeds."""
 
 _ITERATIONS = 10
+_ROUNDING = 1e-15  # relative size below which an eigenvalue may be none
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,12 @@ def align_by_sighting(base_a: Alignment, other: Alignment, base_b: Alignment) ->
     return base_a.then(other).then(base_b.inverse())
 
 
+def has_scale(alignment: Alignment) -> bool:
+    """Whether every direction has an error, so that two such alignments can be weighed."""
+    values = np.linalg.eigvalsh(alignment.covariance)
+    return bool(values[0] > _ROUNDING * values[-1])
+
+
 def squared_distance(first: Alignment, second: Alignment) -> float:
     """How far apart two independent alignments of the same maps are, squared, in sigmas.
 
@@ -115,10 +122,12 @@ def fuse_alignments(
         contradiction: squared normalised distance above which two contradict each other.
 
     Raises:
-        InvalidInputError: there is none.
+        InvalidInputError: there is none, or one has a covariance that is singular.
     """
     if not alignments:
         raise InvalidInputError("alignments", "is empty")
+    if not all(map(has_scale, alignments)):
+        raise InvalidInputError("alignments", "one has a singular covariance")
     apart = np.array(
         [[0.0 if a is b else squared_distance(a, b) for b in alignments] for a in alignments]
     )

@@ -16,6 +16,7 @@ _VAGUE = 1.25  # points with a larger sigma, in spacings, are left out
 _NORMALS_AT_ONCE = 20_000
 _MOST_PLANES = 8
 _PLANES_TRIED, _COUNTED = 100, 4000
+_FEWEST_ON_PLANE = 50  # points; fewer are no large plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,10 @@ def on_large_planes(
         best = int(np.argmax(near.sum(axis=0)))
         on = np.abs(points[rest] @ normals[tried[best]] - offsets[best]) < 2.0 * tolerance
         on &= normals[rest] @ normals[tried[best]] > 0.8
+        if on.sum() < _FEWEST_ON_PLANE:
+            break
         spread = np.linalg.svd(np.cov(points[rest[on]].T), compute_uv=False)
-        if on.sum() < 50 or np.sqrt(12.0 * spread[0]) < extent:
+        if np.sqrt(12.0 * spread[0]) < extent:
             break
         left[rest[on]] = False
     return ~left

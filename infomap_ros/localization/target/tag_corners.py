@@ -22,6 +22,8 @@ _LEAST_REACH, _LARGEST_REACH = 1.2, 5.0  # [px]
 _BLUR, _LOG_BLUR_SIGMA = 0.8, 0.5  # prior of a step's blur: [px], and of its logarithm
 _LEAST_NOISE = 0.3  # [grey levels], rounding to whole grey levels
 _ITERATIONS = 12
+_DETERMINED = 1e-10  # smallest eigenvalue of a line's information, scaled to a unit diagonal
+_PARALLEL = 0.05  # sine of the angle between two edges below which they have no corner
 _MOVED = 0.3  # [px] if corners moved by more, the pixels beside the edges are chosen again
 _ROOT_TWO_PI = float(np.sqrt(2.0 * np.pi))
 
@@ -50,8 +52,8 @@ def refine_corners(
         min_contrast: smallest difference of white and black [grey levels].
 
     Returns:
-        The corners, or None where an edge is not dark inside and bright outside all along, or the
-        pixels beside it are not all in the image.
+        The corners, or None where an edge is not dark inside and bright outside all along, the
+        pixels beside it are not all in the image or leave it open, or two edges have no corner.
     """
     for _ in range(3):
         cell = _narrowest_cell(corners, cells)
@@ -62,7 +64,10 @@ def refine_corners(
             if line is None:
                 return None
             lines.append(line)
-        found = [_intersect(lines[i - 1], lines[i]) for i in range(4)]
+        met = [_intersect(lines[i - 1], lines[i]) for i in range(4)]
+        found = [corner for corner in met if corner is not None]
+        if len(found) < 4:
+            return None
         pixels_found = np.stack([point for point, _ in found])
         moved = float(np.abs(pixels_found - corners).max())
         if moved > max(2.0, cell):
@@ -214,17 +219,29 @@ def _line(
     noise = float(residual[:-1] @ residual[:-1]) / (len(residual) - 8)
     if np.sqrt(noise) > 0.5 * float(np.mean(bright - dark)):
         return None
-    information = jacobian.T @ jacobian
-    try:
-        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    except np.linalg.LinAlgError:
+    inverse = _inverse(jacobian.T @ jacobian)
+    if inverse is None:
         return None
     covariance = max(float(noise), _LEAST_NOISE**2) * inverse[:2, :2]
     return _Line(edge, float(state[0]), float(state[1]), covariance)
 
 
-def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray]:
-    """Corner at the end of the first line and the start of the second, and its covariance."""
+def _inverse(information: FloatArray) -> FloatArray | None:
+    """Inverse of an information, shape (n, n); None where it leaves a direction open."""
+    scale = np.sqrt(np.diag(information))
+    if not (np.isfinite(information).all() and scale.min() > 0.0):
+        return None
+    alike = information / np.outer(scale, scale)
+    if np.linalg.eigvalsh(alike)[0] < _DETERMINED:
+        return None
+    return np.asarray(np.linalg.inv(alike) / np.outer(scale, scale))
+
+
+def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray] | None:
+    """Corner at the end of the first line and the start of the second, and its covariance.
+
+    None where they are parallel.
+    """
     normals, places, variances = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
     for i, (line, s) in enumerate(((first, 1.0), (second, -1.0))):
         edge = line.edge
@@ -233,5 +250,7 @@ def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray]:
         places[i] = normals[i] @ (edge.middle + line.offset * _normal(edge.along))
         row = np.array([1.0, s])
         variances[i] = row @ line.covariance @ row
+    if abs(float(np.linalg.det(normals))) < _PARALLEL:
+        return None
     inverse = np.linalg.inv(normals)
     return inverse @ places, inverse @ np.diag(variances) @ inverse.T

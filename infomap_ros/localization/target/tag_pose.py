@@ -90,14 +90,18 @@ def initial_poses(points: FloatArray, pixels: FloatArray, camera: PinholeCamera)
         camera: without distortion.
 
     Returns:
-        ``T_camera_target``, shape (K, 4, 4), K from 0 to 2.
+        ``T_camera_target``, shape (K, 4, 4), K from 0 to 2; none where the points tell none, as
+        on one line or in one pixel.
     """
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     flat = spread[2] < 1e-6 * spread[0]
     method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
     plane = _plane_axes(points)
     local = transform_points(invert_transform(plane), points)
-    _, turns, shifts, _ = cv2.solvePnPGeneric(local, pixels, camera.matrix, None, flags=method)
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(local, pixels, camera.matrix, None, flags=method)
+    except cv2.error:  # so it says that points or pixels are degenerate
+        return np.zeros((0, 4, 4))
     poses = [
         make_transform(cv2.Rodrigues(turn)[0], np.ravel(shift)) @ invert_transform(plane)
         for turn, shift in zip(turns, shifts, strict=True)
@@ -130,6 +134,8 @@ def fit_pose(
     """
     state = (start, 0.0)
     damping, cost = 1e-6, _cost(camera, known, ranges, state)
+    if not np.isfinite(cost):
+        return None
     for _ in range(_ITERATIONS):
         residual, jacobian = _linearise(camera, known, ranges, state)
         information = jacobian.T @ jacobian
@@ -146,7 +152,7 @@ def fit_pose(
             damping *= 10.0
             if damping > 1e8:
                 break
-    return _fit(camera, known, ranges, state) if np.isfinite(cost) else None
+    return _fit(camera, known, ranges, state)
 
 
 def pixel_residuals(

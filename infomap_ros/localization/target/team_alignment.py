@@ -17,6 +17,7 @@ from infomap_ros.localization.target.map_alignment import (
     CONTRADICTION,
     Alignment,
     fuse_alignments,
+    has_scale,
     squared_distance,
 )
 from infomap_ros.localization.target.robot_tags import RobotTags
@@ -101,7 +102,7 @@ class TeamAlignment:
         self._heard.clear()
 
     def add(self, T_theirs_mine: Alignment) -> Alignment | None:
-        """Learn from one sighting.
+        """Learn from one sighting; one whose covariance is singular tells nothing.
 
         Repeated sightings share errors, those of the two robots' own poses. So they are no surer
         together than the surest of them.
@@ -109,6 +110,10 @@ class TeamAlignment:
         Returns:
             ``T_theirs_mine`` when the maps are not the same and enough sightings agree on it.
         """
+        if not has_scale(T_theirs_mine):
+            self.problem = "a sighting without an error in some direction"
+            return None
+        self.problem = ""
         self._heard = [*self._heard[1 - self._wanted :], T_theirs_mine][-self._wanted :]
         if len(self._heard) < self._wanted:
             return None

@@ -4,7 +4,11 @@
 Gaussian per surface voxel, pose covariance. OctoMap (pyoctomap) gets the points in the map frame,
 so that turning them is not on its bill, and holds occupancy alone; `insert` is insertPointCloud
 ray by ray on one thread, `discretised` merges the rays of one end voxel and leaves the inner nodes
-alone.
+alone. `bare` is the least that a map with Gaussians has to do with the same cloud, and no map: a
+loop that reads each point with its covariance, turns it, and adds both to a row of its voxel. What
+two threads bring to it, half of the points each, is what this machine gives to two threads at the
+time. Other processes that want the cores take them from the second thread above all; with
+``chrt -f 10`` before the command it does not wait for them.
 
     python benchmarks/bench_integrate.py [--poses 20] [--peer-poses 20 3] [--voxel-sizes 0.05 0.02]
 """
@@ -25,9 +29,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import room
+from numba import njit
 
 from infomap_ros.geometry import transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, block_bytes
 from infomap_ros.mapping.voxels.surface import surface_bytes
 
@@ -98,6 +104,60 @@ def insert_all(frames: list[Frame], size: float, merged: bool) -> tuple[Any, Tim
     return tree, times
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_bare(points: Any, covariances: Any, pose: Any, size: float, sums: Any) -> None:
+    """Add points and covariances to the rows of their voxels, whoever else has the row.
+
+    Args:
+        points: shape (n, 3), float32, sensor frame [m].
+        covariances: shape (n, 9), float32 [m^2].
+        pose: T_map_sensor.
+        size: of a voxel [m].
+        sums: shape (2^16, 10), float32.
+    """
+    scale = 1.0 / size
+    for n in range(len(points)):
+        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        if not x * x + y * y + z * z <= MAX_RANGE**2:
+            continue
+        mx = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * scale
+        my = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * scale
+        mz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * scale
+        i, j, k = np.floor(mx), np.floor(my), np.floor(mz)
+        row = (np.int64(i) + 256 * np.int64(j) + 7919 * np.int64(k)) & 0xFFFF
+        sums[row, 0] += 1.0
+        sums[row, 1] += mx - i
+        sums[row, 2] += my - j
+        sums[row, 3] += mz - k
+        for place, column in enumerate((0, 1, 2, 4, 5, 8)):
+            sums[row, 4 + place] += covariances[n, column]
+
+
+def add_all_bare(frames: list[Frame], size: float, threads: int) -> Times:
+    """Times of `add_bare` for all frames, the points and their rows divided among threads."""
+    times, workers = Times([], []), Workers(threads)
+    sums = np.zeros((threads, 1 << 16, 10), np.float32)
+    for points, pose, covariances in [frames[0], *frames]:
+        flat, table = points.reshape(-1, 3), covariances.reshape(-1, 9)
+        task = partial(add_part_bare, flat, table, pose, size, sums)
+        times.add(partial(workers.run, task, len(flat)))
+    return Times(times.wall[1:], times.processor[1:])
+
+
+def add_part_bare(
+    points: np.ndarray,
+    covariances: np.ndarray,
+    pose: np.ndarray,
+    size: float,
+    sums: np.ndarray,
+    part: int,
+    first: int,
+    last: int,
+) -> None:
+    """Let one thread do `add_bare` for the points [first, last)."""
+    add_bare(points[first:last], covariances[first:last], pose, size, sums[part])
+
+
 def memory_figures(voxel_map: VoxelMap) -> dict[str, float]:
     """Bytes per voxel of a map: occupancy and state, and Gaussians."""
     storage = voxel_map._storage
@@ -147,17 +207,22 @@ def compare(stereo: list[Frame], depth: list[Frame], size: float, peers: int) ->
     tree, merged = insert_all(stereo[:peers], size, merged=True)
     ray_by_ray = insert_all(stereo[:peers], size, merged=False)[1]
     depth_camera = integrate_all(depth, size, 1)[1]
+    bare, bare_two = (add_all_bare(stereo, size, threads) for threads in (1, 2))
     return {
         "voxel_size": size,
         "peer_poses": peers,
         "integrate_ms": statistics.median(one.wall),
         "integrate_2_threads_ms": statistics.median(two.wall),
         "integrate_depth_camera_ms": statistics.median(depth_camera.wall),
+        "bare_ms": statistics.median(bare.wall),
+        "bare_2_threads_ms": statistics.median(bare_two.wall),
+        "bare_processor_ms": statistics.median(bare.processor),
         "octomap_insert_ms": statistics.median(ray_by_ray.wall),
         "octomap_discretised_ms": statistics.median(merged.wall),
         "ratio_to_insert": median_ratio(ray_by_ray.wall, one.wall),
         "ratio_to_discretised": median_ratio(merged.wall, one.wall),
         "ratio_2_threads": median_ratio(one.wall, two.wall),
+        "bare_ratio_2_threads": median_ratio(bare.wall, bare_two.wall),
         "integrate_processor_ms": statistics.median(one.processor),
         "processor_ratio_to_insert": median_ratio(ray_by_ray.processor, one.processor),
         "processor_ratio_to_discretised": median_ratio(merged.processor, one.processor),

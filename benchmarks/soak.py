@@ -5,6 +5,12 @@ process of its own counts them too. Prints one JSON line a minute and a last one
 verdict; exits with 1 when memory of a node grew by more than the map's own growth and 5 %, or when
 pairs were lost. The first five minutes, in which map and caches fill, do not count for memory.
 
+map_fusion makes memory ready at the start for as many clouds as its queues hold, so that it takes
+no more when they wait. What a node would leak could hide in it; so what is in use of the heap is
+told and judged too, by the least of a quarter of the run, when no cloud waits. The publisher of the
+clouds keeps memory of as many as it ever had to keep at once for its subscriber, at the most as
+many as it is deep (`publisher_memory.py`); whole clouds up to that number do not count as growth.
+
     python benchmarks/soak.py [--minutes 60] [--rate 1.0]
 """
 
@@ -26,6 +32,9 @@ from infomap_ros.nodes.live.live_run import LEFT, LiveRun
 
 SETTLING = 300.0  # [s]
 ALLOWED_GROWTH = 1.05
+QUEUE = 50  # a machine that is busy with other things is not a loss
+CLOUD = 12.3  # [MB], of 640x480 points with covariances
+KEPT_CLOUDS = 5  # depth of the publisher of points2
 
 
 class Soak:
@@ -66,6 +75,10 @@ class Soak:
             "fused": state.count("map_fusion"),
             "map_mb": round(state.count("map_fusion", "map memory [bytes]") / 1e6, 1),
         }
+        for name in ("map_fusion", "stereo_range"):
+            in_use = state.count(name, "heap in use [bytes]")
+            sample[f"{name}_in_use_mb"] = round(in_use / 1e6, 1)
+            sample[f"{name}_most_waiting"] = state.count(name, "most jobs waiting")
         memory = {name: round(memory_of(pid) / 1e6, 1) for name, pid in self._run.pids.items()}
         return sample | {f"{name}_mb": amount for name, amount in memory.items()}
 
@@ -73,6 +86,7 @@ class Soak:
         """What has become of memory and data."""
         counted = [sample for sample in self._samples if sample["elapsed_s"] >= settling]
         growth = {name: growth_of(counted, name) for name in self._run.pids}
+        growth_in_use = {n: growth_in_use_of(counted, n) for n in ("map_fusion", "stereo_range")}
         state = self._run.state
         pairs = {
             "received": state.count("stereo_range", f"/{LEFT} count"),
@@ -82,12 +96,14 @@ class Soak:
         }
         heard = self._played[LEFT]  # the listener may be discovered after the first pairs
         kept = len(set(pairs.values())) == 1 and heard <= pairs["fused"] < heard + 10
-        flat = all(value <= ALLOWED_GROWTH for value in growth.values())
+        ratios = [*growth.values(), *growth_in_use.values()]
+        flat = all(value <= ALLOWED_GROWTH for value in ratios)
         return {
             "benchmark": "soak",
             "minutes": round(self._samples[-1]["elapsed_s"] / 60.0, 1),
             "flat": flat,
             "growth": growth,
+            "growth_in_use": growth_in_use,
             "heard": heard,
             **pairs,
             "drops": state.drops(),
@@ -100,9 +116,29 @@ def growth_of(samples: list[dict[str, float]], name: str) -> float:
 
     Each is the median of a quarter of the samples.
     """
-    amounts = [s[f"{name}_mb"] - (s["map_mb"] if name == "map_fusion" else 0.0) for s in samples]
+    begin, end = first_and_last_quarter(samples, name, "mb")
+    return round(float(np.median(end) / np.median(begin)), 3)
+
+
+def growth_in_use_of(samples: list[dict[str, float]], name: str) -> float:
+    """The same of what is in use of the heap, each the least of a quarter of the samples.
+
+    Without the whole clouds that the publisher of stereo_range may keep.
+    """
+    begin, end = first_and_last_quarter(samples, name, "in_use_mb")
+    most = KEPT_CLOUDS if name == "stereo_range" else 0
+    kept = min(max(round((min(end) - min(begin)) / CLOUD), 0), most)
+    return round((min(end) - kept * CLOUD) / min(begin), 3)
+
+
+def first_and_last_quarter(
+    samples: list[dict[str, float]], name: str, figure: str
+) -> tuple[list[float], list[float]]:
+    """A node's memory without the map [MB], of the first and of the last samples."""
+    of_map = "map_mb" if name == "map_fusion" else None
+    amounts = [s[f"{name}_{figure}"] - (s[of_map] if of_map else 0.0) for s in samples]
     quarter = max(1, len(amounts) // 4)
-    return round(float(np.median(amounts[-quarter:]) / np.median(amounts[:quarter])), 3)
+    return amounts[:quarter], amounts[-quarter:]
 
 
 def memory_of(pid: int) -> int:
@@ -124,10 +160,11 @@ def main() -> int:
     bag.parent.mkdir(parents=True, exist_ok=True)
     write_stereo_bag(bag, options.frames)
     player = {"rate": options.rate, "loop": True}
-    queues = {"queue_size": 50}  # a machine that is busy with other things is not a loss
+    queues = {"queue_size": QUEUE}
+    fusion = queues | {"reserved_memory": (QUEUE + 10) * CLOUD}
     with (
         tempfile.TemporaryDirectory() as folder,
-        LiveRun(bag, Path(folder), player, stereo=queues, fusion=queues) as run,
+        LiveRun(bag, Path(folder), player, stereo=queues, fusion=fusion) as run,
     ):
         result = Soak(run).measure(60.0 * options.minutes, options.interval)
     print(json.dumps(result))

@@ -238,3 +238,15 @@ def test_a_floor_seen_at_a_grazing_angle_is_not_erased():
     assert voxel_map.is_known(floor).all()
     assert (voxel_map.log_odds(floor) > 0.0).all()
     assert (voxel_map.probability(floor + np.array([0.0, 0.0, 0.15])) < 0.05).all()
+
+
+def test_blocks_beside_the_view_are_not_looked_at():
+    camera, pose = PinholeCamera(80, 60, 50.0, 50.0, 39.5, 29.5), look_at(np.zeros(3), np.ones(3))
+    points = random_scene(np.random.default_rng(3)).points(camera, pose)
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.02, max_range=3.0))
+
+    report = voxel_map.integrate(points, pose, camera=camera)
+
+    indices, values = voxel_map.voxels()
+    freed = len(np.unique(indices[values < 0.0] >> 3, axis=0))
+    assert freed <= report.blocks_seen_through < 3.0 * freed

@@ -49,6 +49,20 @@ print(new_pages(four_clouds), new_pages(four_clouds))
     assert second < 300
 
 
+def test_what_is_in_use_of_the_heap_grows_by_what_is_taken_and_falls_by_what_is_freed() -> None:
+    before, during, after = run("""
+reserve_heap(MemoryConfig(reserved_memory=64.0))
+before = heap_in_use()
+clouds = four_clouds()
+during = heap_in_use()
+clouds.clear()
+print(before, during, heap_in_use())
+""")
+
+    assert 48_000_000 <= during - before < 49_000_000
+    assert abs(after - before) < 1_000_000
+
+
 def test_shared_memory_of_the_middleware_is_found_and_used() -> None:
     (size,) = run("""
 import os

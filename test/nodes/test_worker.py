@@ -67,6 +67,18 @@ def test_orders_never_give_way() -> None:
     assert len(overflows) == 1
 
 
+def test_the_worker_remembers_how_many_jobs_have_waited_at_most() -> None:
+    worker, release, _ = blocked_worker(3)
+    for _ in range(5):
+        worker.submit(lambda: None)
+    before = worker.most_waiting
+
+    finish(worker, release)
+
+    assert before == 3
+    assert worker.most_waiting == 4, "with the order of the end"
+
+
 def test_clear_forgets_data_but_not_orders() -> None:
     worker, release, _ = blocked_worker(5)
     done: list[str] = []

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera, check_transform, float_array
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.correction.body_removal import forget_body
 from infomap_ros.mapping.correction.keyframe_covariances import KeyframeCovariances
 from infomap_ros.mapping.correction.pose_corrections import PoseCorrections
 from infomap_ros.mapping.correction.reintegration import (
@@ -15,6 +18,7 @@ from infomap_ros.mapping.correction.reintegration import (
     moved_scans,
 )
 from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.mapping.voxel_map import VoxelMap
 
@@ -102,6 +106,31 @@ class CorrectableMap:
         if covariances is not None:
             self._covariances.hear(as_of, stamps, transforms, covariances)
         self._corrections.hear(as_of, stamps, transforms)
+
+    def forget_body(
+        self,
+        solids: Sequence[PlacedSolid],
+        config: BodyFilterConfig | None = None,
+        ground: FloatArray | None = None,
+    ) -> int:
+        """Take a body out of the map and its scans that was not known when they were fused.
+
+        A correction that has begun begins again.
+
+        Args:
+            solids: of the body, placed in the map.
+            config: how far it is grown.
+            ground: that on which it stands and which stays, as `body_removal.forget_body` takes it.
+
+        Returns:
+            Number of occupied voxels that are unknown now.
+        """
+        self.store.forget_body(solids, config, ground)
+        forgotten = forget_body(self.voxel_map, solids, config, ground)
+        if self._work is not None:
+            self._work = None
+            self.begin_correction()
+        return forgotten
 
     def begin_correction(self) -> bool:
         """Begin to correct the map where scans belong elsewhere by now; whether there are any."""

@@ -11,17 +11,19 @@ file, which has no scans.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import VoxelMapConfig
+from infomap_ros.mapping.correction.body_removal import forget_body, without_body
 from infomap_ros.mapping.correction.scan_record import ScanRecord, keep_scan
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.mapping.scans.view_volume import ViewVolume, view_volume
 from infomap_ros.mapping.voxel_map import VoxelMap
@@ -197,6 +199,26 @@ class ScanStore:
             old = self._scans[number]
             kept = old.covariance if covariance is None else covariance
             self._scans[number] = replace(old, transform=transform, covariance=kept)
+
+    def forget_body(
+        self,
+        solids: Sequence[PlacedSolid],
+        config: BodyFilterConfig | None = None,
+        ground: FloatArray | None = None,
+    ) -> None:
+        """Take a body out of all scans and out of the base, as if it had been cut from them.
+
+        Args:
+            solids: of the body, placed in the map.
+            config: how far it is grown.
+            ground: of the base that which stays, as `body_removal.forget_body` takes it.
+        """
+        forget_body(self._base, solids, config, ground)
+        for number, scan in self._scans.items():
+            cut = without_body(scan.record, scan.transform, solids, config)
+            if cut is not None:
+                self._bytes += cut.memory_bytes() - scan.record.memory_bytes()
+                self._scans[number] = replace(scan, record=cut)
 
     def _usefulness(self, number: int) -> tuple[int, int]:
         """Rank of a scan: expected correction in half voxels, then how new it is."""

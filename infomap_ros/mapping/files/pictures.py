@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxel_map import VoxelMap
 
@@ -159,9 +160,8 @@ def _surface(voxel_map: VoxelMap) -> _Surface:
     evidence = voxel_map.log_odds(centres)
     usual = float(np.median(evidence)) if len(evidence) else 0.0
     likely = evidence > max(0.0, LEAST_EVIDENCE * usual)
-    variances, directions = np.linalg.eigh(covariances[likely])
-    sigmas = np.sqrt(np.maximum(variances[:, 0], 0.0))
-    return _Surface(centres[likely], directions[:, :, 0], sigmas)
+    variances, normals = smallest_axes(covariances[likely])
+    return _Surface(centres[likely], normals, np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _sigma_limits(sigmas: FloatArray) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.kernel import inlined_kernel
 from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 
 NEAREST = 1e-6
@@ -42,7 +42,7 @@ class Sensor(NamedTuple):
     limit: float
 
 
-@kernel
+@inlined_kernel
 def rotated(r: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rotate a vector by a rotation given row by row."""
     return (
@@ -52,7 +52,7 @@ def rotated(r: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     )
 
 
-@kernel
+@inlined_kernel
 def voxel_position(sensor: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Map position of a point of the sensor frame [m], in voxels."""
     t, inverse = sensor.position, sensor.inverse_size
@@ -60,13 +60,13 @@ def voxel_position(sensor: Any, x: float, y: float, z: float) -> tuple[float, fl
     return (mx + t[0]) * inverse, (my + t[1]) * inverse, (mz + t[2]) * inverse
 
 
-@kernel
+@inlined_kernel
 def within_limit(x: float, y: float, z: float) -> bool:
     """Whether a position, in voxels, and its surroundings can be packed into keys."""
     return max(abs(x), max(abs(y), abs(z))) < COORDINATE_LIMIT - 128.0
 
 
-@kernel
+@inlined_kernel
 def variance_along(covariances: Any, row: int, columns: Any, x: float, y: float, z: float) -> float:
     """Variance of a point along a direction; covariance in any layout named by `columns`."""
     xx, xy, xz = (
@@ -82,7 +82,7 @@ def variance_along(covariances: Any, row: int, columns: Any, x: float, y: float,
     return xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
 
 
-@kernel
+@inlined_kernel
 def pose_variance_along(pose_covariance: Any, arm: Any, direction: Any) -> float:
     """Variance that the pose's error gives a point along a direction, both in the map frame.
 
@@ -101,12 +101,14 @@ def pose_variance_along(pose_covariance: Any, arm: Any, direction: Any) -> float
     )
     total = 0.0
     for i in range(6):
-        for j in range(6):
-            total += v[i] * pose_covariance[i, j] * v[j]
-    return total
+        across = 0.5 * pose_covariance[i, i] * v[i]
+        for j in range(i + 1, 6):
+            across += pose_covariance[i, j] * v[j]
+        total += v[i] * across
+    return 2.0 * total
 
 
-@kernel
+@inlined_kernel
 def set_reach(
     sensor: Any,
     pose_covariance: Any,

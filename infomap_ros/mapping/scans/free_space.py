@@ -67,6 +67,33 @@ def far_extent(view: Any, half: float) -> float:
 
 
 @kernel
+def _is_beside(view: Any, x: float, y: float, z: float, half: float) -> bool:
+    """Whether a cube lies on the far side of a plane through the camera and an edge of the image.
+
+    For cubes that reach behind the camera, which have no footprint.
+    """
+    left, top = view.cx + 0.5, view.cy + 0.5
+    right, bottom = view.width - left, view.height - top
+    return bool(
+        _highest(view, view.fx, 0.0, left, x, y, z, half) < 0.0
+        or _highest(view, -view.fx, 0.0, right, x, y, z, half) < 0.0
+        or _highest(view, 0.0, view.fy, top, x, y, z, half) < 0.0
+        or _highest(view, 0.0, -view.fy, bottom, x, y, z, half) < 0.0
+    )
+
+
+@kernel
+def _highest(
+    view: Any, a: float, b: float, c: float, x: float, y: float, z: float, half: float
+) -> float:
+    """Largest ``a x + b y + c z`` of the points of a cube, camera coordinates."""
+    r = view.inverse_rotation
+    spread = abs(a * r[0] + b * r[3] + c * r[6]) + abs(a * r[1] + b * r[4] + c * r[7])
+    spread += abs(a * r[2] + b * r[5] + c * r[8])
+    return a * x + b * y + c * z + half * spread
+
+
+@kernel
 def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float) -> int:
     """FREE, MIXED or 0 (nothing free) for the cube at camera coordinates, half edge `half` [m]."""
     reach = far_extent(view, half)
@@ -74,7 +101,7 @@ def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float
     if far <= NEAR:
         return 0
     if near <= NEAR:
-        return MIXED
+        return 0 if _is_beside(view, x, y, z, half) else MIXED
     u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
     for corner in range(8):
         sx = half if corner & 1 else -half

@@ -10,14 +10,17 @@ Only the last step touches the map, and it runs after the last check.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.scans.association import Sensor
-from infomap_ros.mapping.scans.gathering import ScanGatherer
+from infomap_ros.mapping.scans.cloud_gathering import CloudGatherer
+from infomap_ros.mapping.scans.gathered_scan import GatheredScan
+from infomap_ros.mapping.scans.image_gathering import ImageGatherer
 from infomap_ros.mapping.scans.observation import empty_observations, observe_rows
-from infomap_ros.mapping.scans.scan import ScanRows
 from infomap_ros.mapping.scans.scan_input import Scan
 from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels.storage import MapStorage, Observations, ScanWriter
@@ -49,7 +52,8 @@ class ScanIntegrator:
     def __init__(self, config: VoxelMapConfig) -> None:
         self._config = config
         self._workers = Workers(config.threads)
-        self._gatherer = ScanGatherer(config, self._workers)
+        self._clouds = CloudGatherer(config)
+        self._images = ImageGatherer(config, self._workers)
         self._writer = ScanWriter(config, self._workers)
 
     def integrate(
@@ -67,17 +71,22 @@ class ScanIntegrator:
         """
         sensor = self._sensor(measured)
         tallies = np.zeros(4, np.int64)
-        rows, free = self._gatherer.gather(measured, sensor, tallies)
-        observed = [self._observe(part, measured, sensor, correlation) for part in rows]
-        storage.check_capacity(observed, free, self._config.memory_limit * 1e9)
-        self._writer.write(storage, observed, free)
+        found = self._gather(measured, sensor, tallies)
+        observed = self._observe(found, measured, sensor, correlation)
+        storage.check_capacity(observed, found.free, self._config.memory_limit * 1e9)
+        self._writer.write(storage, observed, found.free)
         return IntegrationReport(
             points_used=int(tallies[0]),
             points_out_of_range=int(tallies[1]),
             points_refused=int(tallies[2] + tallies[3]) + measured.outside,
-            voxels_observed=int(sum(np.count_nonzero(part.information[:, 0]) for part in observed)),
-            blocks_seen_through=len(free.bits),
+            voxels_observed=int(np.count_nonzero(observed.information[:, 0])),
+            blocks_seen_through=len(found.free.bits),
         )
+
+    def _gather(self, measured: Scan, sensor: Sensor, tallies: NDArray[np.int64]) -> GatheredScan:
+        if measured.camera is None:
+            return self._clouds.gather(measured, sensor, tallies)
+        return self._images.gather(measured, measured.camera, sensor, tallies)
 
     def _sensor(self, measured: Scan) -> Sensor:
         config = self._config
@@ -92,25 +101,28 @@ class ScanIntegrator:
         )
 
     def _observe(
-        self, rows: ScanRows, measured: Scan, sensor: Sensor, correlation: float
+        self, found: GatheredScan, measured: Scan, sensor: Sensor, correlation: float
     ) -> Observations:
-        count = int(rows.used[0])
-        information, hits, sides = empty_observations(count)
+        """Observations of the voxels, and meanwhile the voxels through which the scan sees."""
+        ends = np.cumsum([0, *(int(part.used[0]) for part in found.parts)]).tolist()
+        observed = Observations(found.parts, ends, *empty_observations(ends[-1]))
         hit_quanta = self._config.hit_quanta
 
-        def observe(_: int, first: int, last: int) -> None:
+        def observe(part: int, first: int, last: int) -> None:
+            rows = slice(ends[part], ends[part + 1])
             observe_rows(
-                rows,
+                found.parts[part],
                 sensor,
                 measured.pose_covariance,
                 correlation,
                 hit_quanta,
                 first,
                 last,
-                information,
-                hits,
-                sides,
+                observed.information[rows],
+                observed.hits[rows],
+                observed.sides[rows],
             )
 
-        self._workers.run(observe, count)
-        return Observations(rows, information, hits, sides)
+        parts = [(partial(observe, i), ends[i + 1] - ends[i]) for i in range(len(found.parts))]
+        self._workers.share(*parts, (found.see, found.unseen))
+        return observed

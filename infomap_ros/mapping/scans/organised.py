@@ -8,31 +8,55 @@ cell learns the depths up to which it is certainly empty: the ground level of th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.mapping.scans.association import (
     NEAREST,
     rotated,
     set_reach,
     variance_along,
 )
-from infomap_ros.mapping.scans.plain_tiles import gather_plain_tile
-from infomap_ros.mapping.scans.scan import add_group
+from infomap_ros.mapping.scans.plain_tiles import FAR, PLAIN, gather_plain_tile, place_tile
+from infomap_ros.mapping.scans.scan import add_group, walk_through
 from infomap_ros.mapping.scans.tiles import TILE, gather_tile
 
 _LARGEST_WINDOW = 24
 
 
-@kernel
+class OrganisedScan(NamedTuple):
+    """An organised scan, and what is learnt of the depths of its pixels, for the kernels.
+
+    Attributes:
+        points: shape (H, W, 3), float32, sensor frame [m], NaN = no measurement.
+        covariances: shape (H * W, k), or (1, k) for one covariance for all [m^2].
+        columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
+        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
+        focal: focal length [px].
+        lower: depth up to which all measured pixels of a 2 x 2 cell see through, shape
+            (ceil(H/2), ceil(W/2)); begins as inf and stays so where nothing was measured.
+        upper: the same for the farthest-seeing pixel; begins as -inf.
+    """
+
+    points: NDArray[np.float32]
+    covariances: NDArray[np.float32]
+    columns: tuple[int, ...]
+    pose_covariance: NDArray[np.float64]
+    focal: float
+    lower: NDArray[np.float32]
+    upper: NDArray[np.float32]
+
+
+@inlined_kernel
 def _usable(points: Any, v: int, u: int) -> bool:
     z = points[v, u, 2]
     return z > NEAREST and np.isfinite(z)
 
 
-@kernel
+@inlined_kernel
 def _bend(points: Any, v: int, u: int, dv: int, du: int) -> float:
     """Deviation of the depth at a pixel from the line through its two neighbours [m].
 
@@ -47,7 +71,7 @@ def _bend(points: Any, v: int, u: int, dv: int, du: int) -> float:
     return abs(2.0 * before * after / (before + after) - points[v, u, 2])
 
 
-@kernel
+@inlined_kernel
 def tile_normal(
     points: Any, v: int, u: int, focal: float, size: float, sigma: float, out: Any
 ) -> None:
@@ -87,7 +111,7 @@ def tile_normal(
         out[0], out[1], out[2] = nx / length, ny / length, nz / length
 
 
-@kernel
+@inlined_kernel
 def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
     """A usable pixel of a tile, as near its middle as there is; (-1, -1) when there is none."""
     height, width = points.shape[0], points.shape[1]
@@ -108,15 +132,9 @@ def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
 def gather_organised(
     rows: Any,
     sensor: Any,
-    pose_covariance: Any,
-    points: Any,
-    covariances: Any,
-    columns: Any,
-    focal: float,
+    image: Any,
     first_row: int,
     last_row: int,
-    lower: Any,
-    upper: Any,
     tallies: Any,
     groups: Any,
 ) -> bool:
@@ -125,16 +143,9 @@ def gather_organised(
     Args:
         rows: a `ScanRows`.
         sensor: a `Sensor`.
-        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
-        points: shape (H, W, 3), float32, sensor frame [m], NaN = no measurement.
-        covariances: shape (H * W, k), or (1, k) for one covariance for all [m^2].
-        columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
-        focal: focal length [px].
+        image: an `OrganisedScan`.
         first_row: multiple of 8.
         last_row: multiple of 8 or H.
-        lower: depth up to which all measured pixels of a 2 x 2 cell see through, shape
-            (ceil(H/2), ceil(W/2)); begins as inf and stays so where nothing was measured.
-        upper: the same for the farthest-seeing pixel; begins as -inf.
         tallies: int64, shape (4,): points taken, out of range, beyond the coordinate limit, with
             a covariance that is not positive.
         groups: a `TileGroups` to work with.
@@ -142,83 +153,67 @@ def gather_organised(
     Returns:
         False when the scratch storage is full.
     """
-    width = points.shape[1]
-    reach, axis, normal, group = groups.reach, groups.axis, groups.normal, groups.one
-    shared = len(covariances) == 1
-    # In one piece: a kernel of its own for a tile takes a tenth of the time more.
+    points, flat, table = image.points, image.points.reshape(-1), image.covariances.reshape(-1)
     for v0 in range(first_row, last_row, TILE):
-        for u0 in range(0, width, TILE):
+        for u0 in range(0, points.shape[1], TILE):
+            state = place_tile(sensor, image, flat, v0, u0, groups, tallies)
+            if state == FAR:
+                continue
             v, u = _tile_centre(points, v0, u0)
             if v < 0:
                 continue
-            row = 0 if shared else v * width + u
-            x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
-            norm = np.sqrt(x * x + y * y + z * z)
-            dx, dy, dz = x / norm, y / norm, z / norm
-            along = max(0.0, variance_along(covariances, row, columns, dx, dy, dz))
-            tile_normal(points, v, u, focal, sensor.size, np.sqrt(along), normal)
-            set_reach(
-                sensor,
-                pose_covariance,
-                x,
-                y,
-                z,
-                covariances,
-                row,
-                columns,
-                normal,
-                reach,
-                axis,
-            )
-            margin = _depth_margin(sensor, pose_covariance, along, dx, dy, dz)
-            count = gather_plain_tile(
-                sensor, points, covariances, columns, v0, u0, margin, groups, lower, upper, tallies
-            )
+            margin, count = _prepare_tile(sensor, image, v, u, groups), -1
+            if state == PLAIN:
+                count = gather_plain_tile(image, table, v0, u0, margin, groups)
             if count < 0:
-                count = gather_tile(
-                    sensor,
-                    points,
-                    covariances,
-                    columns,
-                    v0,
-                    u0,
-                    margin,
-                    groups,
-                    lower,
-                    upper,
-                    tallies,
-                )
-            if not _add_groups(rows, sensor.size, reach, axis, groups, count, group, tallies):
+                count = gather_tile(sensor, image, v0, u0, margin, groups, tallies)
+            if not _add_groups(rows, sensor.size, groups, count, tallies):
                 return False
     return True
 
 
-@kernel
-def _add_groups(
-    rows: Any,
-    size: float,
-    reach: Any,
-    axis: Any,
-    groups: Any,
-    count: int,
-    group: Any,
-    tallies: Any,
-) -> bool:
+@inlined_kernel
+def _prepare_tile(sensor: Any, image: Any, v: int, u: int, groups: Any) -> float:
+    """Find normal and reach of a tile at one of its pixels.
+
+    Args:
+        sensor: a `Sensor`.
+        image: an `OrganisedScan`.
+        v: row of the pixel.
+        u: its column.
+        groups: a `TileGroups`; receives normal, axis and reach.
+
+    Returns:
+        What is taken off a measured depth before space counts as empty [m].
+    """
+    points, covariances, columns = image.points, image.covariances, image.columns
+    row = 0 if len(covariances) == 1 else v * points.shape[1] + u
+    x, y, z = points[v, u, 0], points[v, u, 1], points[v, u, 2]
+    norm = np.sqrt(x * x + y * y + z * z)
+    dx, dy, dz = x / norm, y / norm, z / norm
+    along = max(0.0, variance_along(covariances, row, columns, dx, dy, dz))
+    tile_normal(points, v, u, image.focal, sensor.size, np.sqrt(along), groups.normal)
+    place = groups.normal, groups.reach, groups.axis
+    set_reach(sensor, image.pose_covariance, x, y, z, covariances, row, columns, *place)
+    return _depth_margin(sensor, image.pose_covariance, along, dx, dy, dz)
+
+
+@inlined_kernel
+def _add_groups(rows: Any, size: float, groups: Any, count: int, tallies: Any) -> bool:
     """Give the groups of a tile to the rows; False when their storage is full.
 
     Args:
         rows: a `ScanRows`.
         size: of a voxel [m].
-        reach: half the association segment, map frame [voxels].
-        axis: unit normal, map frame.
         groups: a `TileGroups`.
         count: number of groups.
-        group: memory for one, as `add_group` takes it.
         tallies: receives the number of points taken.
     """
     table, cubes, places = rows.table, rows.cubes, rows.places
     keys, sums, used = rows.keys, rows.sums, rows.used
-    group_keys, group_sums = groups.keys, groups.sums
+    group_keys, group_sums, group = groups.keys, groups.sums, groups.one
+    reach, axis = groups.reach, groups.axis
+    walk = walk_through(reach)
     for i in range(count):
         points = group_sums[i, 0]
         group[0] = points
@@ -228,12 +223,14 @@ def _add_groups(
         for n in range(4, 10):
             group[n] = group_sums[i, n]
         tallies[0] += int(points)
-        if not add_group(table, cubes, places, keys, sums, used, size, reach, group_keys[i], group):
+        if not add_group(
+            table, cubes, places, keys, sums, used, size, reach, walk, group_keys[i], group
+        ):
             return False
     return True
 
 
-@kernel
+@inlined_kernel
 def _depth_margin(sensor: Any, c: Any, variance: float, dx: float, dy: float, dz: float) -> float:
     """What is taken off a measured depth before space counts as empty [m]."""
     mx, my, mz = rotated(sensor.rotation, dx, dy, dz)

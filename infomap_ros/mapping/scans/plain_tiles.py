@@ -11,47 +11,71 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.kernel import inlined_kernel
 from infomap_ros.mapping.scans.association import NEAREST
 from infomap_ros.mapping.scans.tiles import PIXELS, TILE, group_of
 from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT, pack
 
-_PLAIN, _FAR = 1, 2
+PLAIN, FAR = 1, 2
+_ONE = np.uint64(1)
+_UNIT, _FRACTION = 2.0**32, 2**32 - 1
 _DEPTH_RATIO, _VARIANCE_RATIO = 1.05, 1.5
 """How much depths of a plain tile may differ from that at its centre, and variances within it."""
 
 
-@kernel
-def gather_plain_tile(
-    sensor: Any,
-    points: Any,
-    covariances: Any,
-    columns: Any,
-    v0: int,
-    u0: int,
-    margin: float,
-    groups: Any,
-    lower: Any,
-    upper: Any,
-    tallies: Any,
+@inlined_kernel
+def place_tile(
+    sensor: Any, image: Any, flat: Any, v0: int, u0: int, groups: Any, tallies: Any
 ) -> int:
-    """As `gather_tile` for a plain tile; returns -1 with nothing changed when it is not plain."""
-    height, width = points.shape[0], points.shape[1]
+    """Place the pixels of a tile in the map, and do all there is to do where it is FAR.
+
+    Args:
+        sensor: a `Sensor`.
+        image: an `infomap_ros.mapping.scans.organised.OrganisedScan`.
+        flat: its points in one row.
+        v0: first row of the tile.
+        u0: first column of the tile.
+        groups: a `TileGroups`.
+        tallies: see `infomap_ros.mapping.scans.organised.gather_organised`.
+
+    Returns:
+        PLAIN where `gather_plain_tile` may do the rest, FAR where all points are out of range, or
+        0.
+    """
+    height, width = image.points.shape[0], image.points.shape[1]
     if v0 + TILE > height or u0 + TILE > width:
-        return -1
-    pixels = groups.pixels
-    state = _place_pixels(sensor, points.reshape(-1), width, v0, u0, groups.tile, pixels)
-    if state == _FAR:
-        _set_depths(pixels, v0, u0, 0.0, lower, upper)
-        tallies[1] += PIXELS
         return 0
-    if state != _PLAIN:
-        return -1
-    mean = _mean_covariance(covariances, columns, v0 * width + u0, width, groups.columns)
+    state = _place_pixels(sensor, flat, width, v0, u0, groups.tile, groups.pixels)
+    if state == FAR:
+        _set_depths(groups.pixels, v0, u0, 0.0, image.lower, image.upper)
+        tallies[1] += PIXELS
+    return state
+
+
+@inlined_kernel
+def gather_plain_tile(image: Any, table: Any, v0: int, u0: int, margin: float, groups: Any) -> int:
+    """As `gather_tile` for a tile that has been placed and is PLAIN.
+
+    Args:
+        image: see `place_tile`, likewise v0, u0 and groups.
+        table: the covariances in one row.
+        v0: see image.
+        u0: see image.
+        margin: see `gather_tile`.
+        groups: see image.
+
+    Returns:
+        Number of groups, or -1 with nothing changed when the covariances differ much.
+    """
+    pixels, width = groups.pixels, image.points.shape[1]
+    first, work = v0 * width + u0, groups.columns
+    mean = _mean_covariance(image.covariances, table, image.columns, first, width, work)
     if not mean[0] > 0.0:
         return -1
-    _set_depths(pixels, v0, u0, margin, lower, upper)
-    count = _group_pixels(pixels, groups.pixel_keys, groups.keys, groups.sums)
+    _set_depths(pixels, v0, u0, margin, image.lower, image.upper)
+    count = _group_near(pixels, groups.work, groups.keys, groups.sums)
+    if count < 0:
+        count = _group_pixels(pixels, groups.pixel_keys, groups.keys, groups.sums)
     sums = groups.sums
     for group in range(count):
         for n in range(6):
@@ -59,15 +83,16 @@ def gather_plain_tile(
     return count
 
 
-@kernel
+@inlined_kernel
 def _place_pixels(
     sensor: Any, flat: Any, width: int, v0: int, u0: int, tile: Any, pixels: Any
 ) -> int:
-    """Depth and position in voxels of every pixel; _PLAIN, _FAR (then depths alone) or 0."""
+    """Depth and position in voxels of every pixel; PLAIN, FAR (then depths alone) or 0."""
+    row_size = len(tile) // TILE  # not a constant here, or numbers are copied one by one
     for row in range(TILE):
-        base = 3 * ((v0 + row) * width + u0)
-        for n in range(3 * TILE):
-            tile[row * 3 * TILE + n] = flat[np.uint64(base + n)]
+        base, start = 3 * ((v0 + row) * width + u0), row * row_size
+        for n in range(row_size):
+            tile[np.uint64(start + n)] = flat[np.uint64(base + n)]
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = sensor.rotation
     tx, ty, tz = sensor.position
     scale, squared_range, limit = sensor.inverse_size, sensor.max_range**2, COORDINATE_LIMIT - 128.0
@@ -93,43 +118,46 @@ def _place_pixels(
         for pixel in range(PIXELS):
             x, y, z = tile[3 * pixel], tile[3 * pixel + 1], tile[3 * pixel + 2]
             pixels[0, pixel] = z * sensor.max_range / np.sqrt(x * x + y * y + z * z)
-        return _FAR
-    return _PLAIN if plain == PIXELS else 0
+        return FAR
+    return PLAIN if plain == PIXELS else 0
 
 
-@kernel
-def _mean_covariance(covariances: Any, columns: Any, first: int, width: int, work: Any) -> Any:
+@inlined_kernel
+def _mean_covariance(
+    covariances: Any, table: Any, columns: Any, first: int, width: int, work: Any
+) -> Any:
     """Mean covariance of a tile, (xx, xy, xz, yy, yz, zz); zeros when variances differ much.
 
     Args:
         covariances: see `gather_tile`, likewise columns.
+        table: the covariances in one row.
         columns: see covariances.
         first: row of the tile's first pixel in `covariances`.
         width: of the image [px].
         work: shape (3, 72), float32.
     """
     size = covariances.shape[1]
-    flat, row_size = covariances.reshape(-1), TILE * size
+    row_size = TILE * size
     sums, least, most = work[0], work[1], work[2]
     if len(covariances) == 1:
         for n in range(size):
-            sums[n] = least[n] = most[n] = flat[n]
+            sums[n] = least[n] = most[n] = table[n]
         return _checked_mean(columns, size, 1, sums, least, most)
     for row in range(TILE):
         base = (first + row * width) * size
         if row == 0:
             for n in range(row_size):
-                value = flat[np.uint64(base + n)]
+                value = table[np.uint64(base + n)]
                 sums[n] = least[n] = most[n] = value
         for n in range(row_size if row > 0 else 0):
-            value = flat[np.uint64(base + n)]
+            value = table[np.uint64(base + n)]
             sums[n] += value
             least[n] = value if value < least[n] else least[n]
             most[n] = value if value > most[n] else most[n]
     return _checked_mean(columns, size, TILE, sums, least, most)
 
 
-@kernel
+@inlined_kernel
 def _checked_mean(columns: Any, size: int, pixels: int, sums: Any, least: Any, most: Any) -> Any:
     """Mean of columns of pixels; zeros when a variance is not positive or they differ much."""
     c0, c1, c2, c3, c4, c5 = columns
@@ -149,7 +177,7 @@ def _checked_mean(columns: Any, size: int, pixels: int, sums: Any, least: Any, m
     return xx * scale, xy * scale, xz * scale, yy * scale, yz * scale, zz * scale
 
 
-@kernel
+@inlined_kernel
 def _set_depths(pixels: Any, v0: int, u0: int, margin: float, lower: Any, upper: Any) -> None:
     """Smallest and largest depth of every 2 x 2 cell of a plain tile."""
     for row in range(TILE // 2):
@@ -162,7 +190,60 @@ def _set_depths(pixels: Any, v0: int, u0: int, margin: float, lower: Any, upper:
             upper[v, u] = max(max(a, b), max(c, d)) - margin
 
 
-@kernel
+@inlined_kernel
+def _group_near(pixels: Any, work: Any, keys: Any, sums: Any) -> int:
+    """As `_group_pixels` for pixels within 4 x 4 x 4 voxels, without a branch; else -1.
+
+    Positions are whole numbers of 2^-32 voxels, so that a sum does not ask for an order.
+    """
+    bx, by, bz = _corner(pixels[1]), _corner(pixels[2]), _corner(pixels[3])
+    present, used_bits = np.uint64(0), np.int64(0)
+    for n in range(PIXELS):
+        x = np.int64((pixels[1, n] - bx) * _UNIT)
+        y = np.int64((pixels[2, n] - by) * _UNIT)
+        z = np.int64((pixels[3, n] - bz) * _UNIT)
+        used_bits |= x | y | z
+        place = (x >> 32) | ((y >> 32) << 2) | ((z >> 32) << 4)
+        work[0, n] = place
+        work[1, n], work[2, n], work[3, n] = x & _FRACTION, y & _FRACTION, z & _FRACTION
+        present |= _ONE << np.uint64(place & 63)
+    if used_bits >> 34:
+        return -1
+    used, pixel = 0, 0
+    while present:
+        place = work[0, pixel]
+        pixel += 1
+        if not (present >> np.uint64(place)) & _ONE:
+            continue
+        present &= ~(_ONE << np.uint64(place))
+        points, dx, dy, dz = 0, 0, 0, 0
+        for n in range(PIXELS):
+            is_here = work[0, n] == place
+            points += 1 if is_here else 0
+            dx += work[1, n] if is_here else 0
+            dy += work[2, n] if is_here else 0
+            dz += work[3, n] if is_here else 0
+        i, j, k = place & 3, (place >> 2) & 3, place >> 4
+        keys[used] = pack(np.int64(bx) + i, np.int64(by) + j, np.int64(bz) + k)
+        sums[used, 0] = points
+        sums[used, 1] = dx / _UNIT - 0.5 * points
+        sums[used, 2] = dy / _UNIT - 0.5 * points
+        sums[used, 3] = dz / _UNIT - 0.5 * points
+        used += 1
+    return used
+
+
+@inlined_kernel
+def _corner(places: Any) -> float:
+    """Lowest of four voxels in a row that hold the corner pixels of a tile if any four do."""
+    last, row = PIXELS - 1, TILE - 1
+    low = min(min(places[0], places[row]), min(places[last - row], places[last]))
+    high = max(max(places[0], places[row]), max(places[last - row], places[last]))
+    lowest = np.floor(low)
+    return lowest - 1.0 if high - lowest < 2.0 else lowest
+
+
+@inlined_kernel
 def _group_pixels(pixels: Any, pixel_keys: Any, keys: Any, sums: Any) -> int:
     """Sum up number and offsets of the pixels of each voxel; returns how many voxels."""
     for pixel in range(PIXELS):

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
 
+LOW_CELL = 8
+"""Parts of an image that begin at multiples of this [px] share no cell of the low levels."""
+
+_LOW_LEVELS = 3
+
 
 class Pyramid(NamedTuple):
     """Depth pyramid; level l has cells of 2^(l + 1) pixels, all levels in flat arrays.
@@ -57,64 +62,107 @@ def empty_pyramid(width: int, height: int) -> Pyramid:
     )
 
 
+def ground_level(pyramid: Pyramid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """`lower` and `upper` of the lowest level, by row and column of its cells."""
+    shape = int(pyramid.heights[0]), int(pyramid.widths[0])
+    cells = shape[0] * shape[1]
+    return pyramid.lower[:cells].reshape(shape), pyramid.upper[:cells].reshape(shape)
+
+
 @kernel
-def build_pyramid(pyramid: Any) -> None:
-    """Fill the levels above the ground level, whose `lower` and `upper` are given.
+def build_low_levels(pyramid: Any, first: int, last: int) -> None:
+    """Fill the levels whose cells are no wider than `LOW_CELL`, for some rows of the image.
+
+    Those of the ground level have `lower` and `upper`. `safe` is left out in the cells beside other
+    rows.
+
+    Args:
+        pyramid: a `Pyramid`.
+        first: first row of the image [px], a multiple of `LOW_CELL`.
+        last: one past the last row, a multiple of `LOW_CELL` or the height.
+    """
+    lower, strict, width = pyramid.lower, pyramid.strict, pyramid.widths[0]
+    for i in range((first >> 1) * width, ((last + 1) >> 1) * width):
+        if lower[i] == np.inf:
+            lower[i] = -np.inf
+        strict[i] = lower[i]
+    for level in range(min(_LOW_LEVELS, len(pyramid.starts))):
+        cell = 2 << level
+        top, bottom = first // cell, (last + cell - 1) // cell
+        if level > 0:
+            _build_level(pyramid, level, top, bottom)
+        is_end = bottom == pyramid.heights[level]
+        _spread_level(pyramid, level, top + (top > 0), bottom - (0 if is_end else 1))
+
+
+@kernel
+def build_high_levels(pyramid: Any, cuts: Any) -> None:
+    """Fill the other levels, and `safe` where it was left out.
+
+    Args:
+        pyramid: a `Pyramid`.
+        cuts: rows of the image at which `build_low_levels` began, the first excepted.
+    """
+    for level in range(len(pyramid.starts)):
+        if level >= _LOW_LEVELS:
+            _build_level(pyramid, level, 0, pyramid.heights[level])
+            _spread_level(pyramid, level, 0, pyramid.heights[level])
+            continue
+        for cut in cuts:
+            row = cut // (2 << level)
+            _spread_level(pyramid, level, max(row - 1, 0), min(row + 1, pyramid.heights[level]))
+
+
+@kernel
+def _build_level(pyramid: Any, level: int, first: int, last: int) -> None:
+    """Fill the rows [first, last) of a level from the level below.
 
     A cell counts as measured in `lower` when at least half of its parts do.
     """
     lower, strict, upper = pyramid.lower, pyramid.strict, pyramid.upper
-    ground = pyramid.widths[0] * pyramid.heights[0]
-    for i in range(ground):
-        if lower[i] == np.inf:
-            lower[i] = -np.inf
-        strict[i] = lower[i]
-    for level in range(1, len(pyramid.starts)):
-        width, height = pyramid.widths[level], pyramid.heights[level]
-        below, below_start = pyramid.widths[level - 1], pyramid.starts[level - 1]
-        below_height = pyramid.heights[level - 1]
-        for v in range(height):
-            for u in range(width):
-                low, low_strict, high = np.inf, np.inf, -np.inf
-                parts, measured = 0, 0
-                for dv in range(2):
-                    for du in range(2):
-                        if 2 * v + dv < below_height and 2 * u + du < below:
-                            i = below_start + (2 * v + dv) * below + 2 * u + du
-                            parts += 1
-                            if lower[i] > -np.inf:
-                                measured += 1
-                                low = min(low, lower[i])
-                            low_strict = min(low_strict, strict[i])
-                            high = max(high, upper[i])
-                cell = pyramid.starts[level] + v * width + u
-                lower[cell] = low if 2 * measured >= parts else -np.inf
-                strict[cell] = low_strict
-                upper[cell] = high
+    below, below_start = pyramid.widths[level - 1], pyramid.starts[level - 1]
+    below_height, width = pyramid.heights[level - 1], pyramid.widths[level]
+    for v in range(first, last):
+        for u in range(width):
+            low, low_strict, high = np.inf, np.inf, -np.inf
+            parts, measured = 0, 0
+            for dv in range(2):
+                for du in range(2):
+                    if 2 * v + dv < below_height and 2 * u + du < below:
+                        i = below_start + (2 * v + dv) * below + 2 * u + du
+                        parts += 1
+                        if lower[i] > -np.inf:
+                            measured += 1
+                            low = min(low, lower[i])
+                        low_strict = min(low_strict, strict[i])
+                        high = max(high, upper[i])
+            cell = pyramid.starts[level] + v * width + u
+            lower[cell] = low if 2 * measured >= parts else -np.inf
+            strict[cell] = low_strict
+            upper[cell] = high
 
 
 @kernel
-def spread_pyramid(pyramid: Any) -> None:
-    """Fill `safe` from `lower`, on all levels."""
+def _spread_level(pyramid: Any, level: int, first: int, last: int) -> None:
+    """Fill `safe` from `lower` in the rows [first, last) of a level."""
     lower, safe = pyramid.lower, pyramid.safe
-    for level in range(len(pyramid.starts)):
-        width, height = pyramid.widths[level], pyramid.heights[level]
-        start = pyramid.starts[level]
-        for v in range(height):
-            above, below = max(v - 1, 0), min(v + 1, height - 1)
-            columns_before, columns_here = np.inf, np.inf
-            for u in range(width + 1):
-                columns_next = np.inf
-                if u < width:
-                    a = lower[start + above * width + u]
-                    b = lower[start + v * width + u]
-                    c = lower[start + below * width + u]
-                    columns_next = min(a, min(b, c))
-                if u > 0:
-                    safe[start + v * width + u - 1] = min(
-                        columns_before, min(columns_here, columns_next)
-                    )
-                columns_before, columns_here = columns_here, columns_next
+    width, height = pyramid.widths[level], pyramid.heights[level]
+    start = pyramid.starts[level]
+    for v in range(first, last):
+        above, below = max(v - 1, 0), min(v + 1, height - 1)
+        columns_before, columns_here = np.inf, np.inf
+        for u in range(width + 1):
+            columns_next = np.inf
+            if u < width:
+                a = lower[start + above * width + u]
+                b = lower[start + v * width + u]
+                c = lower[start + below * width + u]
+                columns_next = min(a, min(b, c))
+            if u > 0:
+                safe[start + v * width + u - 1] = min(
+                    columns_before, min(columns_here, columns_next)
+                )
+            columns_before, columns_here = columns_here, columns_next
 
 
 @kernel

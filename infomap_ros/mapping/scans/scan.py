@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.kernel import kernel
-from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
+from infomap_ros.geometry.kernel import inlined_kernel, kernel
+from infomap_ros.mapping.scans.grid_walk import next_of_short_walk, way_through
 from infomap_ros.mapping.voxels.keys import KEY_X, KEY_Y, table_slot, unpack
 
 POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
@@ -23,6 +23,7 @@ the map frame, and the number of points that lie in the voxel itself."""
 
 SUM_COLUMNS = 16
 
+_CACHE_LINE = 64  # [bytes]
 _CUBE_VOXELS = 64
 _WITHIN = 3 | (3 << KEY_Y) | (3 << KEY_X)
 
@@ -54,9 +55,16 @@ def empty_rows(capacity: int = 1 << 15) -> ScanRows:
         np.full(capacity // 2, -1, np.int64),
         np.empty((capacity // 2, _CUBE_VOXELS), np.int32),
         np.empty(capacity, np.int64),
-        np.empty((capacity, SUM_COLUMNS), np.float32),
+        _aligned_sums(capacity),
         np.zeros(3, np.int64),
     )
+
+
+def _aligned_sums(capacity: int) -> NDArray[np.float32]:
+    """Rows of sums, each of which is one line of the processor's cache."""
+    memory = np.empty((capacity + 1) * SUM_COLUMNS, np.float32)
+    skipped = (-memory.ctypes.data % _CACHE_LINE) // memory.itemsize
+    return memory[skipped : skipped + capacity * SUM_COLUMNS].reshape(capacity, SUM_COLUMNS)
 
 
 def clear_rows(rows: ScanRows) -> None:
@@ -66,25 +74,25 @@ def clear_rows(rows: ScanRows) -> None:
     rows.used[:] = 0
 
 
-@kernel
+@inlined_kernel
 def row_of(rows: Any, key: int) -> Any:
     """Row of a voxel, made if need be; -1 when the storage is full."""
     return _row_of(rows.table, rows.cubes, rows.places, rows.keys, rows.sums, rows.used, key)
 
 
-@kernel
+@inlined_kernel
 def find_row(rows: Any, key: int) -> Any:
     """Row of a voxel or -1."""
     cube = _find_cube(rows.table, rows.cubes, key & ~_WITHIN)
     return np.int64(-1) if cube < 0 else np.int64(rows.places[cube, _place_in_cube(key)])
 
 
-@kernel
+@inlined_kernel
 def _place_in_cube(key: int) -> Any:
     return ((key >> KEY_X) & 3) | ((key >> (KEY_Y - 2)) & 12) | ((key & 3) << 4)
 
 
-@kernel
+@inlined_kernel
 def _find_cube(table: Any, cubes: Any, key: int) -> Any:
     """Number of a cube or -1."""
     place = table_slot(key, len(table))
@@ -95,7 +103,7 @@ def _find_cube(table: Any, cubes: Any, key: int) -> Any:
     return np.int64(table[place])
 
 
-@kernel
+@inlined_kernel
 def _cube_of(table: Any, cubes: Any, places: Any, used: Any, key: int) -> Any:
     """Number of a cube, made if need be; -1 when the storage is full."""
     cube = used[2]
@@ -118,7 +126,7 @@ def _cube_of(table: Any, cubes: Any, places: Any, used: Any, key: int) -> Any:
     return cube
 
 
-@kernel
+@inlined_kernel
 def _row_of(table: Any, cubes: Any, places: Any, keys: Any, sums: Any, used: Any, key: int) -> Any:
     """`row_of` on the arrays themselves, inlined: handing arrays over costs more than to search."""
     cube, row = _cube_of(table, cubes, places, used, key & ~_WITHIN), np.int64(-1)
@@ -135,7 +143,7 @@ def _row_of(table: Any, cubes: Any, places: Any, keys: Any, sums: Any, used: Any
     return row
 
 
-@kernel
+@inlined_kernel
 def add_group(
     table: Any,
     cubes: Any,
@@ -145,6 +153,7 @@ def add_group(
     used: Any,
     size: float,
     reach: Any,
+    walk: Any,
     key: int,
     group: Any,
 ) -> bool:
@@ -159,6 +168,7 @@ def add_group(
         used: see table.
         size: of a voxel [m].
         reach: half the association segment, map frame [voxels].
+        walk: `walk_through` of it.
         key: of the voxel in which the points lie.
         group: of points that share one normal and reach, in the columns of `ScanRows.sums`,
             float32; how many lie in the voxel itself is not asked.
@@ -166,36 +176,62 @@ def add_group(
     Returns:
         False when the storage of the rows is full.
     """
-    count = np.float64(group[0])
-    back = count * size
-    ox, oy, oz = group[1] / back, group[2] / back, group[3] / back
-    rx, ry, rz = reach[0], reach[1], reach[2]
-    x, y, z = ox + 0.5 - rx, oy + 0.5 - ry, oz + 0.5 - rz
-    voxel, crossings, steps, deltas = begin_walk(x, y, z, 2.0 * rx, 2.0 * ry, 2.0 * rz)
-    leave, stored = 0.0, True
-    while leave <= 1.0 and stored:
+    back = np.float64(group[0]) * size
+    share = 1.0 / back
+    steps, deltas = walk
+    i, next_x = _begin(group[1] * share + 0.5 - reach[0], steps[0], deltas[0])
+    j, next_y = _begin(group[2] * share + 0.5 - reach[1], steps[1], deltas[1])
+    k, next_z = _begin(group[3] * share + 0.5 - reach[2], steps[2], deltas[2])
+    voxel, crossings, leave = (i, j, k), (next_x, next_y, next_z), 0.0
+    while leave <= 1.0:
         i, j, k = voxel
         near = key + (np.int64(i) << KEY_X) + (np.int64(j) << KEY_Y) + k
         row = _row_of(table, cubes, places, keys, sums, used, near)
-        stored = row >= 0
-        if stored:
-            _add_to_row(sums, row, i * back, j * back, k * back, group)
+        if row < 0:
+            return False
+        _add_to_row(sums, np.uint64(row), i * back, j * back, k * back, near == key, group)
         leave = way_through(crossings)
-        voxel, crossings = next_voxel(voxel, crossings, steps, deltas)
-    return stored
+        voxel, crossings = next_of_short_walk(voxel, crossings, steps, deltas)
+    return True
 
 
-@kernel
-def _add_to_row(sums: Any, row: int, x: float, y: float, z: float, group: Any) -> None:
+@inlined_kernel
+def walk_through(reach: Any) -> Any:
+    """Steps and ways between two crossings of a walk from ``-reach`` to ``reach``, by axis.
+
+    The unit of the way is the whole walk.
+    """
+    (step_x, delta_x), (step_y, delta_y) = _axis(2.0 * reach[0]), _axis(2.0 * reach[1])
+    step_z, delta_z = _axis(2.0 * reach[2])
+    return (step_x, step_y, step_z), (delta_x, delta_y, delta_z)
+
+
+@inlined_kernel
+def _axis(direction: float) -> Any:
+    step = np.int64(direction > 0.0) - np.int64(direction < 0.0)
+    return step, abs(1.0 / direction)
+
+
+@inlined_kernel
+def _begin(position: float, step: int, delta: float) -> Any:
+    """Voxel of a position along one axis, and the way to where the walk leaves it."""
+    cell = np.floor(position)
+    ahead = cell + 1.0 - position if step > 0 else position - cell
+    return np.int64(cell), ahead * delta if step != 0 else np.inf
+
+
+@inlined_kernel
+def _add_to_row(
+    sums: Any, row: int, x: float, y: float, z: float, is_inside: bool, group: Any
+) -> None:
     """Add a group to a row; its offsets are too large by (x, y, z) there."""
-    for n in range(SUM_COLUMNS):
-        sums[row, n] += group[n]
-    if x == 0.0 and y == 0.0 and z == 0.0:
-        sums[row, 13] += group[0]
-    else:
-        sums[row, 1] -= x
-        sums[row, 2] -= y
-        sums[row, 3] -= z
+    s = sums[row]
+    for n in range(len(group)):  # of a length not known here: else it is not done at once
+        s[n] += group[n]
+    s[1] -= x
+    s[2] -= y
+    s[3] -= z
+    s[INSIDE] += group[0] if is_inside else np.float32(0.0)
 
 
 @kernel
@@ -213,7 +249,7 @@ def absorb_rows(source: Any, target: Any) -> None:
             source_sums[row, 0] = 0.0
 
 
-@kernel
+@inlined_kernel
 def row_centre(key: int, size: float, centre: Any) -> None:
     """Centre of a voxel [m] from its key."""
     x, y, z = unpack(key)

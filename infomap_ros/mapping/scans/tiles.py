@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.kernel import inlined_kernel
 from infomap_ros.mapping.scans.association import NEAREST, voxel_position, within_limit
 from infomap_ros.mapping.scans.scan import SUM_COLUMNS
 from infomap_ros.mapping.voxels.keys import pack
@@ -30,6 +30,7 @@ class TileGroups(NamedTuple):
         tile: the points of the tile, float32, shape (192,).
         pixels: depth, position in the map [voxels] (3), shape (4, 64).
         pixel_keys: of the pixels' voxels, int64.
+        work: whole numbers of each pixel, int64, shape (4, 64).
         columns: sums, smallest and largest of the covariances of each column of pixels, float32,
             shape (3, 72).
         reach: half the association segment, map frame, shape (3,) [voxels].
@@ -43,6 +44,7 @@ class TileGroups(NamedTuple):
     tile: NDArray[np.float32]
     pixels: NDArray[np.float64]
     pixel_keys: NDArray[np.int64]
+    work: NDArray[np.int64]
     columns: NDArray[np.float32]
     reach: NDArray[np.float64]
     axis: NDArray[np.float64]
@@ -58,6 +60,7 @@ def empty_groups() -> TileGroups:
         np.empty(3 * PIXELS, np.float32),
         np.empty((4, PIXELS)),
         np.empty(PIXELS, np.int64),
+        np.empty((4, PIXELS), np.int64),
         np.empty((3, 9 * TILE), np.float32),
         np.empty(3),
         np.empty(3),
@@ -66,7 +69,7 @@ def empty_groups() -> TileGroups:
     )
 
 
-@kernel
+@inlined_kernel
 def group_of(keys: Any, used: int, key: int) -> int:
     """Number of the group of a voxel, `used` when there is none."""
     group = 0
@@ -75,7 +78,7 @@ def group_of(keys: Any, used: int, key: int) -> int:
     return group
 
 
-@kernel
+@inlined_kernel
 def _add_run(keys: Any, sums: Any, used: int, key: int, run: Any) -> int:
     """Add consecutive points of a voxel to its group; returns the number of groups then.
 
@@ -99,36 +102,23 @@ def _add_run(keys: Any, sums: Any, used: int, key: int, run: Any) -> int:
     return used
 
 
-@kernel
+@inlined_kernel
 def gather_tile(
-    sensor: Any,
-    points: Any,
-    covariances: Any,
-    columns: Any,
-    v0: int,
-    u0: int,
-    margin: float,
-    groups: Any,
-    lower: Any,
-    upper: Any,
-    tallies: Any,
+    sensor: Any, image: Any, v0: int, u0: int, margin: float, groups: Any, tallies: Any
 ) -> int:
     """Sort the points of one tile into `groups`; returns how many there are.
 
     Args:
         sensor: a `Sensor`.
-        points: see `infomap_ros.mapping.scans.organised.gather_organised`, likewise covariances,
-            columns, lower, upper and tallies.
-        covariances: see points.
-        columns: see points.
+        image: an `infomap_ros.mapping.scans.organised.OrganisedScan`.
         v0: first row of the tile.
         u0: first column of the tile.
         margin: what is taken off a measured depth before space counts as empty [m].
         groups: a `TileGroups`.
-        lower: see points.
-        upper: see points.
-        tallies: see points.
+        tallies: see `infomap_ros.mapping.scans.organised.gather_organised`.
     """
+    points, covariances, columns = image.points, image.covariances, image.columns
+    lower, upper = image.lower, image.upper
     height, width = points.shape[0], points.shape[1]
     keys, sums, used = groups.keys, groups.sums, 0
     squared_range = sensor.max_range**2
@@ -163,7 +153,7 @@ def gather_tile(
     return _add_run(keys, sums, used, key, run)
 
 
-@kernel
+@inlined_kernel
 def _covariance(covariances: Any, row: int, columns: Any) -> Any:
     """Upper triangle of a covariance as a tuple."""
     c0, c1, c2, c3, c4, c5 = columns
@@ -171,20 +161,20 @@ def _covariance(covariances: Any, row: int, columns: Any) -> Any:
     return c[row, c0], c[row, c1], c[row, c2], c[row, c3], c[row, c4], c[row, c5]
 
 
-@kernel
+@inlined_kernel
 def _has_variances(c: Any) -> bool:
     """Whether the variances of an upper triangle are positive and finite."""
     return c[0] > 0.0 and c[3] > 0.0 and c[5] > 0.0 and c[0] + c[3] + c[5] < np.inf
 
 
-@kernel
+@inlined_kernel
 def _lies_in(place: Any, corner: Any) -> bool:
     """Whether a point lies in the voxel with this lower corner [voxels]."""
     dx, dy, dz = place[0] - corner[0], place[1] - corner[1], place[2] - corner[2]
     return 0.0 <= dx < 1.0 and 0.0 <= dy < 1.0 and 0.0 <= dz < 1.0
 
 
-@kernel
+@inlined_kernel
 def _with_point(run: Any, place: Any, corner: Any, c: Any) -> Any:
     """A run as `_add_run` takes it, with one more point of its voxel."""
     count, ox, oy, oz, xx, xy, xz, yy, yz, zz = run

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.kernel import inlined_kernel
 from infomap_ros.mapping.scans.association import NEAREST, set_reach, voxel_position, within_limit
 from infomap_ros.mapping.scans.cloud_normals import CELL_VOXELS, normal_at
 from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
@@ -21,6 +22,7 @@ from infomap_ros.mapping.scans.scan import (
     add_group,
     row_centre,
     row_of,
+    walk_through,
 )
 from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_at
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
@@ -78,37 +80,59 @@ def gather_cloud(
         set_reach(
             sensor, pose_covariance, x, y, z, covariances, row, columns, direction, reach, axis
         )
-        mx, my, mz = voxel_position(sensor, x, y, z)
-        if not within_limit(mx, my, mz):
+        place = voxel_position(sensor, x, y, z)
+        if not within_limit(place[0], place[1], place[2]):
             tallies[2] += 1
-            continue
-        fx, fy, fz = np.floor(mx), np.floor(my), np.floor(mz)
-        group[0] = 1.0
-        group[1] = (mx - fx - 0.5) * sensor.size
-        group[2] = (my - fy - 0.5) * sensor.size
-        group[3] = (mz - fz - 0.5) * sensor.size
-        for n in range(6):
-            group[4 + n] = covariances[row, columns[n]]
-        for n in range(3):
-            group[10 + n] = axis[n]
-        xx, yy, zz = group[4], group[7], group[9]
-        if not (xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf):
+        elif not _set_group(group, place, sensor.size, covariances, row, columns, axis):
             tallies[3] += 1
-            continue
-        tallies[0] += 1
-        key = pack(int(fx), int(fy), int(fz))
-        if not add_group(table, cubes, places, keys, sums, used, sensor.size, reach, key, group):
-            return False
+        else:
+            tallies[0] += 1
+            key, walk = _voxel_key(place), walk_through(reach)
+            if not add_group(
+                table, cubes, places, keys, sums, used, sensor.size, reach, walk, key, group
+            ):
+                return False
     return True
+
+
+@inlined_kernel
+def _set_group(
+    group: Any, place: Any, size: float, covariances: Any, row: int, columns: Any, axis: Any
+) -> bool:
+    """Make one point a group as `add_group` takes it; False when a variance is not positive.
+
+    Args:
+        group: receives it.
+        place: of the point [voxels].
+        size: of a voxel [m].
+        covariances: see `gather_cloud`, likewise columns.
+        row: of the point in `covariances`.
+        columns: see covariances.
+        axis: unit normal, map frame, shape (3,).
+    """
+    group[0] = 1.0
+    for n in range(3):
+        group[1 + n] = (place[n] - np.floor(place[n]) - 0.5) * size
+        group[10 + n] = axis[n]
+    for n in range(6):
+        group[4 + n] = covariances[row, columns[n]]
+    xx, yy, zz = group[4], group[7], group[9]
+    return bool(xx > 0.0 and yy > 0.0 and zz > 0.0 and xx + yy + zz < np.inf)
+
+
+@inlined_kernel
+def _voxel_key(place: Any) -> Any:
+    """Key of the voxel that holds a position [voxels]."""
+    return pack(int(np.floor(place[0])), int(np.floor(place[1])), int(np.floor(place[2])))
 
 
 @njit(cache=True, nogil=True)
 def _add_far(far: Any, sensor: Any, point: Any, scale: float) -> bool:
     """Note the voxel in which ``scale * point`` lies; False when the storage is full."""
-    x, y, z = voxel_position(sensor, scale * point[0], scale * point[1], scale * point[2])
-    if not within_limit(x, y, z):
+    place = voxel_position(sensor, scale * point[0], scale * point[1], scale * point[2])
+    if not within_limit(place[0], place[1], place[2]):
         return True
-    return bool(row_of(far, pack(int(np.floor(x)), int(np.floor(y)), int(np.floor(z)))) >= 0)
+    return bool(row_of(far, _voxel_key(place)) >= 0)
 
 
 class FreeMarks(NamedTuple):

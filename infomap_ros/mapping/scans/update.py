@@ -51,7 +51,7 @@ def enter_rows(
         sides: from which the surface is seen.
         hit_blocks: number of blocks that have a hit already.
         hit_row: per block the row of `hit_bits` or -1.
-        hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8), unused rows zero.
+        hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8).
         owners: receives the record of each row in the `SurfaceArrays`, int64; 0 where
             there is neither evidence nor information.
         down: largest decrease of a voxel in this scan [quanta].
@@ -78,6 +78,8 @@ def enter_rows(
             continue
         if hit_row[slot] < 0:
             hit_row[slot] = hit_blocks
+            for word in range(BLOCK_VOXELS // 64):
+                hit_bits[hit_blocks, word] = 0
             hit_blocks += 1
             make_room(blocks, slot, down, up)
         hit_bits[hit_row[slot], local >> 6] |= _ONE << np.uint64(local & 63)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
 from typing import Any
+
+_PIECES = 3
+"""Pieces per thread into which `Workers.share` cuts a task."""
 
 
 class Workers:
-    """A fixed number of threads; with one, everything runs in the caller's.
+    """A fixed number of threads, that of the caller included; with one, there is no other.
 
     The kernels release the GIL. They are plain functions on parts of the work, not numba's own
     parallel loops, whose default threading layer does not bear calls from two threads.
@@ -16,41 +21,48 @@ class Workers:
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
 
     def run(self, task: Callable[[int, int, int], Any], size: int) -> None:
         """Run ``task(part, first, last)`` over [0, size), in one piece each."""
-        if self._pool is None or size < 2 * self.count:
-            task(0, 0, size)
-            return
-        cuts = [size * i // self.count for i in range(self.count + 1)]
-        list(self._pool.map(task, range(self.count), cuts[:-1], cuts[1:]))
+        parts = self.count if size >= 2 * self.count else 1
+        cuts = [size * i // parts for i in range(parts + 1)]
+        self.together(*(partial(task, i, cuts[i], cuts[i + 1]) for i in range(parts)))
 
-    def deal(
-        self, task: Callable[[int, list[tuple[int, int]]], None], size: int, unit: int
-    ) -> None:
-        """Run ``task(part, strips)`` for every part, the strips (first, last) dealt out in turn.
+    def share(self, *tasks: tuple[Callable[[int, int], Any], int]) -> None:
+        """Run each ``task(first, last)`` over [0, its size), in pieces for whoever is free.
 
-        For work that is not spread evenly over [0, size), as an image with sky above.
-
-        Args:
-            task: may receive no strips.
-            size: of the whole.
-            unit: strips are cut at multiples of it.
+        For work that is not spread evenly. The tasks do not touch each other's data.
         """
-        height = size if self._pool is None else 4 * unit
-        strips = [(first, min(first + height, size)) for first in range(0, size, height)]
-        hands = [strips[part :: self.count] for part in range(self.count)]
-        if self._pool is None:
-            task(0, hands[0])
-        else:
-            list(self._pool.map(task, range(self.count), hands))
+        pieces = deque[Callable[[], Any]]()
+        for task, size in tasks:
+            count = 1 if self._pool is None else max(1, min(_PIECES * self.count, size // 2))
+            cuts = [size * i // count for i in range(count + 1)]
+            pieces.extend(partial(task, *cuts[i : i + 2]) for i in range(count))
 
-    def together(self, *tasks: Callable[[], None]) -> None:
-        """Run tasks that do not touch each other's data, at once if there are threads."""
+        def work() -> None:
+            while pieces:
+                try:
+                    piece = pieces.popleft()
+                except IndexError:  # another thread has taken the last
+                    return
+                piece()
+
+        self.together(*([work] * self.count))
+
+    def together(self, *tasks: Callable[[], Any]) -> None:
+        """Run tasks that do not touch each other's data, at once if there are threads.
+
+        The first is the caller's, which should be the longest, as another thread begins later.
+        """
         if self._pool is None:
             for task in tasks:
                 task()
             return
-        for running in [self._pool.submit(task) for task in tasks]:
-            running.result()
+        running = [self._pool.submit(task) for task in tasks[1:]]
+        try:
+            tasks[0]()
+        finally:
+            wait(running)
+        for done in running:
+            done.result()

@@ -154,28 +154,12 @@ def invert_symmetric(a: Any, out: Any) -> bool:
     """Invert a symmetric positive definite 3x3 matrix given as (xx, xy, xz, yy, yz, zz).
 
     Returns:
-        False, with `out` undefined, when the matrix is not positive definite.
+        False, with `out` zero, when the matrix is not positive definite.
     """
-    return _invert(a[0], a[1], a[2], a[3], a[4], a[5], out)
-
-
-@kernel
-def _invert(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, out: Any) -> bool:
-    minor = xx * yy - xy * xy
-    c0 = yy * zz - yz * yz
-    c1 = xz * yz - xy * zz
-    c2 = xy * yz - xz * yy
-    determinant = xx * c0 + xy * c1 + xz * c2
-    if not (xx > 0.0 and minor > 0.0 and determinant > 0.0):
-        return False
-    scale = 1.0 / determinant
-    out[0] = c0 * scale
-    out[1] = c1 * scale
-    out[2] = c2 * scale
-    out[3] = (xx * zz - xz * xz) * scale
-    out[4] = (xy * xz - xx * yz) * scale
-    out[5] = minor * scale
-    return True
+    inverse = inverse_symmetric((a[0], a[1], a[2], a[3], a[4], a[5]))
+    for n in range(6):
+        out[n] = inverse[n]
+    return bool(inverse[0] > 0.0)
 
 
 @kernel
@@ -199,18 +183,32 @@ def inverse_symmetric(a: Any) -> Any:
 
 
 @kernel
+def gaussian_of(information: Any) -> Any:
+    """Covariance and mean relative to the voxel's centre from a row, shape (9,); two tuples.
+
+    Zeros when the information is not positive definite.
+    """
+    xx, xy, xz = np.float64(information[0]), np.float64(information[1]), np.float64(information[2])
+    yy, yz, zz = np.float64(information[3]), np.float64(information[4]), np.float64(information[5])
+    c = inverse_symmetric((xx, xy, xz, yy, yz, zz))
+    x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
+    return c, (
+        c[0] * x + c[1] * y + c[2] * z,
+        c[1] * x + c[3] * y + c[4] * z,
+        c[2] * x + c[4] * y + c[5] * z,
+    )
+
+
+@kernel
 def solve_mean(information: Any, covariance: Any, mean: Any) -> bool:
-    """Covariance (6,) and mean (3,) relative to the voxel's centre from a row, shape (9,).
+    """As `gaussian_of`, into arrays of shape (6,) and (3,).
 
     Returns:
         False when the information is not positive definite.
     """
-    xx, xy, xz = np.float64(information[0]), np.float64(information[1]), np.float64(information[2])
-    yy, yz, zz = np.float64(information[3]), np.float64(information[4]), np.float64(information[5])
-    if not _invert(xx, xy, xz, yy, yz, zz, covariance):
-        return False
-    x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
-    mean[0] = covariance[0] * x + covariance[1] * y + covariance[2] * z
-    mean[1] = covariance[1] * x + covariance[3] * y + covariance[4] * z
-    mean[2] = covariance[2] * x + covariance[4] * y + covariance[5] * z
-    return True
+    found, place = gaussian_of(information)
+    for n in range(6):
+        covariance[n] = found[n]
+    for n in range(3):
+        mean[n] = place[n]
+    return bool(found[0] > 0.0)

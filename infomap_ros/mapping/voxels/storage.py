@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +36,9 @@ from infomap_ros.mapping.voxels.surface import (
 )
 from infomap_ros.mapping.voxels.surface_storing import store_rows
 
+_RECORD_BITS = (SIDES * BLOCK_VOXELS).bit_length() - 1
+"""Bits of a record's number below that of its block."""
+
 
 @dataclass(frozen=True, eq=False)
 class FreeBlocks:
@@ -51,20 +55,26 @@ class FreeBlocks:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What a part of a scan says of the voxels in which it saw surfaces.
+    """What a scan says of the voxels in which it saw surfaces.
 
     Attributes:
-        rows: the voxels.
+        parts: the voxels.
+        ends: where the rows of each part begin in what follows, and at the end how many there are.
         information: information matrix and vector of each row, shape (n, 9), float32; the first
             entry is 0 where there is none.
         hits: occupancy evidence of each row, shape (n,), int32 [quanta].
         sides: from which the surface is seen, shape (n,), uint8.
     """
 
-    rows: ScanRows
+    parts: list[ScanRows]
+    ends: list[int]
     information: NDArray[np.float32]
     hits: NDArray[np.int32]
     sides: NDArray[np.uint8]
+
+    def rows(self) -> Iterator[tuple[ScanRows, slice]]:
+        """Each part, and which rows are its."""
+        return zip(self.parts, map(slice, self.ends[:-1], self.ends[1:]), strict=True)
 
 
 @dataclass
@@ -87,21 +97,21 @@ class MapStorage:
         surface = surface_bytes(self.gaussians, int(self.blocks.counts[BLOCK_COUNT]))
         return block_bytes(self.blocks) + surface + self.gone.nbytes
 
-    def check_capacity(self, parts: list[Observations], free: FreeBlocks, limit: float) -> None:
+    def check_capacity(self, observed: Observations, free: FreeBlocks, limit: float) -> None:
         """Refuse a scan that could make the map larger than `limit` [bytes].
 
         Raises:
             CapacityError: it could.
         """
-        rows, used = sum(len(part.hits) for part in parts), self.memory_bytes()
+        rows, used = len(observed.hits), self.memory_bytes()
         surface = growth_bound(self.gaussians, rows, rows)
         growth = surface + growth_bytes(self, rows + len(free.bits), rows + len(free.bits))
         if used + growth > limit:  # the scan alone does not tell; ask the map
             counts = np.zeros(2, np.int64)
-            for part in parts:
-                update.count_new_by_rows(self.blocks, part.rows, part.hits, counts)
+            for part, own in observed.rows():
+                update.count_new_by_rows(self.blocks, part, observed.hits[own], counts)
             update.count_new_by_free(self.blocks, free.coordinates, free.bits, counts)
-            surface = sum(_surface_growth(self, part) for part in parts)
+            surface = _surface_growth(self, observed)
             growth = surface + growth_bytes(self, int(counts[0]), int(counts[1]))
         if used + growth > limit:
             raise CapacityError(
@@ -119,15 +129,16 @@ def growth_bytes(storage: MapStorage, blocks: int, planes: int) -> int:
     return blocks * per_block + planes * PLANE_BYTES + table_growth
 
 
-def _surface_growth(storage: MapStorage, part: Observations) -> int:
-    """What the observations of a part add to the memory of the Gaussians, at the most [bytes]."""
-    blocks = np.empty(len(part.hits), np.int64)
-    update.block_keys(part.rows, blocks)
+def _surface_growth(storage: MapStorage, observed: Observations) -> int:
+    """What observations add to the memory of the Gaussians, at the most [bytes]."""
+    blocks = np.empty(len(observed.hits), np.int64)
+    for part, own in observed.rows():
+        update.block_keys(part, blocks[own])
     keys, places = np.unique(blocks, return_inverse=True)
     slots = np.array([find_block(storage.blocks, key) for key in keys], np.int64)
     sheets = (SIDES * slots[:, None] + np.arange(SIDES)).ravel()
-    places = SIDES * places + part.sides
-    return growth_of_surface(storage.gaussians, sheets, places, part.information)
+    places = SIDES * places + observed.sides
+    return growth_of_surface(storage.gaussians, sheets, places, observed.information)
 
 
 class ScanWriter:
@@ -138,73 +149,58 @@ class ScanWriter:
         self._workers = workers
         self._hit_row = np.full(0, -1, np.int32)
 
-    def write(self, storage: MapStorage, parts: list[Observations], free: FreeBlocks) -> None:
+    def write(self, storage: MapStorage, observed: Observations, free: FreeBlocks) -> None:
         """Add the observations of a scan and the misses of the voxels it sees through."""
-        count, free_count = sum(len(part.hits) for part in parts), len(free.bits)
+        count, free_count = len(observed.hits), len(free.bits)
         blocks = with_room(storage.blocks, count + free_count, count + free_count)
         storage.blocks = blocks
         self._hit_row = grown(self._hit_row, len(blocks.keys), -1)
-        hit_bits = np.zeros((count, 8), np.uint64)
-        owners = self._enter(blocks, parts, hit_bits)
-
+        hit_bits = np.empty((count, 8), np.uint64)
+        records = self._enter(blocks, observed, hit_bits)
+        information, entered = observed.information, int(blocks.counts[BLOCK_COUNT])
         orders: list[NDArray[np.int64]] = []
 
         def arrange() -> None:
-            for part, voxels in zip(parts, owners, strict=True):
-                update.mark_merged(blocks.dirty, voxels, part.information)
-                storage.gaussians, order = with_arranged(
-                    storage.gaussians, len(blocks.keys), voxels, part.information, adding=True
-                )
-                orders.append(order)
+            update.mark_merged(blocks.dirty, records, information)
+            storage.gaussians, order = with_arranged(
+                storage.gaussians, entered, records, information, adding=True
+            )
+            orders.append(order)
 
         def see_through() -> None:
             update.free_voxels(
                 blocks, free.coordinates, free.bits, free_count, self._hit_row, hit_bits, self._miss
             )
+            self._hit_row[records >> _RECORD_BITS] = -1
 
         if len(blocks.dirty):  # both write which voxels changed
             arrange()
             see_through()
         else:
             self._workers.together(arrange, see_through)
-        for part, voxels, order in zip(parts, owners, orders, strict=True):
-            self._merge(storage.gaussians, voxels, part.information, order)
-        for voxels in owners:
-            self._hit_row[voxels // (SIDES * BLOCK_VOXELS)] = -1
 
-    def _merge(
-        self,
-        gaussians: SurfaceArrays,
-        records: NDArray[np.int64],
-        information: NDArray[np.float32],
-        order: NDArray[np.int64],
-    ) -> None:
-        """Add information to arranged records."""
+        def store(first: int, last: int) -> None:
+            store_rows(storage.gaussians, records, information, orders[0], first, last, True)
 
-        def store(_: int, first: int, last: int) -> None:
-            store_rows(gaussians, records, information, order, first, last, True)
-
-        self._workers.run(store, len(order))
+        self._workers.share((store, len(orders[0])))
 
     def _enter(
-        self, blocks: BlockArrays, parts: list[Observations], hit_bits: NDArray[np.uint64]
-    ) -> list[NDArray[np.int64]]:
+        self, blocks: BlockArrays, observed: Observations, hit_bits: NDArray[np.uint64]
+    ) -> NDArray[np.int64]:
         """Add the hits; returns the record of each row."""
-        owners, hit_blocks = [], 0
-        for part in parts:
-            voxels = np.empty(len(part.hits), np.int64)
+        records, hit_blocks = np.empty(len(observed.hits), np.int64), 0
+        for part, own in observed.rows():
             hit_blocks = update.enter_rows(
                 blocks,
-                part.rows,
-                part.hits,
-                part.information,
-                part.sides,
+                part,
+                observed.hits[own],
+                observed.information[own],
+                observed.sides[own],
                 hit_blocks,
                 self._hit_row,
                 hit_bits,
-                voxels,
+                records[own],
                 -self._miss,
                 self._hit,
             )
-            owners.append(voxels)
-        return owners
+        return records

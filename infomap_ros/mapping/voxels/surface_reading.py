@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.geometry.kernel import kernel
-from infomap_ros.mapping.voxels.gaussians import inverse_symmetric, solve_mean
+from infomap_ros.mapping.voxels.gaussians import gaussian_of, solve_mean
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import FULL_MASK, INFORMATION_SIZE, PAGE_COUNT, SIDES
 from infomap_ros.mapping.voxels.surface_code import decode_information
@@ -17,6 +17,9 @@ CODES, FULL = 0, 1
 """Kinds of records."""
 
 _ONE, _ZERO = np.uint64(1), np.uint64(0)
+
+_TOLERANCE = 1.2
+"""How far from its voxel's centre a mean may lie, in half voxels."""
 
 
 @kernel
@@ -125,13 +128,14 @@ def _join(information: Any, other: Any, half: float) -> None:
 @kernel
 def _mean_lies_in(information: Any, half: float) -> bool:
     """As `lies_in_voxel`, for those who want neither covariance nor mean."""
-    xx, xy, xz = np.float64(information[0]), np.float64(information[1]), np.float64(information[2])
-    yy, yz, zz = np.float64(information[3]), np.float64(information[4]), np.float64(information[5])
-    c = inverse_symmetric((xx, xy, xz, yy, yz, zz))
-    x, y, z = np.float64(information[6]), np.float64(information[7]), np.float64(information[8])
-    a, b = c[0] * x + c[1] * y + c[2] * z, c[1] * x + c[3] * y + c[4] * z
-    farthest = max(abs(a), abs(b), abs(c[2] * x + c[4] * y + c[5] * z))
-    return bool(c[0] > 0.0 and farthest <= 1.2 * half)
+    covariance, mean = gaussian_of(information)
+    return bool(covariance[0] > 0.0 and _is_near(mean, half))
+
+
+@kernel
+def _is_near(mean: Any, half: float) -> bool:
+    """Whether a place relative to a voxel's centre [m] lies in the voxel, with the tolerance."""
+    return bool(max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= _TOLERANCE * half)
 
 
 @kernel
@@ -144,9 +148,7 @@ def lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
         work: receives the covariance, shape (6,).
         mean: receives the mean relative to the voxel's centre, shape (3,).
     """
-    if not solve_mean(information, work, mean):
-        return False
-    return bool(max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= 1.2 * half)
+    return bool(solve_mean(information, work, mean) and _is_near(mean, half))
 
 
 @kernel

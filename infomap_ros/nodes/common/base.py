@@ -31,6 +31,7 @@ from infomap_ros.errors import (
 )
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.health import Health
+from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import declare_config
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
@@ -175,6 +176,7 @@ class MonitoredNode(Node):
     def _publish_diagnostics(self) -> None:
         if not all(worker.alive for worker in self._workers):
             raise RuntimeError("the worker thread has ended by an error, see above")
+        self._note_memory()
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
             self.health.note(name, str(publisher.get_subscription_count()))
@@ -189,3 +191,12 @@ class MonitoredNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _note_memory(self) -> None:
+        """Note what of the heap is in use, and how many jobs have waited."""
+        in_use = heap_in_use()
+        if in_use is not None:
+            self.health.note("heap in use [bytes]", str(in_use))
+        if self._workers:
+            most = max(worker.most_waiting for worker in self._workers)
+            self.health.note("most jobs waiting", str(most))

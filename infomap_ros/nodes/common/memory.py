@@ -66,6 +66,34 @@ def keep_freed_memory() -> bool:
     return mallopt is not None and all(mallopt(key, value) for key, value in options.items())
 
 
+class _HeapFigures(ctypes.Structure):
+    """The answer of mallinfo2(3), glibc 2.33."""
+
+    _fields_ = (
+        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(4)),
+        ("in_mappings", ctypes.c_size_t),
+        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(5, 7)),
+        ("in_use", ctypes.c_size_t),
+        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(8, 10)),
+    )
+
+
+def heap_in_use() -> int | None:
+    """Memory of the C library's heap that this process has not freed [bytes].
+
+    How much of the machine's memory a process holds does not tell it: freed memory is kept.
+
+    Returns:
+        The figure; None where the C library does not tell.
+    """
+    mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if mallinfo is None:
+        return None
+    mallinfo.restype = _HeapFigures
+    figures = mallinfo()
+    return int(figures.in_use) + int(figures.in_mappings)
+
+
 def reserve_heap(config: MemoryConfig) -> None:
     """Use memory of the heap once and free it; `keep_freed_memory` keeps it."""
     step = _LARGEST_HEAP_BLOCK // 2

@@ -22,9 +22,13 @@ class Worker:
         name: of the thread.
         capacity: number of jobs that may wait; 1 means latest wins.
         on_overflow: called in the submitting thread for each job that gave way.
+
+    Attributes:
+        most_waiting: largest number of jobs that have waited at once so far.
     """
 
     def __init__(self, name: str, capacity: int, on_overflow: Callable[[], None]) -> None:
+        self.most_waiting = 0
         self._capacity = capacity
         self._on_overflow = on_overflow
         self._waiting: deque[tuple[Job, bool]] = deque()
@@ -52,16 +56,19 @@ class Worker:
             overflow = len(replaceable) >= self._capacity
             if overflow:
                 self._waiting.remove(replaceable[0])
-            self._waiting.append((job, True))
-            self._condition.notify()
+            self._append(job, may_give_way=True)
         if overflow:
             self._on_overflow()
 
     def submit_always(self, job: Job) -> None:
         """Queue a job that never gives way, for example an order of the user."""
         with self._condition:
-            self._waiting.append((job, False))
-            self._condition.notify()
+            self._append(job, may_give_way=False)
+
+    def _append(self, job: Job, *, may_give_way: bool) -> None:
+        self._waiting.append((job, may_give_way))
+        self.most_waiting = max(self.most_waiting, len(self._waiting))
+        self._condition.notify()
 
     def clear(self) -> int:
         """Forget the waiting jobs that may give way; returns how many."""

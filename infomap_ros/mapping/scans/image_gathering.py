@@ -1,0 +1,177 @@
+"""Gathering a scan with a camera: free space by projecting voxels into the range image."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry import PinholeCamera, invert_transform
+from infomap_ros.mapping.config import VoxelMapConfig
+from infomap_ros.mapping.scans import free_space, pyramid, scan, see_through
+from infomap_ros.mapping.scans.association import Sensor
+from infomap_ros.mapping.scans.gathered_scan import (
+    FREE_BLOCK_BYTES,
+    GatheredScan,
+    check_block_count,
+)
+from infomap_ros.mapping.scans.image_parts import rows_of_parts
+from infomap_ros.mapping.scans.organised import OrganisedScan, gather_organised
+from infomap_ros.mapping.scans.scan_input import Scan
+from infomap_ros.mapping.scans.tiles import empty_groups
+from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.storage import FreeBlocks
+
+_TOP_LEVEL = 4
+
+
+class ImageGatherer:
+    """Scratch memory for gathering organised scans."""
+
+    def __init__(self, config: VoxelMapConfig, workers: Workers) -> None:
+        self._config = config
+        self._workers = workers
+        self._parts = [scan.empty_rows() for _ in range(workers.count)]
+        self._groups = [empty_groups() for _ in range(workers.count)]
+        self._pyramid = pyramid.empty_pyramid(2, 2)
+        self._image_size = (2, 2)
+        self._blocks = np.empty((4096, 3), np.int32)
+
+    def gather(
+        self,
+        measured: Scan,
+        camera: PinholeCamera,
+        sensor: Sensor,
+        tallies: NDArray[np.int64],
+    ) -> GatheredScan:
+        """Gather one scan.
+
+        Args:
+            measured: the scan.
+            camera: its camera.
+            sensor: its sensor, for the kernels.
+            tallies: receives the number of points taken, out of range, beyond the coordinate
+                limit, and with a covariance that is not positive, shape (4,).
+
+        Raises:
+            CapacityError: the scan sees through more blocks than the memory limit allows.
+        """
+        image = self._image(measured, camera)
+        rows = rows_of_parts(image, sensor, self._workers.count)
+        part_tallies = np.zeros((self._workers.count, 4), np.int64)
+
+        def gather(part: int) -> None:
+            first, last = rows[part], rows[part + 1]
+            self._gather_part(part, image, sensor, first, last, part_tallies[part])
+            pyramid.build_low_levels(self._pyramid, first, last)
+
+        self._workers.together(*(partial(gather, part) for part in range(self._workers.count)))
+        pyramid.build_high_levels(self._pyramid, np.array(rows[1:-1], np.int64))
+        self._separate_parts()
+        tallies += part_tallies.sum(axis=0)
+        return self._look(measured, camera)
+
+    def _image(self, measured: Scan, camera: PinholeCamera) -> OrganisedScan:
+        """The scan as the kernels take it, and the ground level of the pyramid."""
+        if self._image_size != (camera.width, camera.height):
+            self._pyramid = pyramid.empty_pyramid(camera.width, camera.height)
+            self._image_size = (camera.width, camera.height)
+        lower, upper = pyramid.ground_level(self._pyramid)
+        return OrganisedScan(
+            measured.points,
+            measured.covariances,
+            measured.columns,
+            measured.pose_covariance,
+            camera.fx,
+            lower,
+            upper,
+        )
+
+    def _gather_part(
+        self,
+        part: int,
+        image: OrganisedScan,
+        sensor: Sensor,
+        first: int,
+        last: int,
+        tallies: NDArray[np.int64],
+    ) -> None:
+        """Gather the rows [first, last) of the image into a part, which grows as need be."""
+        image.lower[first // 2 : (last + 1) // 2].fill(np.inf)
+        image.upper[first // 2 : (last + 1) // 2].fill(-np.inf)
+        while True:
+            rows, groups = self._parts[part], self._groups[part]
+            scan.clear_rows(rows)
+            tallies[:] = 0
+            if gather_organised(rows, sensor, image, first, last, tallies, groups):
+                return
+            self._parts[part] = scan.empty_rows(2 * len(rows.keys))
+
+    def _look(self, measured: Scan, camera: PinholeCamera) -> GatheredScan:
+        """Find the blocks that an organised scan sees through."""
+        view = _view(measured, camera, self._config.voxel_size)
+        states = self._find_blocks(view, measured, camera)
+        free = FreeBlocks(self._blocks[: len(states)], np.empty((len(states), 8), np.uint64))
+
+        def see(first: int, last: int) -> None:
+            see_through.find_free_voxels(
+                view, self._pyramid, free.coordinates, states, first, last, free.bits
+            )
+
+        return GatheredScan(self._parts, free, see, len(states))
+
+    def _separate_parts(self) -> None:
+        """Leave no voxel in two parts of the scan."""
+        for last, source in enumerate(self._parts):
+            for target in self._parts[:last]:
+                scan.absorb_rows(source, target)
+
+    def _find_blocks(
+        self, view: free_space.View, measured: Scan, camera: PinholeCamera
+    ) -> NDArray[np.uint8]:
+        """List the blocks that may be free in part in `_blocks`; returns their states."""
+        lowest, highest = _frustum_blocks(measured, camera, self._config)
+        limit = int(self._config.memory_limit * 1e9 / FREE_BLOCK_BYTES)
+        while True:
+            states = np.empty(len(self._blocks), np.uint8)
+            count = free_space.find_free_blocks(
+                view, self._pyramid, lowest, highest, _TOP_LEVEL, self._blocks, states, limit
+            )
+            if count <= len(self._blocks):
+                return states[:count]
+            check_block_count(count, self._config)
+            self._blocks = np.empty((count + count // 4, 3), np.int32)
+
+
+def _view(measured: Scan, camera: PinholeCamera, voxel_size: float) -> free_space.View:
+    inverse = invert_transform(measured.transform)
+    return free_space.View(
+        tuple(inverse[:3, :3].ravel().tolist()),
+        tuple(measured.transform[:3, 3].tolist()),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.width,
+        camera.height,
+        voxel_size,
+    )
+
+
+def _frustum_blocks(
+    measured: Scan, camera: PinholeCamera, config: VoxelMapConfig
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Smallest and largest block coordinates of the box around the view frustum."""
+    u = np.array([-0.5, camera.width - 0.5])
+    v = np.array([-0.5, camera.height - 0.5])
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    corners = np.array([[a, b, 1.0] for a in x for b in y]) * config.max_range
+    corners = np.vstack([np.zeros(3), corners])
+    world = corners @ measured.transform[:3, :3].T + measured.transform[:3, 3]
+    edge = config.voxel_size * BLOCK_SIDE
+    bound = COORDINATE_LIMIT // BLOCK_SIDE - 2
+    lowest = np.floor(world.min(axis=0) / edge).clip(-bound, bound).astype(np.int64)
+    highest = np.floor(world.max(axis=0) / edge).clip(-bound, bound).astype(np.int64)
+    return lowest, highest

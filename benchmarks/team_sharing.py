@@ -76,11 +76,13 @@ def wire(views: int) -> None:
     print(f"{robot.own.known_voxels} voxels known; {sizes.sum() / views:.0f} bytes told a view")
 
 
-def link(seconds: float, radio: Radio, message_size: int, max_range: float) -> None:
+def link(
+    seconds: float, radio: Radio, message_size: int, max_range: float, voxel_size: float
+) -> None:
     """How far two robots are behind each other."""
     bandwidth = 0.9 * radio.rate / 8e6
     config = TeamConfig(bandwidth=bandwidth, message_size=message_size)
-    network = TeamNetwork(2, radio, config, max_range=max_range)
+    network = TeamNetwork(2, radio, config, voxel_size, max_range=max_range)
     meter, views = LagMeter(network), 0
     while network.now < seconds:
         if network.now >= views * PERIOD:
@@ -100,10 +102,12 @@ def link(seconds: float, radio: Radio, message_size: int, max_range: float) -> N
     print(
         f"{len(lags)} views of {told / len(lags):.0f} changed voxels, {sent / told:.2f} bytes each"
     )
+    print(f"{4e-6 * sent / seconds:.1f} Mbit/s sent by each robot")
     print(
         f"behind: median {np.median(lags):.2f} s, 95 % {np.percentile(lags, 95):.2f} s, "
-        f"max {lags.max():.2f} s; the same hash {network.now - end:.2f} s after the last view"
+        f"max {lags.max():.2f} s; within 2 s: {(lags <= 2.0).mean():.0%}"
     )
+    print(f"the same hash {network.now - end:.2f} s after the last view")
 
 
 def team(sizes: list[int], seconds: float, voxel_size: float) -> None:
@@ -147,16 +151,16 @@ def main() -> None:
     parser.add_argument("--message-size", type=int, default=1400)
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 4, 8, 16, 32])
     parser.add_argument("--max-range", type=float, default=5.0, help="of `link` [m]")
-    parser.add_argument("--voxel-size", type=float, default=0.1, help="of `team` [m]")
+    parser.add_argument("--voxel-size", type=float, help="[m]; 0.1 for `team`, 0.05 for `link`")
     arguments = parser.parse_args()
-    start = time.monotonic()
+    start, size = time.monotonic(), arguments.voxel_size
     if arguments.what == "wire":
         wire(arguments.views)
     elif arguments.what == "link":
         radio = Radio(rate=arguments.rate * 1e6, loss=arguments.loss)
-        link(arguments.seconds, radio, arguments.message_size, arguments.max_range)
+        link(arguments.seconds, radio, arguments.message_size, arguments.max_range, size or 0.05)
     else:
-        team(arguments.robots, arguments.seconds, arguments.voxel_size)
+        team(arguments.robots, arguments.seconds, size or 0.1)
     print(f"took {time.monotonic() - start:.0f} s")
 
 

@@ -15,7 +15,7 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.planar import planar_pose, way_length
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
-from infomap_ros.exploration.robot import Choice, Interrupted, Motion, Planner, Robot
+from infomap_ros.exploration.robot import Choice, FailedView, Interrupted, Motion, Planner, Robot
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.way_back import WayBack
 from infomap_ros.motion.route import Route
@@ -144,11 +144,11 @@ class Exploration:
             self._log.write("message", text=f"{problem}: {_DRIFTED}", level="info")
             return self._look()
         if problem and not self.control.interrupted():
-            self._planner.failed(choice.pose, problem)
+            self._planner.failed(FailedView(choice.pose, problem))
             return self._fail(problem)
         ending = None if problem else self._look()
         if self._back.is_due:
-            self._planner.failed(choice.pose, self.last_reason)
+            self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
         return ending
 
     def _initialise(self) -> None:

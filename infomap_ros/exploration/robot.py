@@ -79,6 +79,21 @@ class Choice:
     explanation: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class FailedView:
+    """A chosen view that brought nothing.
+
+    Attributes:
+        pose: ``T_map_camera`` that was chosen, shape (4, 4).
+        reason: why.
+        reached: whether the robot came there, and the look failed.
+    """
+
+    pose: FloatArray
+    reason: str
+    reached: bool = False
+
+
 class Planner(Protocol):
     """Chooses the next best view and the way there. Every call is bounded in time."""
 
@@ -90,5 +105,5 @@ class Planner(Protocol):
     ) -> Choice:
         """The way to a base pose (x, y, yaw) and arm posture."""
 
-    def failed(self, pose: FloatArray, reason: str) -> None:
-        """Tell that a chosen view could not be reached, so that it is not chosen again at once."""
+    def failed(self, view: FailedView) -> None:
+        """Tell that a chosen view brought nothing, so that it is not chosen again at once."""

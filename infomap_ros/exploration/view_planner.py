@@ -10,7 +10,7 @@ import numpy as np
 
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -92,7 +92,7 @@ class ViewPlanner:
         self._goal: FloatArray | None = None
         self._last_reach: WholeBodyReach | None = None
         self._sent: Route | None = None
-        self._failures: list[tuple[FloatArray, str]] = []
+        self._failures: list[FailedView] = []
         self._past: list[FloatArray] = []
         self._noted = 0  # so many of which are known for what they promised in vain
 
@@ -159,9 +159,13 @@ class ViewPlanner:
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
 
-    def failed(self, pose: FloatArray, reason: str) -> None:
-        """Note that a view could not be reached; it is not chosen until the map changes there."""
-        self._failures.append((pose, reason))
+    def failed(self, view: FailedView) -> None:
+        """Note that a view brought nothing; it is not chosen until the map changes there.
+
+        Where it was reached and the look failed, that was a look in vain, as one into the sky, in
+        which nothing tells where the camera is.
+        """
+        self._failures.append(view)
         self._goal = None
 
     def is_done(self, progress: MapProgress) -> bool:
@@ -190,7 +194,7 @@ class ViewPlanner:
         return self._choice.share_left(situation, pose)
 
     def _take_note(self, voxel_map: VoxelMap, state: RobotState, around: Surrounding) -> None:
-        """Remember where views were taken, and which ones could not be: there was no look since."""
+        """Remember where views were taken, and which ones could not be: no look tells of those."""
         if not self._past:
             gaps = np.linalg.norm(around.past_views[:, :3, 3] - state.T_map_camera[:3, 3], axis=1)
             self._past.extend(around.past_views[gaps > _SAME])
@@ -199,8 +203,10 @@ class ViewPlanner:
         if self._start is None and self.config.start_clearance > 0.0:
             first = state.T_map_base if around.T_map_start is None else around.T_map_start
             self._start = ClearStart(first, self.config.start_clearance)
-        for pose, reason in self._failures:
-            self._choice.memory.remember(pose, reason, voxel_map)
+        for view in self._failures:
+            self._choice.memory.remember(view.pose, view.reason, voxel_map)
+            if view.reached:
+                self._past.append(view.pose)
         self._failures.clear()
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:

@@ -25,6 +25,7 @@ from infomap_ros.motion.arm.arm_trail import ArmTrail
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
 from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.pose_margin import widenings_for
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
@@ -58,8 +59,8 @@ class WholeBodyReach:
             found out about ground that has not changed since, are taken over.
         sent: the route along which the robot was sent since then.
         obstacles: what must not be touched and the map does not show, such as other robots.
-        sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives is
-            taken for wider accordingly [m].
+        sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives and
+            the arm are taken for wider accordingly [m].
 
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
@@ -94,6 +95,7 @@ class WholeBodyReach:
             () if start is None else (start.space(self._whole.body.robot),),
             self._whole.foot,
             [obstacle.solid for obstacle in obstacles],
+            widenings_for(self._whole.body.config, sigma)[0],
         )
         self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
@@ -127,7 +129,7 @@ class WholeBodyReach:
     @property
     def is_wider(self) -> bool:
         """Whether the robot keeps more room than a sure pose would ask for."""
-        return self.planner.vehicle.wider > 0.0
+        return self.planner.vehicle.wider > 0.0 or self._near.wider > 0.0
 
     @property
     def terrain(self) -> Terrain:

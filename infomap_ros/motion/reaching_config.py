@@ -10,7 +10,7 @@ from infomap_ros.motion.arm.arm_path import ArmPathConfig
 from infomap_ros.motion.arm.trajectory import TrajectoryConfig
 from infomap_ros.motion.base.base_path import BasePlannerConfig
 from infomap_ros.motion.base.vehicle_config import VehicleConfig
-from infomap_ros.motion.collision.body import CollisionConfig
+from infomap_ros.motion.collision.collision_config import CollisionConfig
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ReachingConfig:
         unit="rad", low=1e-4, high=3.2,
     )  # fmt: skip
     time_limit: float = parameter(
-        0.2, "Time after which no further places are tried for the arm, where one is good.",
+        0.2, "Processor time after which no more places are tried, where the arm has a good one.",
         unit="s", low=0.0, high=600.0,
     )  # fmt: skip
     postures: int = parameter(

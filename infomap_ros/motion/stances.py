@@ -150,12 +150,12 @@ class StanceFinder:
         At least one is found, if there is any; further ones while the time lasts.
         """
         good: list[int] = []
-        reason, deadline = "", time.monotonic() + self.config.time_limit
+        reason, deadline = "", time.thread_time() + self.config.time_limit
         vehicle, terrain = self.planner.vehicle, self.planner.terrain
         for row, (place, q, pose) in enumerate(
             zip(found.places, found.q, found.T_map_base, strict=True)
         ):
-            if good and time.monotonic() > deadline:
+            if good and time.thread_time() > deadline:
                 break
             stance = vehicle.stance(terrain, place[0], place[1], place[2], q)
             if not stance.ok:

@@ -25,6 +25,7 @@ from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
+from infomap_ros.exploration.robot import FailedView
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.awareness import Awareness
@@ -32,7 +33,6 @@ from infomap_ros.exploration.team.keep_clear import PAUSE, KeepClearConfig, Keep
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
@@ -97,7 +97,7 @@ class ExplorerNode(MonitoredNode):
         self._mission_file = Path(self._config.mission_file).absolute()
         self._exploration: Exploration | None = None
         self._thread: threading.Thread | None = None
-        self._failed_views: list[tuple[FloatArray, str]] = []
+        self._failed_views: list[FailedView] = []
         self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
         orders: dict[str, Callable[[], str]] = {
             "start": self._start,
@@ -255,8 +255,8 @@ class ExplorerNode(MonitoredNode):
                 f"cannot write {self._mission_file}: {error.strerror}", throttle_duration_sec=10.0
             )
 
-    def _on_failed_view(self, pose: FloatArray, reason: str) -> None:
-        self._failed_views.append((pose, reason))
+    def _on_failed_view(self, view: FailedView) -> None:
+        self._failed_views.append(view)
 
     def _publish_status(self) -> None:
         """Say what is being done; next_best_view learns from it what failed and where home is."""

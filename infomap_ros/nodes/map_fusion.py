@@ -21,6 +21,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
@@ -117,7 +118,7 @@ class MapFusionNode(MonitoredNode):
         MapCorrections(self, keeper, self._worker)
         frame = self.config(ScanGateConfig).map_frame
         listen_to_moves(self, frame, self._worker, keeper.move, "~/move")
-        self._gate = ScanGate(self, self._on_scan, self._on_clock_jump)
+        self._gate = ScanGate(self, self._on_scan, self._on_clock_jump, self._on_arrival)
         for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
             offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))
         offer_order(self, "~/team_hash", self._worker, keeper.team.account)
@@ -133,6 +134,10 @@ class MapFusionNode(MonitoredNode):
     def _fuse(self, scan: Scan) -> None:
         if self.guard("points2", partial(self._keeper.integrate, scan)):
             self.health.produced()
+
+    def _on_arrival(self, body: BodyInScan) -> None:
+        forget = partial(self._keeper.forget_body, body)
+        self._worker.submit_always(lambda: self.guard("team/agents", forget))
 
     def _on_clock_jump(self) -> None:
         if self._config.reset_on_clock_jump:

@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
@@ -94,11 +94,11 @@ class NextBestViewNode(MonitoredNode):
             self._agents.team.give_up()
         failed = self._news.failed_view
         if failed is not None and self._news.failures > before.failures:
-            self._worker.submit_always(partial(self._note_failure, self._news))
+            self._worker.submit_always(partial(self._note_failure, failed))
 
-    def _note_failure(self, news: ExplorationNews) -> None:
-        if self._planner is not None and news.failed_view is not None:
-            self._planner.failed(news.failed_view, news.failure)
+    def _note_failure(self, view: FailedView) -> None:
+        if self._planner is not None:
+            self._planner.failed(view)
 
     def _plan(self) -> str:
         """Choose the next view and publish it; the answer holds the choice as text.

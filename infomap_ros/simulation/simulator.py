@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.tag_board import TagBoardConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.mimicry import Follower, read_followers
 from infomap_ros.simulation.body.arm_motion import ArmMotion
@@ -47,6 +48,7 @@ class Simulator(RobotSensors):
         config: the parameters.
         teammates: URDF texts of other robots in this world, by name. They are not simulated here:
             `place_teammate` tells where they are.
+        tags: that hang on the bases of teammates, by their names.
 
     Attributes:
         world: as given, the robot's own start in it.
@@ -64,6 +66,7 @@ class Simulator(RobotSensors):
         description: str,
         config: SimulatorConfig | None = None,
         teammates: Mapping[str, str] | None = None,
+        tags: Mapping[str, TagBoardConfig] | None = None,
     ) -> None:
         config = config or SimulatorConfig()
         setup = config.robot
@@ -71,7 +74,7 @@ class Simulator(RobotSensors):
             x, y, yaw = config.start
             world = replace(world, start=(x, y, yaw))
         self.world, self.description = world, description
-        body = RobotBody(world, description, setup, config.dynamics, teammates)
+        body = RobotBody(world, description, setup, config.dynamics, teammates, tags)
         seeds = np.random.SeedSequence(config.seed).spawn(5)
         joints, odometry, images, poses, depths = (np.random.default_rng(seed) for seed in seeds)
         self._drive = DriveTrain(body, config.drive, config.following)

@@ -1,7 +1,7 @@
 """What robots tell each other of the map: the wire format of map updates, and their merge."""
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import draw_session
@@ -21,6 +21,7 @@ __all__ = [
     "NOT_OBSERVED",
     "OCCUPANCY_ROW",
     "SURFACE_ROW",
+    "Budget",
     "Contribution",
     "MapReplica",
     "MapUpdate",

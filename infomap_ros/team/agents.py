@@ -93,6 +93,8 @@ class Agent:
                 object.__setattr__(self, name, _checked_pose(getattr(self, name), name))
         if self.covariance is not None:
             checked = check_covariance(self.covariance, 6, "agent covariance")
+            if np.abs(checked).max() > _FARTHEST**2:
+                raise InvalidInputError("agent covariance", "is larger than any error can be")
             object.__setattr__(self, "covariance", checked)
         way = float_array(self.way, "agent way").reshape(-1, 3)
         if len(way) > _MOST_WAYPOINTS or not (np.abs(way) <= _FARTHEST).all():

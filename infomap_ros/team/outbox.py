@@ -1,9 +1,9 @@
 """What a robot tells of the map, within its bandwidth: what carries most information first.
 
 Two streams share the bandwidth: changes of the own contribution, and answers to those who ask for
-what they missed, of any contribution that is held. Both are ordered by bits per byte, in whole
-blocks of 8x8x8 voxels, as their parts would take more bytes; what waits gains on what is new, so
-that everything is told once the link allows it.
+what they missed, of any contribution that is held. Both are ordered by bits per byte, in blocks of
+8x8x8 voxels, as their parts would take more bytes; what waits gains on what is new. What changed
+only a little (`team.worth`) is told when nothing else waits.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from infomap_ros.team.sent import SentMessages, message_bytes
 from infomap_ros.team.update import MAX_SERIAL, MapUpdate
 from infomap_ros.team.versions import is_newer, next_version
 from infomap_ros.team.wire import encode_update
-from infomap_ros.team.worth import worth_of_changes, worth_of_states
+from infomap_ros.team.worth import ChangeWorth, worth_of_changes, worth_of_states
 
-_WAIT = 2.0  # [s] after which what waits counts twice
+_WAIT = 0.5  # [s] after which what waits counts four times, after twice that nine times
 _MOST_VOXELS = 1 << 20
 Slots = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 class Outbox:
@@ -52,16 +53,17 @@ class Outbox:
         self._since = np.zeros(0)
         self._taken_back = np.empty((0, 3), np.int32)
         self._touched: list[NDArray[np.int32]] = []
-        self._sent = SentMessages(version % MAX_SERIAL, 2.0 * config.bandwidth * 1e6)
+        kept, on_its_way = 2e6 * config.bandwidth, 1.5 * config.patience
+        self._sent = SentMessages(version % MAX_SERIAL, kept, on_its_way)
 
     @property
     def serial(self) -> int:
         """Number of the last message."""
         return self._sent.serial
 
-    def resend(self, serials: Iterable[int]) -> None:
+    def resend(self, serials: Iterable[int], now: float) -> None:
         """Tell some messages again, when there is room."""
-        self._sent.ask(serials)
+        self._sent.ask(serials, now)
 
     @property
     def waiting(self) -> bool:
@@ -101,7 +103,7 @@ class Outbox:
         room = self.budget.available(now)
         if room <= 0.0:
             return []
-        again = self._sent.resend(0.7 * room)
+        again = self._sent.resend(0.7 * room, now)
         room -= sum(message_bytes(rows) for rows in again)
         messages = self._tell_answers(0.5 * room if voxel_map is not None else room)
         if voxel_map is not None:
@@ -149,14 +151,33 @@ class Outbox:
         if not len(slots):
             return []
         told = self._replica.contribution(self.robot) or Contribution(voxel_map.config.voxel_size)
-        bits, sizes = worth_of_changes(voxel_map, told, slots)
-        waited = self._waited(slots, now)
-        chosen = _affordable(bits / np.maximum(sizes, 1.0) * (1.0 + waited / _WAIT), sizes, room)
-        self._since[slots[chosen]] = np.inf
+        worth = worth_of_changes(voxel_map, told, slots)
+        whole, parts = self._choose(slots, worth, room, now)
+        dirty = storage.blocks.dirty
+        later = dirty[slots[parts]] & ~worth.matters[parts]
+        dirty[slots[parts]] &= worth.matters[parts]
         size = voxel_map.config.voxel_size
-        changes = take_changes(storage, size, _MOST_VOXELS, slots[chosen])
+        changes = take_changes(storage, size, _MOST_VOXELS, slots[whole | parts])
+        dirty[slots[parts]] |= later
         version = next_version(self.version)
         return self._publish(MapUpdate.of_changes(changes, size, self.robot, version, self.session))
+
+    def _choose(
+        self, slots: Slots, worth: ChangeWorth, room: float, now: float
+    ) -> tuple[Mask, Mask]:
+        """Blocks of which all changes are told, and those of which only what matters, (n,) each."""
+        bits, sizes = worth.bits, np.maximum(worth.sizes, 1.0)
+        matter = np.flatnonzero(worth.sizes[:, 0] > 0.0)
+        gain = (1.0 + self._waited(slots[matter], now) / _WAIT) ** 2
+        fits = _affordable(bits[matter, 0] / sizes[matter, 0] * gain, sizes[matter, 0], room)
+        parts = np.zeros(len(slots), np.bool_)
+        parts[matter[fits]] = True
+        self._since[slots[parts]] = np.inf
+        left = room - sizes[parts, 0].sum()
+        if not fits.all() or left <= 0.0:
+            return np.zeros_like(parts), parts
+        whole = _affordable(bits[:, 1] / sizes[:, 1], sizes[:, 1], left)
+        return whole, parts & ~whole
 
     def _publish(self, update: MapUpdate) -> list[NDArray[np.void]]:
         """Encode those states of an update that were not told like that before."""
@@ -197,9 +218,7 @@ class Outbox:
         return now - self._since[slots]
 
 
-def _affordable(
-    worth: NDArray[np.float64], sizes: NDArray[np.float64], room: float
-) -> NDArray[np.bool_]:
+def _affordable(worth: NDArray[np.float64], sizes: NDArray[np.float64], room: float) -> Mask:
     """The best of some things that fit in the room, at least one."""
     order = np.argsort(-worth, kind="stable")
     fits = np.cumsum(sizes[order]) <= room

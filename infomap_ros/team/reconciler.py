@@ -25,12 +25,13 @@ _COARSE = 3  # level of the first cells that are compared
 _MANY_BLOCKS = 4000  # with fewer, blocks are compared at once
 _DEEP_PERIOD = 1.0  # [s] between two comparisons of a whole contribution
 _OWN_PERIOD = 5.0  # [s] of the own contribution, which others may hold from an earlier start
+_LATE, _GIVEN_UP = 6.0, 8.0  # patiences from which blocks are asked for, and messages are not
 _REPEATS = 3  # digests that tell of a block that was told
 _EVERYTHING: Corners = np.empty((0, 3), np.int32)
 
 
 class _Block(NamedTuple):
-    """How a block should be: its hash, at which version, and when that was first heard."""
+    """How a block should be: its hash, at which version, and since when that is heard."""
 
     hash: int
     version: int
@@ -54,7 +55,8 @@ class _Missed:
         self.sender = digest.sender
         for place, value in zip(digest.corners.tolist(), digest.hashes.tolist(), strict=True):
             corner = tuple(place)
-            since = self.blocks[corner].heard if corner in self.blocks else now
+            known = self.blocks.get(corner)
+            since = now if known is None or known.hash != value else known.heard
             self.blocks[corner] = _Block(value, digest.version, since)
 
     def left(self, part: Contribution | None, before: float) -> Corners:
@@ -92,7 +94,7 @@ class Reconciler:
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
         self._missed: dict[int, _Missed] = {}
-        self.losses = Losses(config.patience, 5.0 * config.patience)
+        self.losses = Losses(config.patience, _GIVEN_UP * config.patience)
         self._requests: list[Request] = []
         self._wanted: list[CellDigest] = []
         self._recent: list[Corners] = []
@@ -120,7 +122,8 @@ class Reconciler:
             for _ in range(2):  # a request is small, and lost as easily as what it asks for
                 self._ask(robot, robot, "messages", 0, 0, numbers)
         for robot, missed in list(self._missed.items()):
-            left = missed.left(self._replica.contribution(robot), now - 3.0 * self._config.patience)
+            before = now - _LATE * self._config.patience
+            left = missed.left(self._replica.contribution(robot), before)
             corners = self._not_yet_asked(robot, left, 0, now)
             if len(corners):
                 self._ask(missed.sender, robot, "states", 0, 0, corners)
@@ -152,7 +155,7 @@ class Reconciler:
         cells = Cells(digest.level, digest.corners, digest.hashes)
         other = cells.hashes != 0 if part is None else part.compare(cells)
         if digest.level == 0:
-            other &= now < self.recovering_until or self._is_held_still(digest)
+            other &= self._is_held_still(digest) | self._is_new_here(part, digest, now)
         corners = self._not_yet_asked(digest.robot, cells.corners[other], digest.level, now)
         if len(corners):
             wants = "cells" if digest.level else "states"
@@ -169,11 +172,19 @@ class Reconciler:
         self._held[digest.sender] = before | now
         return np.array([before.get(corner) == value for corner, value in now.items()], np.bool_)
 
+    def _is_new_here(
+        self, part: Contribution | None, digest: CellDigest, now: float
+    ) -> NDArray[np.bool_]:
+        """Which blocks this robot has told nothing of since it started, while it recovers."""
+        if part is None:
+            return np.full(len(digest.corners), now < self.recovering_until)
+        return (part.blocks_at(digest.corners)[0] == 0) & (now < self.recovering_until)
+
     def hear_request(self, request: Request, now: float) -> None:
         """Answer what this robot is asked; what others ask for need not be asked for again."""
         if request.wants == "messages":
             if request.to == self._own and self._holds_own:
-                self._outbox.resend(request.corners[:, 0].tolist())
+                self._outbox.resend(request.corners[:, 0].tolist(), now)
             self.losses.asked(request.to, request.corners[:, 0], now)
             return
         if request.to != self._own or not self._holds_own:

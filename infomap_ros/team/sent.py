@@ -17,11 +17,13 @@ class SentMessages:
     Args:
         serial: number of the message before the first.
         room: for the messages that are kept [bytes].
+        patience: for so long after a message was told again, it is on its way [s].
     """
 
-    def __init__(self, serial: int, room: float) -> None:
+    def __init__(self, serial: int, room: float, patience: float) -> None:
         self.serial = serial
-        self._room, self._held = room, 0
+        self._room, self._held, self._patience = room, 0, patience
+        self._told_again: dict[int, float] = {}
         self._messages: dict[int, NDArray[np.void]] = {}
         self._asked: set[int] = set()
 
@@ -34,22 +36,30 @@ class SentMessages:
         while self._held > self._room and len(self._messages) > 1:
             oldest = next(iter(self._messages))
             self._held -= self._messages.pop(oldest).nbytes
+            self._told_again.pop(oldest, None)
         return rows
 
-    def ask(self, serials: Iterable[int]) -> None:
-        """Have messages told again, as far as they are kept."""
-        self._asked.update(serial for serial in serials if serial in self._messages)
+    def ask(self, serials: Iterable[int], now: float) -> None:
+        """Have messages told again, as far as they are kept and not on their way."""
+        for serial in serials:
+            since = now - self._told_again.get(serial, -np.inf)
+            if serial in self._messages and since >= self._patience:
+                self._asked.add(serial)
 
-    def resend(self, room: float) -> list[NDArray[np.void]]:
-        """Messages to be told again, oldest first, as many as fit [bytes]."""
+    def resend(self, room: float, now: float) -> list[NDArray[np.void]]:
+        """Messages to be told again, oldest first, as many as fit [bytes].
+
+        What was told again before and is still missed is told twice.
+        """
         chosen: list[NDArray[np.void]] = []
         for serial in [number for number in self._messages if number in self._asked]:
-            rows = self._messages[serial]
-            room -= message_bytes(rows)
+            copies = [self._messages[serial]] * (2 if serial in self._told_again else 1)
+            room -= sum(map(message_bytes, copies))
             if room < 0.0 and chosen:
                 return chosen
             self._asked.remove(serial)
-            chosen.append(rows)
+            self._told_again[serial] = now
+            chosen += copies
         self._asked.clear()
         return chosen
 

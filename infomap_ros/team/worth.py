@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.kernel import kernel
+from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
 from infomap_ros.mapping.voxels.gaussians import find_row
@@ -23,12 +23,63 @@ _MOST_BITS = 40.0  # of one surface point
 RUN_BYTES, SURFACE_BYTES = 1.6, 18.0
 """About what a voxel takes in a message [bytes]."""
 
+_ROW_BYTES = 11.0  # of eight neighbours along x without surface, however many of them are told
+_LEAST_SHIFT = 0.02  # of a probability; what changed less can wait
+_LEAST_BITS = 1.0  # of a surface point, likewise: its sigmas fell by a fifth
+
+
+class ChangeWorth(NamedTuple):
+    """What the changes of blocks tell, apart for those that matter and those that can wait.
+
+    What matters: a voxel that is new or not known any more, a probability that changed by 0.02, a
+    surface point that is new or of which 1 bit more is known. Voxels without a surface ride with
+    those that matter where that takes no bytes.
+
+    Attributes:
+        bits: of what matters and of what can wait, shape (n, 2).
+        sizes: about the bytes that telling them takes, shape (n, 2).
+        matters: voxels of the blocks that matter, or ride along, shape (n, 8), uint64; a bit for
+            each in the order of `BlockArrays.dirty`.
+    """
+
+    bits: NDArray[np.float64]
+    sizes: NDArray[np.float64]
+    matters: NDArray[np.uint64]
+
+
+class _Comparison(NamedTuple):
+    """A map and what was told of it, as the kernels take them.
+
+    Attributes:
+        blocks: of the map.
+        surface: its Gaussians.
+        planes: evidence that was told.
+        codes: surface points that were told.
+        size: edge of a voxel [m].
+        divergences: bits by evidence now and before.
+        probabilities: by evidence.
+        sigmas: by their codes, in voxels.
+        scratch: memory for two informations, shape (2, 9), float32.
+    """
+
+    blocks: Any
+    surface: Any
+    planes: Any
+    codes: Any
+    size: float
+    divergences: NDArray[np.float64]
+    probabilities: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    scratch: NDArray[np.float32]
+
+
+_ODDS = np.arange(-_LIMIT, _LIMIT + 1) * LOG_ODDS_QUANTUM
+_PROBABILITIES = 1.0 / (1.0 + np.exp(-_ODDS))
+
 
 def _divergences() -> NDArray[np.float64]:
     """Kullback-Leibler divergence [bits] of the states that are told from those before."""
-    odds = np.arange(-_LIMIT, _LIMIT + 1) * LOG_ODDS_QUANTUM
-    p = 1.0 / (1.0 + np.exp(-odds))
-    p, q = p[:, None], p[None, :]
+    p, q = _PROBABILITIES[:, None], _PROBABILITIES[None, :]
     return np.asarray(p * np.log2(p / q) + (1.0 - p) * np.log2((1.0 - p) / (1.0 - q)))
 
 
@@ -37,7 +88,7 @@ _DIVERGENCES = _divergences()
 
 def worth_of_changes(
     voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> ChangeWorth:
     """What the changes of a map's blocks tell to who knows what was told before.
 
     The evidence counts by its Kullback-Leibler divergence from what was told (from p = 0.5 where
@@ -48,26 +99,16 @@ def worth_of_changes(
         voxel_map: tracks its changes.
         told: what was told.
         slots: of the map's blocks, shape (n,).
-
-    Returns:
-        Bits, and about the bytes that telling them takes, shape (n,) each.
     """
-    bits, sizes = np.zeros(len(slots)), np.zeros(len(slots))
+    count = len(slots)
+    worth = ChangeWorth(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 8), np.uint64))
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
-    tables = _DIVERGENCES, code_tables()[0]
-    both = np.empty((2, INFORMATION_SIZE), np.float32)
-    _weigh_changes(
-        storage.blocks,
-        storage.gaussians,
-        *told.arrays,
-        slots,
-        size,
-        *tables,
-        both,
-        bits,
-        sizes,
-    )
-    return bits, sizes
+    tables = _DIVERGENCES, _PROBABILITIES, code_tables()[0]
+    scratch = np.empty((2, INFORMATION_SIZE), np.float32)
+    blocks, planes, codes = told.arrays
+    compared = _Comparison(storage.blocks, storage.gaussians, planes, codes, size, *tables, scratch)
+    _weigh_changes(compared, blocks, slots, worth)
+    return worth
 
 
 def worth_of_states(
@@ -115,78 +156,86 @@ def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
 
 
 @kernel
-def _voxel_worth(
-    blocks: Any,
-    gaussians: Any,
-    told_planes: Any,
-    told_codes: Any,
-    slot: int,
-    other: int,
-    local: int,
-    size: float,
-    divergences: Any,
-    sigmas: Any,
-    both: Any,
-) -> tuple[float, float]:
-    """Bits and bytes of one voxel; `other` is the block's slot in what was told, or -1."""
-    known, quanta = quanta_at(blocks, slot, local)
+def _surface_change(compared: Any, information: Any, other: int, local: int) -> tuple[float, bool]:
+    """Bits by which a surface point is other than told, and whether it is new.
+
+    `other` is the block's slot in what was told, or -1.
+    """
+    code, word = np.int64(-1), np.uint64(0)
+    codes = compared.codes
+    if other >= 0:
+        code = find_row(codes.table, codes.owner, other * BLOCK_VOXELS + local)
+    if code >= 0:
+        word = codes.information[code, 1]
+    change = _log_determinant(information)
+    change -= _told_log_determinant(word, compared.size, compared.sigmas)
+    return min(0.5 * abs(change), _MOST_BITS), word == np.uint64(0)
+
+
+@inlined_kernel
+def _voxel_worth(compared: Any, slot: int, other: int, local: int) -> tuple[float, bool, bool]:
+    """Bits of a voxel, whether it is told with a surface, and whether it matters.
+
+    `slot` is the block's number in the map, `other` in what was told, or -1.
+    """
+    known, quanta = quanta_at(compared.blocks, slot, local)
     was = np.int64(NOT_OBSERVED)
     if other >= 0:
-        was = np.int64(told_planes.log_odds[other, local])
+        was = np.int64(compared.planes.log_odds[other, local])
+    is_new = was == NOT_OBSERVED
     if not known:
-        return (1.0, RUN_BYTES) if was != NOT_OBSERVED else (0.0, 0.0)
-    now = clipped(quanta)
-    bits = divergences[now + _LIMIT, (was if was != NOT_OBSERVED else 0) + _LIMIT]
-    if was == NOT_OBSERVED:
+        return (0.0, False, False) if is_new else (1.0, False, True)
+    now, before = clipped(quanta) + _LIMIT, (0 if is_new else was) + _LIMIT
+    probabilities = compared.probabilities
+    bits = compared.divergences[now, before]
+    matters = is_new or abs(probabilities[now] - probabilities[before]) >= _LEAST_SHIFT
+    if is_new:
         bits += 1.0
-    information, spare = both[0], both[1]
-    if now <= 0 or not read_information(gaussians, slot, local, 0.5 * size, information, spare):
-        return bits, RUN_BYTES
-    code, word = np.int64(-1), np.uint64(0)
-    if other >= 0:
-        code = find_row(told_codes.table, told_codes.owner, other * BLOCK_VOXELS + local)
-    if code >= 0:
-        word = told_codes.information[code, 1]
-    change = _log_determinant(information)
-    change -= _told_log_determinant(word, size, sigmas)
-    return bits + min(0.5 * abs(change), _MOST_BITS), SURFACE_BYTES
+    if now <= _LIMIT:
+        return bits, False, matters
+    information, spare = compared.scratch[0], compared.scratch[1]
+    half = 0.5 * compared.size
+    if not read_information(compared.surface, slot, local, half, information, spare):
+        return bits, False, matters
+    more, is_first = _surface_change(compared, information, other, local)
+    return bits + more, True, matters or is_first or more >= _LEAST_BITS
+
+
+@inlined_kernel
+def _weigh_row(
+    compared: Any, slot: int, other: int, first: int, bits: Any, sizes: Any, matters: Any
+) -> None:
+    """Add the changes of eight voxels along x, from `first` on, to what their block tells."""
+    word, free, empty = first >> 6, 0.0, np.uint64(0)
+    some_matter = False
+    for local in range(first, first + 8):
+        bit = np.uint64(1) << np.uint64(local & 63)
+        if not compared.blocks.dirty[slot, word] & bit:
+            continue
+        told, is_surface, does_matter = _voxel_worth(compared, slot, other, local)
+        if does_matter:
+            matters[word] |= bit
+        if is_surface:
+            bits[0 if does_matter else 1] += told
+            sizes[0 if does_matter else 1] += SURFACE_BYTES
+        else:
+            free, empty, some_matter = free + told, empty | bit, some_matter or does_matter
+    if empty != np.uint64(0):
+        bits[0 if some_matter else 1] += free
+        sizes[0 if some_matter else 1] += _ROW_BYTES
+    if some_matter:
+        matters[word] |= empty
 
 
 @kernel
-def _weigh_changes(
-    blocks: Any,
-    gaussians: Any,
-    told_blocks: Any,
-    told_planes: Any,
-    told_codes: Any,
-    slots: Any,
-    size: float,
-    divergences: Any,
-    sigmas: Any,
-    both: Any,
-    bits: Any,
-    sizes: Any,
-) -> None:
-    """Sum up over the changed voxels of the blocks; `both` is memory, shape (2, 9), float32."""
-    for row in range(len(slots)):
-        slot = slots[row]
+def _weigh_changes(compared: Any, told_blocks: Any, slots: Any, worth: Any) -> None:
+    """Sum up over the changed voxels of blocks into a `ChangeWorth`."""
+    blocks = compared.blocks
+    for n in range(len(slots)):
+        slot = slots[n]
         other = np.int64(find_block(told_blocks, blocks.keys[slot]))
-        for local in range(BLOCK_VOXELS):
-            word, bit = local >> 6, np.uint64(local & 63)
-            if not (blocks.dirty[slot, word] >> bit) & np.uint64(1):
-                continue
-            told, length = _voxel_worth(
-                blocks,
-                gaussians,
-                told_planes,
-                told_codes,
-                slot,
-                other,
-                local,
-                size,
-                divergences,
-                sigmas,
-                both,
-            )
-            bits[row] += told
-            sizes[row] += length
+        bits, sizes, matters = worth.bits[n], worth.sizes[n], worth.matters[n]
+        for first in range(0, BLOCK_VOXELS, 8):
+            marked = blocks.dirty[slot, first >> 6] >> np.uint64(first & 63)
+            if marked & np.uint64(0xFF) != np.uint64(0):
+                _weigh_row(compared, slot, other, first, bits, sizes, matters)

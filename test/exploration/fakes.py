@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, Interrupted, Motion, RobotState
 from infomap_ros.geometry import make_transform
 from infomap_ros.motion.route import ArmPath, Route
 
@@ -84,8 +84,8 @@ class FakePlanner:
         route = route_to(base[0], base[1], state.T_map_base[:2, 3])
         return self.home or Choice(progress(), pose_at(base[0], base[1]), route, "")
 
-    def failed(self, pose: np.ndarray, reason: str) -> None:
-        self.failures.append(reason)
+    def failed(self, view: FailedView) -> None:
+        self.failures.append(view.reason)
 
 
 def view(x: float, known: float = 0.5, sigma: float = 0.01) -> Choice:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.robot import FailedView, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
@@ -164,10 +164,23 @@ def test_a_view_that_failed_is_not_chosen_at_once_nor_counted_as_a_look(
     planner = planner_of(robot)
     first = planner.choose(half_known, standing(robot))
     assert first.pose is not None and first.route is not None
-    planner.failed(first.pose, "a wheel turned in place")
+    planner.failed(FailedView(first.pose, "a wheel turned in place"))
     second = planner.choose(half_known, standing(robot))
     assert any("a wheel turned" in reason for reason in second.explanation["rejections"])
     assert set(looks) == {1}
+
+
+def test_a_look_that_failed_was_in_vain(robot, half_known):
+    """As one into the sky, where nothing tells the pose: it is not promised the same again."""
+    state, informations = standing(robot), []
+    for reached in (False, True):
+        planner = planner_of(robot)
+        for _ in range(3):
+            choice = planner.choose(half_known, state)
+            assert choice.pose is not None
+            planner.failed(FailedView(choice.pose, "no", reached))
+        informations.append(choice.explanation["terms"]["information"])
+    assert informations[1] < 0.8 * informations[0]
 
 
 def test_a_planner_that_begins_anew_knows_what_views_have_told_in_vain(robot, half_known):

@@ -96,6 +96,25 @@ def test_doubtful_pose_is_not_taken_through_a_gap_that_a_sure_one_passes(joints)
     assert WholeBodyReach(robot, wide, BASE, joints, sigma=0.04).reach(view).reason == ""
 
 
+def test_arm_leans_less_far_towards_a_slab_where_the_pose_is_in_doubt(joints) -> None:
+    robot = rover()
+    lift = robot.arm.joint_names[1]
+
+    def slab(x, y, z):
+        return (z < 0.0) | ((x > 0.5) & (x < 0.6) & (z > 0.3))
+
+    around = map_where(slab, everything)
+    sure, doubtful = (
+        WholeBodyReach(robot, around, BASE, joints, sigma=sigma) for sigma in (0.0, 0.04)
+    )
+    here, leanings = np.zeros(3), np.arange(0.0, 1.2, 0.03)
+    farthest = [
+        max(by for by in leanings if reach.way_to(here, {lift: by}).reason == "")
+        for reach in (sure, doubtful)
+    ]
+    assert 0.0 < farthest[1] < farthest[0] < leanings[-1]
+
+
 def test_body_is_no_wider_than_where_it_stands_allows(joints) -> None:
     robot = rover()
     for gap in np.arange(0.1, 0.6, 0.05):

@@ -171,7 +171,8 @@ def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Pat
     stage.spin_to("ended: failed")
     assert "stopped 1.00 m" in stage.said[-1].values[1].value
     graph.spin_until(lambda: read_status(stage.said[-1]).failed_view is not None, "failed view")
-    assert read_status(stage.said[-1]).failure.startswith("drive")
+    failed = read_status(stage.said[-1]).failed_view
+    assert failed is not None and failed.reason.startswith("drive") and not failed.reached
 
 
 def test_services_start_pause_resume_and_stop(graph: Any, tmp_path: Path) -> None:

@@ -169,11 +169,18 @@ def test_a_teammate_is_cut_from_a_scan_that_waits_for_its_place(graph: Any) -> N
     assert others > 0.75 * len(whole.gaussians()[0])
 
 
-def test_before_it_was_heard_it_was_mapped(graph: Any) -> None:
+def test_who_was_mapped_before_it_was_heard_is_taken_out_when_it_is(graph: Any) -> None:
     wall = Wall(graph)
     wall.bench.send(pose(), cloud())
     wall.bench.wait_for_results(1)
-    assert wall.in_box()[0] > 20
+    image, others = wall.in_box()
+    assert image > 20
+    wall.tell(0, 1)
+    wall.wait_until_described()
+    wall.tell(200, 2)
+    graph.spin_until(lambda: wall.in_box()[0] == 0, "the teammate to be taken out")
+    assert wall.in_box()[1] > 0.75 * others
+    wall.bench.wait_for_map(as_replica(wall.bench.node._keeper._map))
 
 
 def test_the_wait_ends_and_a_larger_body_is_cut(graph: Any) -> None:

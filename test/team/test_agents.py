@@ -85,6 +85,7 @@ def test_what_is_not_known_is_not_made_up() -> None:
         ("base", [1e9, 0, 0, 0, 0, 0, 1], "is at"),
         ("goal", [0, 0, 0], "3 numbers, expected 7"),
         ("covariance", [-1.0] + 20 * [0.0], "negative eigenvalue"),
+        ("covariance", [1e300] + 20 * [0.0], "larger than any error"),
         ("lens", [640, 480, -1, 1, 1, 1], "not positive"),
         ("max_range", 1e300, "max_range"),
         ("way", 300 * [[0, 0, 0]], "300 places"),

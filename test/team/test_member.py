@@ -7,6 +7,7 @@ import pytest
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.digest import decode_request
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=2000, silence=1.0, recovery=2.0)
@@ -167,3 +168,21 @@ def test_a_listener_asks_but_tells_nothing() -> None:
     assert lost
     assert listener.replica.hash() == robot[0].replica.hash()
     assert listener.digests(now) == []
+
+
+def test_a_starting_robot_does_not_ask_for_what_others_only_lag_behind_in() -> None:
+    robot, mate = (member(0), make_map(1, 2)), (member(1), make_map())
+    robot[0].begin(robot[1])
+    for rows in robot[0].tell(robot[1], 0.0)[::2]:
+        mate[0].hear_update(rows, 0.0)
+    wanted = []
+    for now in (0.1, 1.2):
+        for rows in mate[0].digests(now):
+            robot[0].hear_digest(rows, now)
+        for rows in robot[0].requests(now):
+            mate[0].hear_request(rows, now)
+        for rows in mate[0].digests(now + 0.1):
+            robot[0].hear_digest(rows, now + 0.1)
+        asked = [decode_request(rows) for rows in robot[0].requests(now + 0.1)]
+        wanted.append([one.wants for one in asked if one.robot == 0 and one.wants == "states"])
+    assert wanted == [[], ["states"]]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, OCCUPIED, OccupancyThresholds, VoxelMap, VoxelWindow
 
@@ -96,7 +97,7 @@ def _faces(
     What nobody has seen counts as free near a surface, on its back as well if it is thin; so
     the side counts of which more was seen.
     """
-    normals = np.linalg.eigh(covariances)[1][:, :, 0]
+    _, normals = smallest_axes(covariances)
     seen = [_count(window, seen_free, means, side * normals) for side in (1.0, -1.0)]
     found = []
     for side, more, less in ((1.0, seen[0], seen[1]), (-1.0, seen[1], seen[0])):

@@ -1,5 +1,8 @@
 """Teammates' bodies in a scan, so that no robot maps another.
 
+A robot that stood in view before it was heard, or while it was forgotten, was a part of the scene
+until then: when it is heard again, its body is taken out of what was fused (`take_arrivals`).
+
 Where a teammate was at a scan's stamp is interpolated between what it told before and after. Where
 that is not known, it is within its speed times the time of where it was. Its solids, or the upright
 cylinder about all of them where these are not known, are grown by that, by the body filter's
@@ -8,31 +11,36 @@ margin, and by the standard deviation of where the teammate is for this camera.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import PoseUnavailableError, RobotModelError
+from infomap_ros.exploration.team.bodies_in_scan import (
+    BodyInScan,
+    cylinder_about,
+    largest_variance,
+    on_bodies,
+)
 from infomap_ros.geometry import (
-    Cylinder,
     JointStateRecord,
     PlacedSolid,
     PoseBuffer,
     PoseBufferConfig,
     PoseRecord,
     invert_transform,
-    make_transform,
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
-from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.team.agents import Agent
 
 _MOST_MARGIN = 1.0  # [m]; solids that would have to grow by more are replaced by the cylinder
+_OVER_GROUND = 0.03  # [m]; what is no higher than this over a body's lowest point is its ground
+_SURE_MARGIN = 0.15  # [m]; of a body that is taken out of what was fused
 _NANOSECONDS = 1e9
 
 
@@ -83,23 +91,6 @@ class TeamBodiesConfig:
         check_config(self)
 
 
-@dataclass(frozen=True, eq=False)
-class BodyInScan:
-    """A teammate's body.
-
-    Attributes:
-        robot: its id.
-        solids: placed in the camera's frame.
-        margin: by which they are to be grown [m].
-        is_sure: whether it is known where it was at the scan's stamp.
-    """
-
-    robot: int
-    solids: Sequence[PlacedSolid]
-    margin: float
-    is_sure: bool
-
-
 class _Track:
     """Where one teammate was, and what it is."""
 
@@ -108,6 +99,7 @@ class _Track:
         self.joints = JointBuffer(JointBufferConfig(max_gap=config.max_gap, capacity=100))
         self.robot: RobotModel | None = None
         self.agent: Agent | None = None
+        self.has_arrived = False
 
     def add(self, agent: Agent) -> None:
         self.agent = agent
@@ -144,6 +136,7 @@ class TeamBodies:
     ) -> None:
         self.config, self._filter = config or TeamBodiesConfig(), body or BodyFilterConfig()
         self._tracks: dict[int, _Track] = {}
+        self._before: dict[int, Agent] = {}
 
     def hear(self, agent: Agent) -> None:
         """A teammate has told where it is."""
@@ -160,7 +153,27 @@ class TeamBodies:
     def keep(self, robots: Collection[int]) -> None:
         """Forget all robots but these."""
         for robot in self._tracks.keys() - set(robots):
-            del self._tracks[robot]
+            agent = self._tracks.pop(robot).agent
+            if agent is not None:
+                self._before[robot] = agent
+
+    def take_arrivals(self) -> list[BodyInScan]:
+        """Bodies of teammates that are heard for the first time, or again, in the map's frame.
+
+        Each is told once, when its solids are known and it is known where it is. Where it stood
+        when it was heard last counts, too.
+        """
+        bodies = []
+        for robot, track in self._tracks.items():
+            agent = track.agent
+            if track.has_arrived or track.robot is None or agent is None:
+                continue
+            if (body := self._in_map(track, agent)).margin <= _SURE_MARGIN:
+                track.has_arrived = True
+                bodies.append(body)
+                if (before := self._before.pop(robot, None)) is not None:
+                    bodies.append(self._in_map(track, before))
+        return bodies
 
     def check_known_at(self, stamp: int, newest: int, robots: Collection[int]) -> None:
         """Make sure that nothing more need be waited for.
@@ -216,9 +229,23 @@ class TeamBodies:
         T_camera_base = invert_transform(camera.transform) @ pose.transform
         solids = self._solids(track, joints) if margin <= _MOST_MARGIN else []
         if not solids:
-            solids, margin = [_cylinder(agent, margin)], 0.0
+            solids, margin = [cylinder_about(agent, margin)], 0.0
         placed = [PlacedSolid(s.solid, T_camera_base @ s.transform, s.name) for s in solids]
         return BodyInScan(robot, placed, margin, away == 0.0)
+
+    def _in_map(self, track: _Track, agent: Agent) -> BodyInScan:
+        """A teammate's body in the map as it told it, the frame of the map in place of a camera."""
+        pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
+        margin = self._filter.margin + self._filter.sigmas * self._sigma(
+            agent, pose, PoseRecord(agent.stamp, "map", np.eye(4))
+        )
+        placed = [
+            PlacedSolid(s.solid, agent.T_map_base @ s.transform, s.name)
+            for s in self._solids(track, dict(agent.joints))
+        ]
+        up, lowest = agent.T_map_base[:3, 2], np.array([0.0, 0.0, agent.bottom, 1.0])
+        level = float(up @ (agent.T_map_base @ lowest)[:3]) + _OVER_GROUND
+        return BodyInScan(agent.robot, placed, margin, True, np.array([*up, level]))
 
     def _solids(self, track: _Track, joints: dict[str, float]) -> list[PlacedSolid]:
         """Solids in the frame of the base; none where they are not known."""
@@ -235,42 +262,6 @@ class TeamBodies:
         theirs = self.config.unknown_sigma**2
         if pose.covariance is not None:
             arm = np.linalg.norm(agent.T_map_camera[:3, 3] - agent.T_map_base[:3, 3])
-            theirs = _largest(pose.covariance, agent.radius + float(arm))
-        own = 0.0 if camera.covariance is None else _largest(camera.covariance, distance)
+            theirs = largest_variance(pose.covariance, agent.radius + float(arm))
+        own = 0.0 if camera.covariance is None else largest_variance(camera.covariance, distance)
         return float(np.sqrt(theirs + own))
-
-
-def on_bodies(
-    points: ArrayLike,
-    covariances: ArrayLike | None,
-    bodies: Sequence[BodyInScan],
-    config: BodyFilterConfig,
-) -> NDArray[np.bool_]:
-    """Mark the points of a scan that may lie on one of several bodies.
-
-    Args:
-        points: shape (..., 3), camera frame [m].
-        covariances: as `mapping.scans.body.body_mask` takes them.
-        bodies: placed in the camera's frame, each with its margin.
-        config: how points' errors count.
-    """
-    mask = np.zeros(np.shape(points)[:-1], np.bool_)
-    for body in bodies:
-        grown = replace(config, margin=body.margin)
-        mask |= body_mask(points, covariances, body.solids, grown)
-    return mask
-
-
-def _largest(covariance: FloatArray, lever: float) -> float:
-    """Largest variance of a point at a lever [m] from a pose's origin, from above [m^2]."""
-    position = np.linalg.eigvalsh(covariance[:3, :3])[-1]
-    rotation = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
-    # Whatever the two have to do with each other, the deviations add at the most.
-    return float((np.sqrt(max(position, 0.0)) + lever * np.sqrt(max(rotation, 0.0))) ** 2)
-
-
-def _cylinder(agent: Agent, growth: float) -> PlacedSolid:
-    """The cylinder about a robot's body, grown, in the frame of its base."""
-    height = max(agent.top - agent.bottom, 0.01) + 2.0 * growth
-    middle = make_transform(np.eye(3), (0.0, 0.0, 0.5 * (agent.top + agent.bottom)))
-    return PlacedSolid(Cylinder(agent.radius + max(growth, 0.01), height), middle, "robot")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from infomap_ros.errors import TeammatesBusyError
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, RobotState
 from infomap_ros.exploration.team.team_space import teammate_of
 from infomap_ros.exploration.team.teamwork import Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
@@ -105,10 +105,10 @@ class TeamPlanner:
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
         return self.planner.way_home(voxel_map, state, base, joints, obstacles)
 
-    def failed(self, pose: FloatArray, reason: str) -> None:
-        """Note that a view could not be reached; this robot is not heading for it any more."""
+    def failed(self, view: FailedView) -> None:
+        """Note that a view brought nothing; this robot is not heading for it any more."""
         self._team.give_up()
-        self.planner.failed(pose, reason)
+        self.planner.failed(view)
 
     def _claimed(self, voxel_map: VoxelMap, pose: FloatArray, way: FloatArray) -> bool:
         """Claim a view; whether it is still this robot's when claims had time to cross."""

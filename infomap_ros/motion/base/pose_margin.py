@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_covariance, check_transform, skew
 from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.collision.collision_config import CollisionConfig
 
 _RIM = 8  # directions in which the rim of the body is asked
 _STEP = 0.01  # [m]; vehicles of a few margins are made and remembered
@@ -49,14 +50,14 @@ def base_sigma(
     return math.sqrt(largest)
 
 
-def widenings_for(config: VehicleConfig, sigma: float) -> list[float]:
+def widenings_for(config: VehicleConfig | CollisionConfig, sigma: float) -> list[float]:
     """By how much a body is to be taken for wider, the wanted first, down to 0 for a sure pose.
 
-    The errors that `VehicleConfig.margin` is for and those of the pose are independent, so that
-    their squares are added. Whole steps of 1 cm are taken, the nearest.
+    The errors that the margin is for and those of the pose are independent, so that their squares
+    are added. Whole steps of 1 cm are taken, the nearest.
 
     Args:
-        config: of the vehicle.
+        config: of the vehicle or of the arm.
         sigma: of its position, from `base_sigma` [m].
 
     Returns:

@@ -23,8 +23,9 @@ from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelWindow
 from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
 from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision import kernels
-from infomap_ros.motion.collision.body import CollisionBody, CollisionConfig
-from infomap_ros.motion.collision.kernels import CLEAR, MotionSpace
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.collision_config import CollisionConfig
+from infomap_ros.motion.collision.kernels import CLEAR, BodyArrays, MotionSpace
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _SLACK = 1e-6  # [m]
@@ -53,6 +54,8 @@ class CollisionChecker:
         surroundings: the map, a window of it, or its distance field. All outside a window counts
             as unknown.
         config: how; that of the body where a body is given.
+        wider: by how much more than the margin the arm is to keep off what the map shows, at
+            least 0 [m].
 
     Attributes:
         body: the robot's.
@@ -64,10 +67,13 @@ class CollisionChecker:
         robot: RobotModel | CollisionBody,
         surroundings: VoxelMap | VoxelWindow | DistanceField,
         config: CollisionConfig | None = None,
+        wider: float = 0.0,
     ) -> None:
         if isinstance(robot, RobotModel):
             robot = CollisionBody.from_robot(robot, config)
-        self.body = robot
+        if not (np.isfinite(wider) and wider >= 0.0):
+            raise InvalidInputError("wider", f"is {wider}, expected at least 0 m")
+        self.body, self._wider = robot, wider
         self.field = _field(surroundings, robot.config)
 
     def check(self, q: ArrayLike, T_map_base: ArrayLike, base: bool = True) -> CollisionReport:
@@ -135,7 +141,7 @@ class CollisionChecker:
         body, pose = self.body, check_transform(T_map_base, "T_map_base")
         return MotionSpace(
             tree=body.tree.arrays,
-            body=body.arrays,
+            body=self._arrays,
             field=self.field.arrays,
             links=self._all_links if base else body.moving_links,
             radii=self._radii,
@@ -182,7 +188,13 @@ class CollisionChecker:
 
     @cached_property
     def _radii(self) -> FloatArray:
-        return np.ascontiguousarray(self.body.arrays.spheres[:, 3])
+        return self.body.arrays.spheres[:, 3] + self._wider
+
+    @cached_property
+    def _arrays(self) -> BodyArrays:
+        """Those of the body, with the balls about its links as wide as their spheres."""
+        arrays = self.body.arrays
+        return arrays._replace(balls=arrays.balls + np.array([0.0, 0.0, 0.0, self._wider]))
 
     @cached_property
     def _all_links(self) -> NDArray[np.int64]:

@@ -49,7 +49,7 @@ class MotionSpace(NamedTuple):
         body: a `BodyArrays`.
         field: a `mapping.field_kernels.FieldArrays`.
         links: links that are checked against the map, shape (M,).
-        radii: radii of the spheres against the map, at most those of `body`, shape (S,) [m].
+        radii: radii of the spheres against the map, within the balls of `body`, shape (S,) [m].
         gaps: distance that the links of each pair keep from each other, shape (P,) [m].
         kept: part of these gaps that may be lost between two checks of a way, shape (P,) [m].
         pair_reach: bound of the way of any point of one link of a pair against the other, per unit

@@ -45,6 +45,7 @@ class NearSpace:
         known_free: further space that is free although it was never seen [map].
         foot: solids of the foot of the arm, base frame.
         in_the_way: solids that must not be touched and that the map does not show [map].
+        wider: what the arm keeps off the map beyond its margin [m].
     """
 
     def __init__(
@@ -58,8 +59,9 @@ class NearSpace:
         known_free: Sequence[PlacedSolid] = (),
         foot: Sequence[PlacedSolid] = (),
         in_the_way: Sequence[PlacedSolid] = (),
+        wider: float = 0.0,
     ) -> None:
-        self._map, self._body, self._radius = voxel_map, body, radius
+        self._map, self._body, self._radius, self.wider = voxel_map, body, radius + wider, wider
         robot = body.robot
         positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
         positions.update({name: float(joints[name]) for name in positions if name in joints})
@@ -69,7 +71,7 @@ class NearSpace:
             PlacedSolid(_grown(part.solid, by), T_map_base @ part.transform, part.name)
             for part in robot.solids_in(robot.base_frame, positions)
         ]
-        reach = body.config.tolerance + body.config.margin + half_diagonal
+        reach = body.config.tolerance + body.config.margin + wider + half_diagonal
         self._foot = [
             PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
         ]
@@ -121,7 +123,7 @@ class NearSpace:
             own_points=self._own_points,
             in_the_way=[solid for solid in self._in_the_way if _touches_box(solid, low, high)],
         )
-        return CollisionChecker(self._body, field)
+        return CollisionChecker(self._body, field, wider=self.wider)
 
 
 def _touches_box(placed: PlacedSolid, low: FloatArray, high: FloatArray) -> bool:

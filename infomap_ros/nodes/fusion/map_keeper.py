@@ -7,10 +7,11 @@ and to keep one takes about as long as to integrate it.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from infomap_ros.errors import MapFileError
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
@@ -116,6 +117,16 @@ class MapKeeper:
         self._stamp = cloud.stamp
         self._outputs.changed()
         self._updates.publish(self._map, self._stamp)
+
+    def forget_body(self, body: BodyInScan) -> None:
+        """Take a teammate's body, placed in the map, out of what was fused before it was known."""
+        grown = replace(self._body_filter, margin=body.margin)
+        if forgotten := self._corrected.forget_body(body.solids, grown, body.ground):
+            self._node.get_logger().info(
+                f"took {forgotten} voxels of teammate {body.robot} out of the map"
+            )
+            self._outputs.changed()
+            self._updates.publish(self._map, self._stamp)
 
     @property
     def is_correcting(self) -> bool:

@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
-from infomap_ros.exploration.team.team_bodies import BodyInScan
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
@@ -55,6 +55,7 @@ class ScanGate:
         node: that listens; has the configurations of gate, poses, queue and body.
         on_scan: gets each complete scan.
         on_clock_jump: told when the clouds' clock has jumped back.
+        on_arrival: gets the body of a teammate that is new or back, placed in the map.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class ScanGate:
         node: MonitoredNode,
         on_scan: Callable[[Scan], None],
         on_clock_jump: Callable[[], None],
+        on_arrival: Callable[[BodyInScan], None],
     ) -> None:
         self._node = node
         self._on_scan, self._on_clock_jump = on_scan, on_clock_jump
@@ -75,7 +77,8 @@ class ScanGate:
             self._pose_at, waiting, lambda _, why: node.drop(_REASONS.get(why, _NO_POSE), why)
         )
         self._body = RobotBody(node, on_news=self._let_through)
-        self._teammates = TeamBodyListener(node, self._map_frame, self._let_through)
+        news = self._let_through, on_arrival
+        self._teammates = TeamBodyListener(node, self._map_frame, *news)
         self._pose_stamp = 0
         node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
         pose_type = PoseWithCovarianceStamped

@@ -32,6 +32,7 @@ from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
     OCCUPANCY_ROW,
+    Budget,
     MapUpdate,
     TeamConfig,
     TeamMember,
@@ -58,7 +59,7 @@ class UpdateStream:
         self._frame = node.config(ScanGateConfig).map_frame
         self._types = RclpyMessageTypes()
         self._version = version_at(time.time_ns())
-        self._told = time.monotonic()
+        self._budget = Budget(self._sharing.bandwidth * 1e6)
         self._newcomer = False
         self._next_block = 0
         self._blocks_left = 0
@@ -129,11 +130,9 @@ class UpdateStream:
             self._newcomer = True
             voxel_map.track_changes(True)  # forgets the changes
             return
-        now = time.monotonic()
-        budget = min(self._sharing.bandwidth * 1e6 * (now - self._told), MAX_MESSAGE_BYTES)
-        self._told = now
-        self._take_back(voxel_map, int(budget) // _VOXEL_BYTES, stamp)
-        self._repeat(voxel_map, max(1, int(budget) // _SLICE_BYTES))
+        budget = int(min(self._budget.available(time.monotonic()), MAX_MESSAGE_BYTES))
+        self._take_back(voxel_map, budget // _VOXEL_BYTES, stamp)
+        self._repeat(voxel_map, max(1, budget // _SLICE_BYTES))
         changes = voxel_map.take_changes()
         if always or len(changes.indices):
             self._send(changes, voxel_map.config.voxel_size, stamp)
@@ -196,6 +195,7 @@ class UpdateStream:
         self._version = next_version(self._version)
         update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version, self.session)
         parts = encode_update(update, self._sharing.message_size)
+        self._budget.spend(sum(rows.nbytes for rows in parts))
         if self.key is not None:
             parts = [self.key.sign(rows) for rows in parts]
         for rows in parts or [np.zeros(0, OCCUPANCY_ROW)]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.exploration.loop import Exploration
 from infomap_ros.exploration.mission import look_poses
+from infomap_ros.exploration.robot import FailedView
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -29,9 +30,8 @@ class ExplorationNews:
         home_base: base pose of the beginning (x, y, yaw) [m, rad]; empty where not yet known.
         home_joints: joint positions of the beginning [rad or m].
         home_pose: ``T_map_base`` of the beginning, shape (4, 4); None where not yet known.
-        failed_view: ``T_map_camera`` of the last view that could not be reached, shape (4, 4).
-        failure: why.
-        failures: number of views that could not be reached so far.
+        failed_view: the last view that brought nothing; None before.
+        failures: number of views that brought nothing so far.
         looks: ``T_map_camera`` of the views taken so far, shape (V, 4, 4).
     """
 
@@ -39,16 +39,15 @@ class ExplorationNews:
     home_base: tuple[float, ...] = ()
     home_joints: dict[str, float] = field(default_factory=dict)
     home_pose: FloatArray | None = None
-    failed_view: FloatArray | None = None
-    failure: str = ""
+    failed_view: FailedView | None = None
     failures: int = 0
     looks: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
 
 
 def status_message(
-    exploration: Exploration, failed_views: Sequence[tuple[FloatArray, str]]
+    exploration: Exploration, failed_views: Sequence[FailedView]
 ) -> DiagnosticStatus:
-    """State, figures and last reason of an exploration, and what it could not reach."""
+    """State, figures and last reason of an exploration, and the views that brought nothing."""
     progress, mission = exploration.progress, exploration.mission
     figures: dict[str, object] = {
         "state": exploration.state,
@@ -69,8 +68,12 @@ def status_message(
         }
     figures["failures"] = len(failed_views)
     if failed_views:
-        pose, reason = failed_views[-1]
-        figures |= {"failed view": json.dumps(pose.tolist()), "failure": reason}
+        last = failed_views[-1]
+        figures |= {
+            "failed view": json.dumps(last.pose.tolist()),
+            "failed view reached": json.dumps(last.reached),
+            "failure": last.reason,
+        }
     failed = exploration.state == "ended: failed"
     return DiagnosticStatus(
         level=DiagnosticStatus.ERROR if failed else DiagnosticStatus.OK,
@@ -91,17 +94,23 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
         home = tuple(float(number) for number in json.loads(values["home base"]))
         joints = {str(k): float(q) for k, q in json.loads(values["home joints"]).items()}
         pose = _pose(values.get("home pose", "[]"))
-        view = _pose(values.get("failed view", "[]"))
+        view = _failed_view(values)
         if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
             raise ValueError("home is not a finite pose")
         views, failures = int(values["views"]), int(values["failures"])
-        failure, looks = (
-            values.get("failure", ""),
-            look_poses(json.loads(values.get("looks", "[]"))),
-        )
-        return ExplorationNews(views, home, joints, pose, view, failure, failures, looks)
+        looks = look_poses(json.loads(values.get("looks", "[]")))
+        return ExplorationNews(views, home, joints, pose, view, failures, looks)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error
+
+
+def _failed_view(values: Mapping[str, str]) -> FailedView | None:
+    """What `status_message` says of the last view that brought nothing."""
+    pose = _pose(values.get("failed view", "[]"))
+    reached = json.loads(values.get("failed view reached", "false"))
+    if not isinstance(reached, bool):
+        raise ValueError(f"failed view reached: {reached!r} is neither true nor false")
+    return None if pose is None else FailedView(pose, values.get("failure", ""), reached)
 
 
 def _pose(text: str) -> FloatArray | None:

@@ -12,10 +12,9 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError, TeammatesBusyError
 from infomap_ros.exploration.records.choice_text import choice_from_text
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, RobotState
 from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common.base import MonitoredNode
 
 _RETRY = 1.0  # [s]
@@ -48,14 +47,14 @@ class RemotePlanner:
 
     Args:
         node: whose executor serves the answers in another thread.
-        report_failure: tells next_best_view of a view that could not be reached.
+        report_failure: tells next_best_view of a view that brought nothing.
         stopped: whether an answer is not waited for any more.
     """
 
     def __init__(
         self,
         node: MonitoredNode,
-        report_failure: Callable[[FloatArray, str], None],
+        report_failure: Callable[[FailedView], None],
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._node, self._config = node, node.config(RemotePlannerConfig)
@@ -97,9 +96,9 @@ class RemotePlanner:
         """
         return self._ask(self._plan_search)
 
-    def failed(self, pose: FloatArray, reason: str) -> None:
-        """Tell next_best_view that a view could not be reached."""
-        self._report(pose, reason)
+    def failed(self, view: FailedView) -> None:
+        """Tell next_best_view that a view brought nothing."""
+        self._report(view)
 
     def _ask(self, client: Client) -> Choice:
         end, problem = time.monotonic() + self._config.planner_patience, "it does not answer"

@@ -9,7 +9,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from infomap_ros.exploration.team.team_bodies import BodyInScan, on_bodies
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan, on_bodies
 from infomap_ros.geometry import PlacedSolid, PointCloudRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig

@@ -13,7 +13,8 @@ from functools import partial
 
 from std_msgs.msg import String
 
-from infomap_ros.exploration.team.team_bodies import BodyInScan, TeamBodies, TeamBodiesConfig
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig
@@ -55,10 +56,17 @@ class TeamBodyListener:
         node: that listens; has the configurations of who is in the team and of bodies.
         frame: of the map.
         on_news: called when more is known of them than before.
+        on_arrival: called with the body of a robot that is new or back, placed in the map.
     """
 
-    def __init__(self, node: MonitoredNode, frame: str, on_news: Callable[[], None]) -> None:
-        self._node, self._on_news = node, on_news
+    def __init__(
+        self,
+        node: MonitoredNode,
+        frame: str,
+        on_news: Callable[[], None],
+        on_arrival: Callable[[BodyInScan], None],
+    ) -> None:
+        self._node, self._on_news, self._on_arrival = node, on_news, on_arrival
         who, memory = node.config(TeamIdentityConfig), node.config(AgentBoardConfig)
         self._board = AgentBoard(who.robot_id, None, memory, who.team, who.read_key())
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
@@ -92,6 +100,8 @@ class TeamBodyListener:
         if agent is not None:
             self._bodies.hear(agent)
             self._ask_what_it_is(agent)
+            for body in self._bodies.take_arrivals():
+                self._on_arrival(body)
             self._on_news()
 
     def _ask_what_it_is(self, agent: Agent) -> None:

@@ -9,9 +9,11 @@ import numpy as np
 from infomap_ros.errors import RobotModelError, SimulationError
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.tag_board import TagBoardConfig
 from infomap_ros.simulation.body.dynamics import DynamicsConfig, add_dynamics
 from infomap_ros.simulation.body.robot import add_robot
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.body.tag_plates import add_tag_plates
 from infomap_ros.simulation.body.teammate_body import TeammateBody, add_teammate
 from infomap_ros.simulation.body.trial import TrialModel, measure_robot
 from infomap_ros.simulation.worlds.builder import World
@@ -34,6 +36,7 @@ class RobotBody:
         setup: names of the robot's parts.
         config: parameters of the forces.
         teammates: URDF texts of the other robots in the world, by name.
+        tags: that hang on their bases, by name.
 
     Attributes:
         model: the compiled world with the robot.
@@ -54,6 +57,7 @@ class RobotBody:
         setup: RobotSetupConfig,
         config: DynamicsConfig,
         teammates: Mapping[str, str] | None = None,
+        tags: Mapping[str, TagBoardConfig] | None = None,
     ) -> None:
         others = {f"{name}/": text for name, text in (teammates or {}).items()}
         self.trial: TrialModel = measure_robot(description, setup)
@@ -64,6 +68,8 @@ class RobotBody:
         add_dynamics(spec, PREFIX, setup, self.trial, config)
         for prefix, text in others.items():
             add_teammate(spec, text, prefix, material)
+        for name, board in (tags or {}).items():
+            add_tag_plates(spec, f"{name}/{setup.base_frame}", board)
         try:
             self.model = spec.compile()
         except ValueError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -127,6 +127,12 @@ class SimulatedRobot:
             self._fuse(scan)
         self.poses.correct(self._map)
         return ""
+
+    def forget_teammates(self) -> None:
+        """Take teammates that are new or back out of what was fused before they were known."""
+        for body in [] if self._teammates is None else self._teammates.take_arrivals():
+            grown = replace(self._config.body, margin=body.margin)
+            self._map.forget_body(body.solids, grown, body.ground)
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
         """Move the arm along a path."""

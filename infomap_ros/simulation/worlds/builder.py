@@ -101,13 +101,7 @@ class SceneBuilder:
 
     def _add_cube(self, name: str, faces: Sequence[Image]) -> None:
         """A material of six faces as MuJoCo wants them: columns run along y on the first two."""
-        side = len(faces[0])
-        texture = self._spec.add_texture(
-            name=name, type=mujoco.mjtTexture.mjTEXTURE_CUBE, width=side, height=6 * side
-        )
-        texture.nchannel = 3
-        texture.data = np.concatenate(faces).tobytes()
-        self._add_matt(name)
+        add_cube_material(self._spec, name, faces)
 
     def add_ground_material(self, name: str, image: Image, tile: float) -> None:
         """Add a matt material for the ground; the image repeats every `tile` [m]."""
@@ -116,7 +110,7 @@ class SceneBuilder:
         )
         texture.nchannel = 3
         texture.data = image.tobytes()
-        material = self._add_matt(name)
+        material = _add_matt(self._spec, name)
         material.texuniform = True
         material.texrepeat = (1.0 / tile, 1.0 / tile)
 
@@ -217,12 +211,6 @@ class SceneBuilder:
             self.T_world_target,
         )
 
-    def _add_matt(self, name: str) -> mujoco.MjsMaterial:
-        """A material without gloss: what shines looks different to each camera."""
-        material = self._spec.add_material(name=name, specular=0.0, shininess=0.0, reflectance=0.0)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-        return material
-
     def _add_light(self) -> None:
         """Low sun with shadows, light from the sky, and a plain sky."""
         if self.sun:
@@ -250,3 +238,27 @@ class SceneBuilder:
             specular=(0.0, 0.0, 0.0),
             castshadow=True,
         )
+
+
+def add_cube_material(spec: mujoco.MjSpec, name: str, faces: Sequence[Image]) -> None:
+    """Add a matt material of six square images to a world, as MuJoCo wants them.
+
+    Args:
+        spec: the world.
+        name: of the material.
+        faces: for +x -x +y -y +z -z, shape (n, n, 3) each; columns run along y on the first two.
+    """
+    side = len(faces[0])
+    texture = spec.add_texture(
+        name=name, type=mujoco.mjtTexture.mjTEXTURE_CUBE, width=side, height=6 * side
+    )
+    texture.nchannel = 3
+    texture.data = np.concatenate(faces).tobytes()
+    _add_matt(spec, name)
+
+
+def _add_matt(spec: mujoco.MjSpec, name: str) -> mujoco.MjsMaterial:
+    """A material without gloss: what shines looks different to each camera."""
+    material = spec.add_material(name=name, specular=0.0, shininess=0.0, reflectance=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return material

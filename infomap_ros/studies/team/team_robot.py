@@ -16,7 +16,7 @@ from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.awareness import Awareness
 from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear
@@ -24,7 +24,6 @@ from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
@@ -185,9 +184,9 @@ class TeamRobot:
         """The way to where the mission began."""
         return self._planner.way_home(self.member.replica.voxel_map, state, base, joints)
 
-    def failed(self, pose: FloatArray, reason: str) -> None:
+    def failed(self, view: FailedView) -> None:
         """Note that a view could not be reached."""
-        self._planner.failed(pose, reason)
+        self._planner.failed(view)
 
     # As a member of the team
 
@@ -228,6 +227,7 @@ class TeamRobot:
             if not self._bodies.is_described(agent.robot):
                 self._bodies.describe(agent.robot, self.outfit.model)
             self._bodies.hear(agent)
+            self._robot.forget_teammates()
 
     def _announce(self) -> None:
         """Tell with the next messages where this robot is and where it is heading."""

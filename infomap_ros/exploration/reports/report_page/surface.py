@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import LEAST_EVIDENCE
@@ -59,9 +60,9 @@ def drawn_surface(voxel_map: VoxelMap, most: int = LARGEST_SURFACE) -> DrawnSurf
     indices, _, covariances = voxel_map.gaussians()
     size = voxel_map.config.voxel_size
     evidence = voxel_map.log_odds((indices + 0.5) * size)
-    variances, axes = np.linalg.eigh(covariances) if len(indices) else _nothing()
-    normals = axes[:, :, 0] * np.where(axes[:, 2:3, 0] < 0.0, -1.0, 1.0)
-    values = np.column_stack([normals, np.sqrt(np.maximum(variances[:, 0], 1e-12)), evidence])
+    variances, axes = smallest_axes(covariances)
+    normals = axes * np.where(axes[:, 2:] < 0.0, -1.0, 1.0)
+    values = np.column_stack([normals, np.sqrt(np.maximum(variances, 1e-12)), evidence])
     cells, merged = indices.astype(np.int64), 1
     while len(cells) > most:
         cells, values = _merge(cells >> 1, values)
@@ -97,7 +98,3 @@ def _merge(cells: NDArray[np.int64], values: FloatArray) -> tuple[NDArray[np.int
 def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """One number for each place, places from 0 to 2^21 - 1 along each axis."""
     return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
-
-
-def _nothing() -> tuple[FloatArray, FloatArray]:
-    return np.empty((0, 3)), np.empty((0, 3, 3))

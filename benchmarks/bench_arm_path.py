@@ -121,12 +121,12 @@ def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--queries", type=int, default=60)
-    parser.add_argument("--time-limit", type=float, default=5.0, help="[s] per query")
+    parser.add_argument("--time-limit", type=float, default=5.0, help="of OMPL [s]")
     arguments = parser.parse_args()
     util.setLogLevel(util.LOG_NONE)
     robot = RobotModel.from_urdf(find_share("config/rover.urdf"), "left_camera_optical_frame")
     body = CollisionBody.from_robot(robot)
-    config = ArmPathConfig(time_limit=arguments.time_limit)
+    config = ArmPathConfig(samples=10**6)
     found: dict[str, Any] = {"queries": arguments.queries}
     for scene in ("shelf", "window"):
         checker = CollisionChecker(body, obstacles(scene))

@@ -43,6 +43,7 @@ HERE = Path(__file__).resolve().parent
 ROVER = HERE.parent / "config" / "rover.urdf"
 DRIVING = {"arm_shoulder_joint": -1.2, "arm_elbow_joint": 2.4}
 HALF, CELL, LIMIT = 5.0, 0.05, 2.0
+SAMPLES = 10**7
 PYTHON_QUERIES = 6
 
 
@@ -171,8 +172,10 @@ def timed(task: Callable[[], Any]) -> tuple[float, Any]:
 
 def sampled(space: DriveSpace, query: np.ndarray) -> tuple[float, bool, float]:
     """Processor time [s], solved, and length of one query with the package's sampling."""
-    arguments = (space.lattice, space.grid, query[:3], query[None, 3:], True, 1.0, LIMIT)
-    seconds, way = timed(lambda: drive_sampling.sample_way(*arguments, space.ground))
+    arguments = (space.lattice, space.grid, query[:3], query[None, 3:], True, 1.0)
+    seconds, way = timed(
+        lambda: drive_sampling.sample_way(*arguments, iter(range(SAMPLES)), space.ground)
+    )
     length = 0.0 if way is None else float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
     return seconds, way is not None, length
 

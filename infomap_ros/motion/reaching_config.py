@@ -29,10 +29,6 @@ class ReachingConfig:
         0.1, "And when its viewing direction differs by no more than this; the roll is free.",
         unit="rad", low=1e-4, high=3.2,
     )  # fmt: skip
-    time_limit: float = parameter(
-        0.2, "Processor time after which no more places are tried, where the arm has a good one.",
-        unit="s", low=0.0, high=600.0,
-    )  # fmt: skip
     postures: int = parameter(
         30000, "Random postures of the arm from which places for the base are derived.",
         low=100, high=10**7,

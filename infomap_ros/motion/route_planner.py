@@ -17,7 +17,7 @@ from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
 from infomap_ros.motion.whole_body import WholeBody
 
-_QUICK = ArmPathConfig(time_limit=0.1)
+_QUICK = ArmPathConfig(samples=3000)
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
 _THERE = 1e-6  # [rad or m]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +19,7 @@ _LEAN = 0.1  # [rad]
 _UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
 _TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _ASKED = 50
-_QUICK = ArmPathConfig(time_limit=0.1)
+_QUICK = ArmPathConfig(samples=3000)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,18 +144,13 @@ class StanceFinder:
         return reached.rows(free), ""
 
     def _unfolding(self, found: _Candidates) -> tuple[list[int], str]:
-        """Rows of those where the arm gets from the driving posture to the view in balance.
-
-        At least one is found, if there is any; further ones while the time lasts.
-        """
+        """Rows of those where the arm gets from the driving posture to the view in balance."""
         good: list[int] = []
-        reason, deadline = "", time.thread_time() + self.config.time_limit
+        reason = ""
         vehicle, terrain = self.planner.vehicle, self.planner.terrain
         for row, (place, q, pose) in enumerate(
             zip(found.places, found.q, found.T_map_base, strict=True)
         ):
-            if good and time.thread_time() > deadline:
-                break
             stance = vehicle.stance(terrain, place[0], place[1], place[2], q)
             if not stance.ok:
                 reason = f"with the arm at the view: {stance.reason}"

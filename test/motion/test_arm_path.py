@@ -98,6 +98,16 @@ def test_result_depends_on_the_seed_alone(body: CollisionBody) -> None:
     np.testing.assert_array_equal(*paths)
 
 
+def test_effort_is_counted_in_samples(body: CollisionBody) -> None:
+    """One sample is not enough for the way through the window, and the reason says so."""
+    checker = CollisionChecker(body, field_where(wall_with_a_gap))
+    start, goal = np.zeros(4), np.array([1.37, 1.12, 0.48, -1.77])
+    path = plan_arm_path(checker, start, goal, BASE, ArmPathConfig(samples=1), seed=5)
+    assert not path.converged
+    assert "in 1 samples" in path.reason
+    assert plan_arm_path(checker, start, goal, BASE, ArmPathConfig(samples=4000), seed=5).converged
+
+
 def test_goal_in_an_obstacle_is_refused_by_name(body: CollisionBody) -> None:
     checker = CollisionChecker(body, field_where(lambda x, y, z: x > 0.5))
     path = plan_arm_path(checker, np.zeros(4), [0.0, 1.5, 0.0, 0.0], BASE)
@@ -117,7 +127,7 @@ def test_search_ends_where_there_is_no_way(body: CollisionBody) -> None:
         body, field_where(lambda x, y, z: (abs(y) > 0.12) & (abs(z - 0.5) < 0.7) | (z > 0.5))
     )
     start, goal = np.array([0.0, 1.4, 0.4, -0.4]), np.array([np.pi - 0.3, 1.4, 0.4, -0.4])
-    path = plan_arm_path(checker, start, goal, BASE, ArmPathConfig(time_limit=0.2))
+    path = plan_arm_path(checker, start, goal, BASE, ArmPathConfig(samples=6000))
     assert not path.converged
     assert path.reason
 

@@ -74,8 +74,8 @@ def test_reached_cells_are_those_of_the_exhaustive_search(searched, vehicle):
     assert 0.05 < reached.mean() < 0.8
 
 
-@pytest.mark.parametrize("time_limit", [0.0, 0.3])
-def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, time_limit):
+@pytest.mark.parametrize("samples", [0, 8000])
+def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, samples):
     """With sampling and without; those without one end as near to the goal as can be."""
     terrain, oracle, node = searched
     costs, start = oracle.costs_from(node), oracle.place_of(node)
@@ -85,7 +85,7 @@ def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, time_
     outcomes = []
     for goal in standable[rng.integers(0, len(standable), 12)]:
         target = oracle.place_of(tuple(goal))
-        path = planner.plan(start, target, time_limit)
+        path = planner.plan(start, target, samples)
         is_drivable(path, planner)
         np.testing.assert_allclose(path.poses[0], start, atol=1e-9)
         outcomes.append(path.complete)
@@ -100,6 +100,15 @@ def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, time_
         assert np.hypot(*(path.poses[-1, :2] - target[:2])) == pytest.approx(nearest, abs=1e-6)
         assert f"ends {nearest:.2f} m from it" in path.reason
     assert any(outcomes)
+
+
+def test_sampling_ends_with_its_samples(vehicle):
+    """A way through a gap takes more than one sample; complete search follows."""
+    planner = BasePlanner(walled(0.8), vehicle)
+    start, goal = (0.9, 0.0, 0.0), (-0.9, 1.3, 0.0)
+    assert planner.plan(start, goal, samples=1).method == "search"
+    found = BasePlanner(walled(0.8), vehicle).plan(start, goal, samples=8000)
+    assert found.method == "sampling"
 
 
 def test_costs_of_the_search_are_the_smallest(searched, vehicle):
@@ -160,8 +169,8 @@ def test_without_reverse_it_only_drives_forwards(vehicle):
     config = BasePlannerConfig(reverse=False)
     planner = BasePlanner(cluttered(1), vehicle, config)
     for goal in ((-1.2, 0.0, 0.0), (0.0, -1.2, 1.0)):
-        for limit in (0.0, 0.5):
-            path = planner.plan((0.0, 0.0, 0.0), goal, limit)
+        for samples in (0, 8000):
+            path = planner.plan((0.0, 0.0, 0.0), goal, samples)
             step, yaw = np.diff(path.poses[:, :2], axis=0), path.poses[:-1, 2]
             assert (step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)).min() > -1e-9
             is_drivable(path, planner)

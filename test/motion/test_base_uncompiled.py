@@ -33,7 +33,7 @@ def answers() -> dict[str, np.ndarray]:
     places = rng.uniform((-0.8, -0.8, -3.0), (0.8, 0.8, 3.0), (60, 3))
     batch = vehicle.stances(terrain, places)
     planner = BasePlanner(ground(rough(rng, 0.002), 0.8, cell=0.1), vehicle)
-    path = planner.plan((0.0, 0.0, 0.0), (0.2, 0.1, 1.0), time_limit=0.0)
+    path = planner.plan((0.0, 0.0, 0.0), (0.2, 0.1, 1.0), samples=0)
     return {
         "outcomes": batch.outcomes,
         "measures": batch.measures,

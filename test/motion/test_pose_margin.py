@@ -141,7 +141,7 @@ def test_robot_nearer_than_its_margin_leaves_without_turning_into_what_is_there(
     assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
     assert not bare.stance(terrain, 0.0, 0.0, 0.8).ok
     planner = BasePlanner(terrain, vehicle)
-    path = planner.plan(start, (0.0, -1.2, np.nan), time_limit=0.0)
+    path = planner.plan(start, (0.0, -1.2, np.nan), samples=0)
     assert path.complete, path.reason
     assert bare.stances(terrain, path.poses).ok.all()
 

@@ -32,7 +32,7 @@ def test_robot_in_a_lane_backs_out_before_it_turns() -> None:
         assert not vehicle.stance(terrain, 0.0, 0.0, YAW + turn).ok
     planner = BasePlanner(terrain, vehicle)
     assert planner.reachable_area(start).any()
-    path = planner.plan(start, (-1.3, 0.8, np.nan), time_limit=0.0)
+    path = planner.plan(start, (-1.3, 0.8, np.nan), samples=0)
     assert path.complete, path.reason
     assert vehicle.stances(terrain, path.poses).ok.all()
     turned = np.flatnonzero(np.abs(path.poses[:, 2] - YAW) > 0.02)

@@ -7,7 +7,6 @@ configurations that were looked at (`way_kernels`).
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -38,8 +37,8 @@ class ArmPathConfig:
         ConfigError: a value is out of its range.
     """
 
-    time_limit: float = parameter(
-        0.5, "Longest processor time of a search for a way.", unit="s", low=0.001, high=600.0
+    samples: int = parameter(
+        16000, "Random configurations after which the search for a way ends.", low=1, high=10**9
     )
     max_nodes: int = parameter(
         20000, "Largest number of configurations in each of the two trees.", low=10, high=10**7
@@ -104,7 +103,7 @@ def plan_arm_path(
         why = checker.first_on_way(start, goal, T_map_base).what
         return ArmPath.failed(
             chain.joint_names,
-            f"no way of the arm found in {settings.time_limit:g} s; straight on: {why}",
+            f"no way of the arm found in {settings.samples} samples; straight on: {why}",
         )
     return time_path(chain, search.shortened(found), trajectory, search.is_free)
 
@@ -141,7 +140,6 @@ class _Search:
 
     def way(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
         """Configurations from start to goal with free straight lines between them, (K, n)."""
-        deadline = time.thread_time() + self.config.time_limit  # the same on a busy machine
         low, high = self._box(start, goal)
         capacity, count = self.config.max_nodes, len(start)
         trees = Trees(
@@ -149,8 +147,11 @@ class _Search:
         )
         trees.nodes[0, 0], trees.nodes[1, 0] = start, goal
         joint, scratch = np.zeros(2, dtype=np.int64), self.checker.body.scratch()
-        while time.thread_time() < deadline and trees.counts.max() < capacity:
-            samples = self.rng.uniform(low, high, (_SAMPLES_AT_ONCE, count))
+        for begin in range(0, self.config.samples, _SAMPLES_AT_ONCE):
+            if trees.counts.max() >= capacity:
+                break
+            size = min(_SAMPLES_AT_ONCE, self.config.samples - begin)
+            samples = self.rng.uniform(low, high, (size, count))
             if grow(self.space, trees, samples, self.weights, self.config.step, scratch, joint):
                 return _joined(trees, joint)
         return None

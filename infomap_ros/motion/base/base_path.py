@@ -18,10 +18,9 @@ class BasePlannerConfig:
         ConfigError: a value is out of its range.
     """
 
-    sampling_time: float = parameter(
-        0.25, "Time after which sampling gives way to complete search.", unit="s", low=0.0,
-        high=600.0,
-    )  # fmt: skip
+    samples: int = parameter(
+        8000, "Random places after which sampling gives way to complete search.", low=0, high=10**9
+    )
     headings: int = parameter(
         32,
         "Headings of the cells that sampling asks; no turn goes farther unasked.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,14 +57,14 @@ class BasePlanner:
         """The ground, with that on which the robot stands."""
         return self._space.terrain
 
-    def plan(self, start: ArrayLike, goals: ArrayLike, time_limit: float | None = None) -> BasePath:
+    def plan(self, start: ArrayLike, goals: ArrayLike, samples: int | None = None) -> BasePath:
         """Find a way to one of the goals, or as near to one as is safe.
 
         Args:
             start: x, y [m] and yaw [rad] of the base in the map, shape (3,).
             goals: likewise, shape (3,) or (G, 3); yaw NaN for any heading.
-            time_limit: of sampling [s]; None for the configuration's. Complete search follows;
-                where that was done from this start already, it answers at once.
+            samples: random places that are tried; None for the configuration's. Complete search
+                follows; where that was done from this start already, it answers at once.
 
         Raises:
             InvalidInputError: shapes do not fit, or values are not finite.
@@ -73,9 +72,8 @@ class BasePlanner:
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
         self._stand_at(here)
         places, owners, reasons = self._space.standable_goals(targets)
-        limit = self.config.sampling_time if time_limit is None else float(time_limit)
         if self._reach is None or not self._reach.starts_at(here):
-            way = self._sampled(here, places, limit)
+            way = self._sampled(here, places, self.config.samples if samples is None else samples)
             if way is not None:
                 return self._arrived(way, places, owners, targets, "sampling")
         found = self._reached_from(here).way_to_any(places)
@@ -109,13 +107,13 @@ class BasePlanner:
             self._reach = DriveReach(self._space, start)
         return self._reach
 
-    def _sampled(self, start: FloatArray, goals: FloatArray, limit: float) -> FloatArray | None:
+    def _sampled(self, start: FloatArray, goals: FloatArray, samples: int) -> FloatArray | None:
         """A way found by sampling, made shorter, every stance on it asked itself; or None."""
         space, config = self._space, self.config
         if config.turning_radius > 0.0 or not len(goals) or not space.stands(start):
             return None
-        end = time.monotonic() + limit
-        while (left := end - time.monotonic()) > 0.0:
+        left = iter(range(samples))
+        while samples > 0:
             space.trust(np.concatenate([start[None], goals]))
             way = sample_way(
                 space.lattice, space.grid, start, goals, config.reverse, config.reach, left,

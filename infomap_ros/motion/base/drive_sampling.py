@@ -5,6 +5,7 @@ OMPL asks only whether a motion is good, and one compiled call answers for all s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def sample_way(
     goals: FloatArray,
     reverse: bool,
     reach: float,
-    time_limit: float,
+    samples: Iterator[int],
     ground: Ground,
 ) -> FloatArray | None:
     """Find some way with RRT-Connect (Kuffner and LaValle 2000).
@@ -96,7 +97,8 @@ def sample_way(
         goals: any of them will do, shape (G, 3).
         reverse: whether driving backwards is allowed.
         reach: longest motion by which a tree grows [m].
-        time_limit: [s].
+        samples: ends after as many random places as may be tried; what is left of it is for
+            another call. A clock would make a run depend on what else the machine does.
         ground: a `Ground`, for cells not asked yet.
 
     Returns:
@@ -124,7 +126,7 @@ def sample_way(
     planner.setRange(reach / float(grid[2]))
     planner.setProblemDefinition(problem)
     planner.setup()
-    planner.solve(ob.timedPlannerTerminationCondition(time_limit))
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(samples, None) is None))
     if not problem.hasExactSolution():
         return None
     states = problem.getSolutionPath().getStates()

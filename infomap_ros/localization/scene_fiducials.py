@@ -24,6 +24,7 @@ from infomap_ros.localization.fiducials.tracker import FiducialTracker
 from infomap_ros.localization.fiducials.viewpoints import (
     look_the_same,
     moved_viewpoint,
+    turns_since,
     viewpoint,
 )
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
@@ -94,7 +95,8 @@ class SceneFiducials:
         missing &= ~np.isin(known.ids, self._tracker.ids)
         if not missing.any():
             return no_observations()
-        return self._tracker.recall(view, self._pixels_by_id(known, missing, T_map_camera), radius)
+        pixels = self._pixels_by_id(known, missing, T_map_camera)
+        return self._tracker.recall(view, pixels, radius, self._turns(known, missing, T_map_camera))
 
     def recall_anywhere(self, view: RangeView) -> FiducialObservations:
         """Find again what is not followed, wherever it may be."""
@@ -264,6 +266,16 @@ class SceneFiducials:
     ) -> Mapping[int, FloatArray]:
         pixels = self._project(known.positions[chosen], T_map_camera)
         return dict(zip(known.ids[chosen].tolist(), pixels, strict=True))
+
+    def _turns(
+        self, known: Fiducials, chosen: NDArray[np.bool_], T_map_camera: FloatArray
+    ) -> Mapping[int, float]:
+        """By how much fiducials look turned since they were last seen, by id [rad]."""
+        chosen = chosen & np.isin(known.ids, list(self._seen_from))
+        ids = known.ids[chosen].tolist()
+        before = np.array([self._seen_from[number] for number in ids]).reshape(-1, 2, 3)
+        turns = turns_since(known.positions[chosen], before, T_map_camera)
+        return dict(zip(ids, turns.tolist(), strict=True))
 
     def _project(self, positions: FloatArray, T_map_camera: FloatArray) -> FloatArray:
         return self._camera.project(transform_points(invert_transform(T_map_camera), positions))

@@ -142,6 +142,45 @@ def test_dormant_fiducials_are_recalled_on_their_old_points(plane: TexturedPlane
     assert len(tracker.track(plane.view(pose, 2))) > 0.9 * len(tracker.ids)
 
 
+@pytest.mark.parametrize("roll", [0.6, -1.7, np.pi])
+@pytest.mark.parametrize("radius", [8.0, 30.0])  # by template, and by descriptor
+def test_a_rolled_camera_recalls_what_it_saw_upright(
+    plane: TexturedPlane, roll: float, radius: float
+) -> None:
+    pose = camera_at([0.02, -0.03, 0.1], [0.0, 0.0, roll])
+    view = plane.view(pose, 1)
+    found = []
+    for turn in (-roll, 0.0):
+        tracker, pixels = chosen(plane)
+        tracker.set_aside(np.arange(len(pixels)))
+        expected = plane.moved(START, pose, pixels)
+        inside = ((expected > 15) & (expected < [304, 224])).all(axis=1)
+        predicted = {k: expected[k] + [4.0, -3.0] for k in np.flatnonzero(inside).tolist()}
+        seen = tracker.recall(view, predicted, radius, dict.fromkeys(predicted, turn))
+        error = np.linalg.norm(seen.pixels - expected[seen.ids], axis=1)
+        assert (error < 0.5).all()
+        found.append(len(seen) / len(predicted))
+    assert found[0] > 0.6
+    assert found[1] < 0.5 * found[0]
+
+
+def test_a_fiducial_is_recalled_by_how_it_looked_last(plane: TexturedPlane) -> None:
+    """Chosen upright, last seen by a camera that had rolled slowly, and looked for from there."""
+    tracker, pixels = chosen(plane)
+    for k in range(1, 11):
+        last = camera_at([0.0, 0.0, 0.0], [0.0, 0.0, 0.15 * k])
+        seen = tracker.track(plane.view(last, k))
+    assert len(seen) > 0.3 * len(pixels)
+    tracker.set_aside(seen.ids)
+    tracker.remove(tracker.ids)
+    expected = plane.moved(START, last, pixels)
+    predicted = {k: expected[k] for k in seen.ids.tolist()}
+    for radius in (8.0, 30.0):
+        again = tracker.recall(plane.view(last, 20), predicted, radius)
+        assert len(again) > 0.7 * len(seen)
+        tracker.set_aside(again.ids)
+
+
 def test_a_restored_tracker_recalls_what_the_saved_one_knew(plane: TexturedPlane) -> None:
     tracker, pixels = chosen(plane)
     tracker.set_aside([0, 1])

@@ -10,6 +10,7 @@ from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.localization.fiducials.viewpoints import (
     look_the_same,
     moved_viewpoint,
+    turns_since,
     viewpoint,
 )
 
@@ -47,6 +48,24 @@ def test_a_camera_that_turns_to_a_side_sees_the_same() -> None:
     before = np.stack([viewpoint(np.eye(4))] * 2)
     turned = make_transform(Rotation.from_rotvec([0.0, 0.6, 0.0]).as_matrix(), np.zeros(3))
     assert look_the_same(POINTS, before, turned).all()
+
+
+@pytest.mark.parametrize("roll", [0.3, -1.2, 2.9])
+def test_a_rolled_camera_sees_all_turned_the_other_way(roll: float) -> None:
+    before = np.stack([viewpoint(np.eye(4))] * 2)
+    rolled = make_transform(Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix(), np.zeros(3))
+    np.testing.assert_allclose(turns_since(POINTS, before, rolled), -roll, atol=0.03)
+
+
+def test_the_turn_is_that_of_what_was_below_in_the_image() -> None:
+    """Against where a point goes that lay on a line of sight a little below, equally far."""
+    first, second = np.eye(4), about_the_first([0.2, -0.15, 1.9], nearer=1.3)
+    ray = POINTS[0] + [0.0, 1e-4, 0.0]
+    below = ray * (POINTS[0] @ POINTS[0]) / (ray @ POINTS[0])
+    inside = (np.stack([POINTS[0], below]) - second[:3, 3]) @ second[:3, :3]
+    u, v = np.diff(inside[:, :2] / inside[:, 2:], axis=0)[0]
+    turns = turns_since(POINTS[:1], viewpoint(first)[None], second)
+    assert turns[0] == pytest.approx(np.arctan2(-u, v), abs=1e-3)
 
 
 def test_viewpoints_follow_the_maps_frame() -> None:

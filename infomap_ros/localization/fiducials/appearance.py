@@ -26,6 +26,7 @@ SCALES = (0.5, 0.71, 1.0, 1.41, 2.0)
 
 # Corners this near to the best match show the same thing and do not rival it [px].
 _SAME_PLACE = 2.0
+_TURN = np.pi / 9.0  # [rad]; descriptors compare well when turned by half of it
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ def find_again(
     predicted: ArrayLike | None = None,
     radius: float | None = None,
     config: AppearanceConfig | None = None,
+    turns: FloatArray | None = None,
 ) -> AppearanceMatches:
     """Look for described fiducials in a view.
 
@@ -117,6 +119,8 @@ def find_again(
         predicted: where they are expected, shape (N, 2) [px]; NaN = unknown, not looked for.
         radius: a fiducial is looked for this far from where it is expected [px].
         config: defaults where None.
+        turns: by which each is expected to look turned, from u towards v, since it was described,
+            shape (N,) [rad]; not at all where None.
 
     Raises:
         InvalidInputError: shapes do not fit, or a prediction comes without a radius.
@@ -130,8 +134,12 @@ def find_again(
     if len(corners) < 2 or len(descriptors) == 0:
         nothing = np.zeros(0)
         return AppearanceMatches(np.zeros(0, np.int64), np.zeros((0, 2)), nothing, nothing)
-    described = gradient_histograms(view.image, corners, (config.spacing,))[:, 0]
-    distances, scales = _distances(descriptors, described)
+    steps = np.zeros(len(descriptors)) if turns is None else np.rint(turns / _TURN)
+    distances, scales = np.zeros((2, len(descriptors), len(corners)))
+    for step in np.unique(steps):
+        same = steps == step
+        described = gradient_histograms(view.image, corners, (config.spacing,), step * _TURN)[:, 0]
+        distances[same], scales[same] = _distances(descriptors[same], described)
     if predicted is not None and radius is not None:
         places = check_pixels(predicted, "predicted")
         if len(places) != len(descriptors):

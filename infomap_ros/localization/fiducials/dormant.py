@@ -53,10 +53,14 @@ class DormantFiducials:
         """
         rows = np.arange(len(self.tracks))
         found = find_again(view, self.tracks.descriptors, config=self.config.appearance)
-        return self._verified(view, rows, found)
+        return self._verified(view, rows, np.zeros(len(rows)), found)
 
     def find_near(
-        self, view: RangeView, predicted: Mapping[int, ArrayLike], radius: float
+        self,
+        view: RangeView,
+        predicted: Mapping[int, ArrayLike],
+        radius: float,
+        turns: Mapping[int, float] | None = None,
     ) -> tuple[Tracks, FloatArray]:
         """Look for some of them where they are expected; see `find_anywhere`.
 
@@ -64,26 +68,30 @@ class DormantFiducials:
             view: where to look.
             predicted: (u, v) by id [px].
             radius: how far from there they may be [px].
+            turns: by which they look turned against when they were last followed, from u towards
+                v, by id [rad]; not at all where it is not said.
         """
         rows = np.flatnonzero(np.isin(self.tracks.ids, list(predicted)))
         expected = [np.asarray(predicted[name]) for name in self.tracks.ids[rows].tolist()]
         places = check_pixels(np.array(expected), "predicted")
         finite = np.isfinite(places).all(axis=1)
         rows, places = rows[finite], places[finite]
+        since = [(turns or {}).get(name, 0.0) for name in self.tracks.ids[rows].tolist()]
+        angles = _turn_of(self.tracks.warps[rows]) + np.array(since).reshape(-1)
         if radius <= self.config.direct_radius:
-            return self._aligned(view, rows, places, int(np.ceil(radius)))
+            return self._aligned(view, rows, places, angles, int(np.ceil(radius)))
         descriptors = self.tracks.descriptors[rows]
-        found = find_again(view, descriptors, places, radius, self.config.appearance)
-        return self._verified(view, rows, found)
+        found = find_again(view, descriptors, places, radius, self.config.appearance, angles)
+        return self._verified(view, rows, angles, found)
 
     def _verified(
-        self, view: RangeView, rows: NDArray[np.int64], found: AppearanceMatches
+        self, view: RangeView, rows: NDArray[np.int64], angles: FloatArray, found: AppearanceMatches
     ) -> tuple[Tracks, FloatArray]:
         """Align what descriptors have found, if it is as much nearer or farther as it looks."""
-        rows = rows[found.indices]
+        rows, angles = rows[found.indices], angles[found.indices]
         scale = self._scale(view, rows, found.pixels)
         fits = ~(np.abs(np.log(scale / found.scales)) > _SCALE_TOLERANCE)
-        return self._aligned(view, rows[fits], found.pixels[fits], _DESCRIPTOR_SEARCH)
+        return self._aligned(view, rows[fits], found.pixels[fits], angles[fits], _DESCRIPTOR_SEARCH)
 
     def _scale(self, view: RangeView, rows: NDArray[np.int64], places: FloatArray) -> FloatArray:
         """How much nearer the camera is now by the ranges, shape (M,); NaN without a range."""
@@ -92,21 +100,38 @@ class DormantFiducials:
         return np.asarray(near / self.tracks.inverse_depths[rows])
 
     def _aligned(
-        self, view: RangeView, rows: NDArray[np.int64], places: FloatArray, reach: int
+        self,
+        view: RangeView,
+        rows: NDArray[np.int64],
+        places: FloatArray,
+        angles: FloatArray,
+        reach: int,
     ) -> tuple[Tracks, FloatArray]:
-        """Align with the templates, scaled by how much nearer or farther the camera is now."""
+        """Align with the templates, turned, and scaled by how much nearer the camera is now."""
         tracks = self.tracks.select(rows)
         scale = self._scale(view, rows, places)
         scale = np.where(scale > 0.0, scale, 1.0)
         scale = np.clip(scale, 1.0 / _LARGEST_SCALE, _LARGEST_SCALE)
         search = np.full(len(rows), reach)
-        warps = scale[:, None, None] * np.eye(2)
+        warps = scale[:, None, None] * _turned(angles)
         aligned = align_templates(view.image, tracks.templates, places, warps, search)
         seen = aligned._replace(sigmas=at_scale(aligned.sigmas, aligned.warps))
         found = believed(seen, places, search, self.config, self.config.max_recalled_sigma)
         tracks.pixels[:], tracks.warps[:] = aligned.pixels, aligned.warps
         tracks.flowed[:], tracks.followed[:], tracks.missed[:] = aligned.pixels, True, 0
         return tracks.select(found), aligned.sigmas[found]
+
+
+def _turn_of(warps: FloatArray) -> FloatArray:
+    """By how much warps turn, from u towards v, shape (N,) [rad]."""
+    turn, shear = warps[:, 1, 0] - warps[:, 0, 1], warps[:, 0, 0] + warps[:, 1, 1]
+    return np.asarray(np.arctan2(turn, shear))
+
+
+def _turned(angles: FloatArray) -> FloatArray:
+    """Warps that only turn, shape (N, 2, 2)."""
+    c, s = np.cos(angles), np.sin(angles)
+    return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
 
 
 def at_scale(sigmas: FloatArray, warps: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
-"""Descriptors of image patches: histograms of gradients, upright, at a spacing that is asked for.
+"""Descriptors of image patches: histograms of gradients, at a spacing and turn that are asked for.
 
 The layout is that of SIFT (D. G. Lowe 2004, DOI 10.1023/B:VISI.0000029664.99615.94): 16 x 16
 gradients in 4 x 4 cells of 8 directions, weighted by a Gaussian and shared between neighbouring
 bins. Square roots of the shares compare better than the shares themselves (R. Arandjelovic and A.
 Zisserman 2012, DOI 10.1109/CVPR.2012.6248018). There is no search for a scale or a direction: the
-scale follows from the range, and cameras on vehicles are kept upright.
+scale follows from the range, the direction from the pose that is expected.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ _WINDOW_SIGMA = 2.0  # of the Gaussian weight [cells]
 
 
 def gradient_histograms(
-    image: NDArray[np.uint8], pixels: FloatArray, spacings: tuple[float, ...]
+    image: NDArray[np.uint8],
+    pixels: FloatArray,
+    spacings: tuple[float, ...],
+    turn: float = 0.0,
 ) -> NDArray[np.uint8]:
     """Describe patches at several scales.
 
@@ -35,6 +38,7 @@ def gradient_histograms(
         image: grey, shape (H, W); goes on beyond its border as its outermost pixels do.
         pixels: centres, shape (N, 2) [px].
         spacings: distances of neighbouring gradients [px], S of them.
+        turn: of the patches, from u towards v [rad].
 
     Returns:
         Square roots of the histograms' shares times 255, shape (N, S, 128), uint8; all zero where
@@ -43,22 +47,23 @@ def gradient_histograms(
     places = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 2)
     described = np.zeros((len(places), len(spacings), LENGTH), np.float32)
     levels = [max(0, round(np.log2(spacing))) for spacing in spacings]
-    smooth = image
+    smooth, along = image, (np.cos(turn), np.sin(turn))
     for level in range(max(levels, default=0) + 1):
         smooth = image if level == 0 else cv2.pyrDown(smooth)
         blurred = np.asarray(cv2.GaussianBlur(smooth, (0, 0), _SMOOTHING))
         here = (places + 0.5) / 2.0**level - 0.5
         for scale, spacing in enumerate(spacings):
             if levels[scale] == level:
-                _describe_all(blurred, here, spacing / 2.0**level, described[:, scale])
+                step = spacing / 2.0**level
+                _describe_all(blurred, here, step * along[0], step * along[1], described[:, scale])
     return np.asarray(np.rint(255.0 * described), dtype=np.uint8)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _describe_all(image, pixels, spacing, described):  # type: ignore[no-untyped-def]
+def _describe_all(image, pixels, du, dv, described):  # type: ignore[no-untyped-def]
     patch = np.empty((_GRID + 2, _GRID + 2))
     for n in range(len(pixels)):
-        _sample(image, pixels[n, 0], pixels[n, 1], spacing, patch)
+        _sample(image, pixels[n, 0], pixels[n, 1], du, dv, patch)
         histogram = described[n]
         for j in range(_GRID):
             for i in range(_GRID):
@@ -72,18 +77,18 @@ def _describe_all(image, pixels, spacing, described):  # type: ignore[no-untyped
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _sample(image, u, v, spacing, patch):  # type: ignore[no-untyped-def]
-    """Bilinear samples on a square grid about a pixel, clamped to the image."""
+def _sample(image, u, v, du, dv, patch):  # type: ignore[no-untyped-def]
+    """Bilinear samples on a square grid about a pixel, its rows along (du, dv), clamped."""
     height, width = image.shape
     middle = 0.5 * (patch.shape[0] - 1)
     for j in range(patch.shape[0]):
-        t = min(max(v + (j - middle) * spacing, 0.0), height - 1.001)
-        row = int(t)
-        g = t - row
+        y = j - middle
         for i in range(patch.shape[1]):
-            s = min(max(u + (i - middle) * spacing, 0.0), width - 1.001)
-            column = int(s)
-            f = s - column
+            x = i - middle
+            s = min(max(u + x * du - y * dv, 0.0), width - 1.001)
+            t = min(max(v + x * dv + y * du, 0.0), height - 1.001)
+            column, row = int(s), int(t)
+            f, g = s - column, t - row
             top = image[row, column] * (1.0 - f) + image[row, column + 1] * f
             bottom = image[row + 1, column] * (1.0 - f) + image[row + 1, column + 1] * f
             patch[j, i] = top * (1.0 - g) + bottom * g

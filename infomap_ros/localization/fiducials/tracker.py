@@ -129,6 +129,7 @@ class FiducialTracker:
         view: RangeView,
         predicted: Mapping[int, ArrayLike] | None = None,
         radius: float | None = None,
+        turns: Mapping[int, float] | None = None,
     ) -> FiducialObservations:
         """Find dormant fiducials again, and follow them from now on.
 
@@ -140,6 +141,8 @@ class FiducialTracker:
             predicted: where they are expected, (u, v) by id [px]; only those named are looked for.
                 None: all, anywhere in the image.
             radius: how far from there they may be [px]; goes with `predicted`.
+            turns: by which they look turned against when they were last followed, from u towards
+                v, by id [rad]; not at all where it is not said.
 
         Returns:
             Those that were found.
@@ -152,7 +155,7 @@ class FiducialTracker:
         if predicted is None or radius is None:
             found, sigmas = self._dormant.find_anywhere(view)
         else:
-            found, sigmas = self._dormant.find_near(view, predicted, radius)
+            found, sigmas = self._dormant.find_near(view, predicted, radius, turns)
         self._dormant.forget(found.ids)
         self._flow.remember(view.image)
         self._tracks = self._tracks.joined(found)
@@ -267,6 +270,7 @@ class FiducialTracker:
         patches, inside = cut_templates(image, tracks.pixels[well], upright, config.template)
         rows = np.flatnonzero(well)[inside]
         tracks.templates[rows], tracks.warps[rows] = patches[inside], np.eye(2)
+        tracks.descriptors[rows] = describe(image, tracks.pixels[rows], config.appearance)
         tracks.inverse_depths[rows] = np.nan
         tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
 

@@ -31,8 +31,8 @@ def look_the_same(
 ) -> NDArray[np.bool_]:
     """Whether points look about as they did: from the same side, as large, and the same way up.
 
-    Templates and descriptors find a fiducial again only then. A camera on an arm may well come back
-    upside down.
+    Templates and descriptors find a fiducial again anywhere only then. A camera on an arm may well
+    come back upside down.
 
     Args:
         points: in the map, shape (N, 3) [m].
@@ -49,6 +49,24 @@ def look_the_same(
     same &= _cosines(*downs) > np.cos(_SAME_ROLL)
     same &= (lengths[1] < _SAME_SCALE * lengths[0]) & (lengths[0] < _SAME_SCALE * lengths[1])
     return np.asarray(same)
+
+
+def turns_since(points: FloatArray, before: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+    """By how much the surroundings of points look turned in the image.
+
+    Args:
+        points: in the map, before the camera, shape (N, 3) [m].
+        before: from where each was seen, shape (N, 2, 3).
+        T_map_camera: from where they are seen now, shape (4, 4).
+
+    Returns:
+        From the image's u axis towards its v axis, shape (N,) [rad].
+    """
+    downs = _across(before[:, 1], before[:, 0] - points) @ T_map_camera[:3, :3]
+    inside = (points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+    du = downs[:, 0] * inside[:, 2] - inside[:, 0] * downs[:, 2]
+    dv = downs[:, 1] * inside[:, 2] - inside[:, 1] * downs[:, 2]
+    return np.asarray(np.arctan2(-du, dv))
 
 
 def _across(directions: FloatArray, rays: FloatArray) -> FloatArray:

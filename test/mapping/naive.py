@@ -80,21 +80,22 @@ def measured_depths(
 def pyramid(depths: np.ndarray) -> list[np.ndarray]:
     """Levels of cells of 2, 4, 8, ... pixels: the depth up to which a cell sees, -inf = unmeasured.
 
-    A cell of 2 x 2 pixels is measured where one of its pixels is, a larger cell where at least
-    half of its parts are; it sees as far as its shortest-sighted measured part.
+    A cell of 2 x 2 pixels is measured where one of its pixels is, a larger cell where three
+    quarters of its area are; it sees as far as its shortest-sighted measured pixel.
     """
     levels: list[np.ndarray] = []
-    values = np.where(np.isnan(depths), -np.inf, depths)
-    while not levels or max(values.shape) > 1:
-        height, width = (values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2
-        coarse = np.empty((height, width))
-        for v, u in itertools.product(range(height), range(width)):
-            parts = values[2 * v : 2 * v + 2, 2 * u : 2 * u + 2].ravel()
-            measured = parts[parts > -np.inf]
-            enough = len(measured) > 0 and (not levels or 2 * len(measured) >= len(parts))
-            coarse[v, u] = measured.min() if enough else -np.inf
-        levels.append(coarse)
-        values = coarse
+    nearest, share = np.where(np.isnan(depths), np.inf, depths), ~np.isnan(depths)
+    while not levels or max(nearest.shape) > 1:
+        cells = [(slice(2 * v, 2 * v + 2), slice(2 * u, 2 * u + 2))
+                 for v in range((nearest.shape[0] + 1) // 2)
+                 for u in range((nearest.shape[1] + 1) // 2)]  # fmt: skip
+        shape = (nearest.shape[0] + 1) // 2, (nearest.shape[1] + 1) // 2
+        together = np.mean if levels else np.max
+        nearest, share = (
+            np.array([nearest[cell].min() for cell in cells]).reshape(shape),
+            np.array([float(together(share[cell])) for cell in cells]).reshape(shape),
+        )
+        levels.append(np.where(share >= 0.75, nearest, -np.inf))
     return levels
 
 

@@ -1,8 +1,9 @@
 """Free space of an organised scan, by projecting voxels into the range image.
 
-A voxel is free when every measured pixel of its footprint sees past the voxel's far side. The rule
-asks the scan alone, so scans may come in any order; and a thin obstacle that covers a few pixels
-of the footprint keeps its voxel, as does a floor seen at a grazing angle.
+A voxel is free when most of its footprint is measured, and every measured pixel of it sees past the
+voxel's far side. The rule asks the scan alone, so scans may come in any order; and a thin obstacle
+that covers a few pixels of the footprint keeps its voxel, as does a floor seen at a grazing angle,
+and a table top seen edge-on, of which no pixel may be measured.
 
 A pyramid over the range image answers for whole footprints. The footprint of a voxel is a 3 x 3
 neighbourhood of cells on the level whose cells are as wide as half the footprint or wider; `safe`

@@ -1,8 +1,9 @@
 """A pyramid over the range image that answers for whole footprints.
 
-`lower` is the depth up to which every measured pixel of a cell sees through, `safe` the smallest
-`lower` of a cell and its neighbours, `strict` the depth up to which all pixels of a cell see
-through if all its parts are measured (else -inf), `upper` what its farthest-seeing pixel reaches.
+`lower` is the depth up to which every measured pixel of a cell sees through, `share` the part of
+its area that is measured, `safe` the smallest `lower` of a cell and its neighbours (-inf where too
+little of one is measured), `strict` the depth up to which all pixels of a cell see through if all
+its parts are measured (else -inf), `upper` what its farthest-seeing pixel reaches.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ LOW_CELL = 8
 """Parts of an image that begin at multiples of this [px] share no cell of the low levels."""
 
 _LOW_LEVELS = 3
+_MEASURED = 0.75  # share of a cell that must be measured for it to see through
 
 
 class Pyramid(NamedTuple):
     """Depth pyramid; level l has cells of 2^(l + 1) pixels, all levels in flat arrays.
 
     Attributes:
-        lower: depth up to which all measured pixels of a cell see through, float32 [m].
+        lower: depth up to which all measured pixels of a cell see through, float32 [m]; inf where
+            none is measured.
+        share: part of a cell's area that is measured, 0 to 1, float32.
         safe: smallest `lower` of a cell and its neighbours, float32 [m].
         strict: float32 [m].
         upper: float32 [m].
@@ -34,6 +38,7 @@ class Pyramid(NamedTuple):
     """
 
     lower: NDArray[np.float32]
+    share: NDArray[np.float32]
     safe: NDArray[np.float32]
     strict: NDArray[np.float32]
     upper: NDArray[np.float32]
@@ -52,6 +57,7 @@ def empty_pyramid(width: int, height: int) -> Pyramid:
     starts = np.concatenate([[0], np.cumsum(cells)[:-1]]).astype(np.int64)
     total = int(cells.sum())
     return Pyramid(
+        np.empty(total, np.float32),
         np.empty(total, np.float32),
         np.empty(total, np.float32),
         np.empty(total, np.float32),
@@ -81,11 +87,11 @@ def build_low_levels(pyramid: Any, first: int, last: int) -> None:
         first: first row of the image [px], a multiple of `LOW_CELL`.
         last: one past the last row, a multiple of `LOW_CELL` or the height.
     """
-    lower, strict, width = pyramid.lower, pyramid.strict, pyramid.widths[0]
+    lower, share, strict, width = pyramid.lower, pyramid.share, pyramid.strict, pyramid.widths[0]
     for i in range((first >> 1) * width, ((last + 1) >> 1) * width):
-        if lower[i] == np.inf:
-            lower[i] = -np.inf
-        strict[i] = lower[i]
+        is_measured = lower[i] < np.inf
+        share[i] = 1.0 if is_measured else 0.0
+        strict[i] = lower[i] if is_measured else -np.inf
     for level in range(min(_LOW_LEVELS, len(pyramid.starts))):
         cell = 2 << level
         top, bottom = first // cell, (last + cell - 1) // cell
@@ -115,37 +121,37 @@ def build_high_levels(pyramid: Any, cuts: Any) -> None:
 
 @kernel
 def _build_level(pyramid: Any, level: int, first: int, last: int) -> None:
-    """Fill the rows [first, last) of a level from the level below.
-
-    A cell counts as measured in `lower` when at least half of its parts do.
-    """
-    lower, strict, upper = pyramid.lower, pyramid.strict, pyramid.upper
+    """Fill the rows [first, last) of a level from the level below."""
+    lower, share, strict, upper = pyramid.lower, pyramid.share, pyramid.strict, pyramid.upper
     below, below_start = pyramid.widths[level - 1], pyramid.starts[level - 1]
     below_height, width = pyramid.heights[level - 1], pyramid.widths[level]
     for v in range(first, last):
         for u in range(width):
             low, low_strict, high = np.inf, np.inf, -np.inf
-            parts, measured = 0, 0
+            parts, measured = 0, 0.0
             for dv in range(2):
                 for du in range(2):
                     if 2 * v + dv < below_height and 2 * u + du < below:
                         i = below_start + (2 * v + dv) * below + 2 * u + du
                         parts += 1
-                        if lower[i] > -np.inf:
-                            measured += 1
-                            low = min(low, lower[i])
+                        measured += share[i]
+                        low = min(low, lower[i])
                         low_strict = min(low_strict, strict[i])
                         high = max(high, upper[i])
             cell = pyramid.starts[level] + v * width + u
-            lower[cell] = low if 2 * measured >= parts else -np.inf
+            lower[cell], share[cell] = low, measured / parts
             strict[cell] = low_strict
             upper[cell] = high
 
 
 @kernel
 def _spread_level(pyramid: Any, level: int, first: int, last: int) -> None:
-    """Fill `safe` from `lower` in the rows [first, last) of a level."""
-    lower, safe = pyramid.lower, pyramid.safe
+    """Fill `safe` from `lower` and `share` in the rows [first, last) of a level.
+
+    Of a table top that is seen edge-on no pixel may be kept, as all are next to a jump of depth.
+    What is measured beside the strip that is left out says nothing of the table top.
+    """
+    lower, share, safe = pyramid.lower, pyramid.share, pyramid.safe
     width, height = pyramid.widths[level], pyramid.heights[level]
     start = pyramid.starts[level]
     for v in range(first, last):
@@ -154,15 +160,22 @@ def _spread_level(pyramid: Any, level: int, first: int, last: int) -> None:
         for u in range(width + 1):
             columns_next = np.inf
             if u < width:
-                a = lower[start + above * width + u]
-                b = lower[start + v * width + u]
-                c = lower[start + below * width + u]
-                columns_next = min(a, min(b, c))
+                a, b, c = above * width + u, v * width + u, below * width + u
+                columns_next = min(
+                    _seen(lower, share, start + a),
+                    min(_seen(lower, share, start + b), _seen(lower, share, start + c)),
+                )
             if u > 0:
                 safe[start + v * width + u - 1] = min(
                     columns_before, min(columns_here, columns_next)
                 )
             columns_before, columns_here = columns_here, columns_next
+
+
+@kernel
+def _seen(lower: Any, share: Any, cell: int) -> Any:
+    """Depth up to which a cell sees through, -inf where too little of it is measured."""
+    return lower[cell] if share[cell] >= _MEASURED else np.float32(-np.inf)
 
 
 @kernel

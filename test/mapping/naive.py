@@ -80,8 +80,8 @@ def measured_depths(
 def pyramid(depths: np.ndarray) -> list[np.ndarray]:
     """Levels of cells of 2, 4, 8, ... pixels: the depth up to which a cell sees, -inf = unmeasured.
 
-    A cell of 2 x 2 pixels is measured where one of its pixels is, a larger cell where three
-    quarters of its area are; it sees as far as its shortest-sighted measured pixel.
+    A cell of 2 x 2 pixels is measured where one of its pixels is, a larger cell where two
+    thirds of its area are; it sees as far as its shortest-sighted measured pixel.
     """
     levels: list[np.ndarray] = []
     nearest, share = np.where(np.isnan(depths), np.inf, depths), ~np.isnan(depths)
@@ -95,7 +95,7 @@ def pyramid(depths: np.ndarray) -> list[np.ndarray]:
             np.array([nearest[cell].min() for cell in cells]).reshape(shape),
             np.array([float(together(share[cell])) for cell in cells]).reshape(shape),
         )
-        levels.append(np.where(share >= 0.75, nearest, -np.inf))
+        levels.append(np.where(share >= 2.0 / 3.0, nearest, -np.inf))
     return levels
 
 

@@ -64,7 +64,7 @@ def test_voxels_are_freed_by_the_rule_in_random_scenes(seed):
     focal = rng.uniform(0.7, 1.5) * width
     camera = PinholeCamera(width, height, focal, focal * 1.1, width / 2 - 1.3, height / 2 + 0.7)
     pose = random_pose(rng)
-    points = with_holes(random_scene(rng).points(camera, pose), rng, 0.12)
+    points = with_holes(random_scene(rng).points(camera, pose), rng, 0.15)
     size = float(rng.choice([0.05, 0.08, 0.11]))
     verdict = assert_follows_rule(points, camera, pose, size, max_range=1.8)
     assert verdict.free.sum() > 100

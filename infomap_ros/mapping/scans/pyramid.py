@@ -19,7 +19,7 @@ LOW_CELL = 8
 """Parts of an image that begin at multiples of this [px] share no cell of the low levels."""
 
 _LOW_LEVELS = 3
-_MEASURED = 0.75  # share of a cell that must be measured for it to see through
+_MEASURED = 2.0 / 3.0  # share of a cell that must be measured for it to see through
 
 
 class Pyramid(NamedTuple):

@@ -127,7 +127,7 @@ class StereoConfig:
         high=100.0,
     )
     min_support: float = parameter(
-        0.25,
+        0.5,
         "Pixels that stand alone are dropped: so large a share of the 9 x 9 pixels about each must "
         "be kept by all other checks.",
         low=0.0,

@@ -1,4 +1,4 @@
-"""The choice among candidates, again with others, and by missing surface where there is none."""
+"""The choice among candidates, again with others, from afar, and by missing surface at last."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class ViewChoice:
     """Chooses a view that can be reached and is worth its cost.
 
     Where none of the views that were tried can be reached, they are remembered and others are
-    drawn. Where none is worth its cost although more is asked for, views are sought that close the
-    holes of the mapped surface.
+    drawn. Where none is worth its cost although more is asked for, the way counts less; where none
+    is even so, views are sought that close the holes of the mapped surface.
 
     Args:
         config: of choice and memory.
@@ -52,9 +52,12 @@ class ViewChoice:
             NextBestView(config.choice, config.strategy, information, localisation_error)
         ]
         if config.thorough < 1.0:
-            close = _of_surface(config.choice, config.thorough)
-            completion = self._completion
-            self._choices.append(NextBestView(close, completion, completion, localisation_error))
+            far = _from_afar(config.choice, config.thorough)
+            close, closing = _of_surface(far, config.thorough), self._completion
+            self._choices += [
+                NextBestView(far, config.strategy, information, localisation_error),
+                NextBestView(close, closing, closing, localisation_error),
+            ]
 
     def select(
         self,
@@ -73,7 +76,7 @@ class ViewChoice:
             robot: asked for ways to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            thorough: where no view is worth its cost, look for missing surface.
+            thorough: where no view is worth its cost, look farther, and for missing surface.
             lasting: remember for later choices which views could not be reached.
 
         Returns:
@@ -115,7 +118,7 @@ class ViewChoice:
         """One decision after the other, each knowing what could not be reached before."""
         voxel_map = situation.voxel_map
         for index, choice in enumerate(self._choices[: None if thorough else 1]):
-            if index == 1 and not self._completion.prepare(situation):
+            if index == 2 and not self._completion.prepare(situation):
                 return
             for _ in range(self._rounds):
                 yield choice.select(
@@ -149,16 +152,20 @@ class _Attempts:
         return result
 
 
+def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
+    """A choice for which the way counts by a share."""
+    rating = config.rating
+    return replace(config, rating=replace(rating, distance_weight=share * rating.distance_weight))
+
+
 def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
-    """A choice by missing surface, for which way and least information count by a share.
+    """A choice by missing surface, for which the least information counts by a share.
 
     Looks in vain are counted voxel by voxel there, so that views are not compared for them.
     """
     rating, selection = config.rating, config.selection
     return replace(
         config,
-        rating=replace(
-            rating, distance_weight=share * rating.distance_weight, repetition_weight=0.0
-        ),
+        rating=replace(rating, repetition_weight=0.0),
         selection=replace(selection, least_information=share * selection.least_information),
     )

@@ -50,9 +50,9 @@ class ViewPlannerConfig:
     )
     thorough: float = parameter(
         0.3,
-        "Where no view is worth its cost and the task is not met yet, views are sought that close "
-        "holes of the mapped surface. Their way, and what they must bring at least, count by this "
-        "share only; 1 gives up at once.",
+        "Where no view is worth its cost and the task is not met yet, the way counts by this share "
+        "only, and then views are sought that close holes of the mapped surface, of which this "
+        "share of the least information is asked for. 1 gives up at once.",
         low=0.0,
         high=1.0,
     )

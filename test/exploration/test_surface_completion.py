@@ -68,9 +68,11 @@ def situation_of(voxel_map: VoxelMap, pose: np.ndarray) -> Situation:
     return Situation(voxel_map, CAMERA, 3.0, pose, region=RegionOfTask(*map(tuple, REGION)))
 
 
-def prepared(voxel_map: VoxelMap, patience: float = 10.0) -> tuple[SurfaceCompletion, Situation]:
+def prepared(
+    voxel_map: VoxelMap, patience: float = 10.0, hiding: float = 0.5
+) -> tuple[SurfaceCompletion, Situation]:
     """With the camera turned away from the hole."""
-    completion = SurfaceCompletion(InformationConfig(), patience)
+    completion = SurfaceCompletion(InformationConfig(hiding_probability=hiding), patience)
     situation = situation_of(voxel_map, view_from((-0.5, 0.0, 0.6), (-1.5, 0.0, 0.3)))
     completion.prepare(situation)
     return completion, situation
@@ -123,6 +125,20 @@ def test_a_wall_hides_the_hole(floor):
     assert not np.isin(gains.keys, keys_of(HOLE)).any()
 
 
+@pytest.mark.parametrize(("evidence", "shows"), [(8, True), (9, False)])
+def test_what_is_less_than_a_hit_hides_nothing_where_a_hit_is_asked_for(floor, evidence, shows):
+    """A layer of evidence in the air above the hole, of 2.0 or 2.25 nats; 0.9 is 2.2 nats."""
+    completion, situation = prepared(with_hole(floor), hiding=0.9)
+    view = view_from((0.4, 0.0, 0.8), (0.45, 0.0, 0.0))
+    before = completion.exact(situation, view[None])
+    places = np.indices((20, 20, 1), np.int32).reshape(3, -1).T + np.int32((0, -10, 6))
+    layer = unknown_states(places)
+    layer.known[:], layer.quanta[:] = True, evidence
+    put_states(floor._storage, layer)
+    assert before[0] > 1.0
+    np.testing.assert_array_equal(completion.exact(situation, view[None]), shows * before)
+
+
 def keys_of(voxels: np.ndarray) -> np.ndarray:
     return np.array([pack(*map(int, voxel)) for voxel in voxels])
 
@@ -159,3 +175,16 @@ def test_what_is_looked_at_in_vain_is_given_up(floor):
     ]
     assert left[0] == len(MISSING) and left[-1] == 0
     assert left == sorted(left, reverse=True)
+
+
+def test_a_look_in_vain_takes_its_share_of_the_hope(floor):
+    """A view shows voxels with weights w; after it was taken in vain, w (1 - w / patience)."""
+    completion, _ = prepared(with_hole(floor), patience=2.0)
+    view = view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0))
+    situation = situation_of(floor, view)
+    completion.prepare(situation)
+    weights = completion.gains(situation, view[None])[0].gains
+    completion.prepare(replace(situation, past_views=view[None]))
+    assert len(weights) == len(MISSING) and weights.min() > 0.3
+    again = completion.gains(situation, view[None])[0].gains
+    np.testing.assert_allclose(again, weights * (1.0 - weights / 2.0))

@@ -26,6 +26,7 @@ from infomap_ros.motion.route import ReachResult
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
+from infomap_ros.views.ranking.rating import RatingConfig
 
 CAMERA = PinholeCamera(160, 120, 110.0, 110.0, 79.5, 59.5)
 TASK = TaskConfig(region_low=(-1.4, -1.4, -0.3), region_high=(1.4, 1.4, 1.0))
@@ -77,12 +78,23 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     return views
 
 
-def planner_of(robot: RobotModel, task: TaskConfig = TASK, thorough: float = 1.0) -> ViewPlanner:
+def planner_of(
+    robot: RobotModel,
+    task: TaskConfig = TASK,
+    thorough: float = 1.0,
+    choice: NextBestViewConfig | None = None,
+) -> ViewPlanner:
     return ViewPlanner(
         robot,
         StereoRig(CAMERA, CAMERA, 0.1),
         task,
-        ViewPlannerConfig(arm_views=40, rounds=ROUNDS, threads=1, thorough=thorough),
+        ViewPlannerConfig(
+            choice=choice or NextBestViewConfig(),
+            arm_views=40,
+            rounds=ROUNDS,
+            threads=1,
+            thorough=thorough,
+        ),
     )
 
 
@@ -131,6 +143,21 @@ def test_little_is_worth_a_view_where_the_task_asks_for_it(robot, thorough, want
     task = dataclasses.replace(TASK, known_fraction=wanted)
     choice = planner_of(robot, task, thorough).choose(voxel_map, standing(robot))
     assert (choice.pose is not None) == looks
+
+
+@pytest.mark.parametrize(
+    ("thorough", "wanted", "goes"), [(1.0, 1.0, False), (0.01, 0.1, False), (0.01, 1.0, True)]
+)
+def test_a_long_way_is_worth_it_where_the_task_asks_for_it(
+    robot, half_known, thorough, wanted, goes
+):
+    """No view is worth its way where a metre costs five full views."""
+    choice = NextBestViewConfig(rating=RatingConfig(distance_weight=5.0))
+    task = dataclasses.replace(TASK, known_fraction=wanted)
+    found = planner_of(robot, task, thorough, choice).choose(half_known, standing(robot))
+    assert (found.pose is not None) == goes
+    if goes:
+        assert found.reason.startswith("largest_information")
 
 
 def test_doubtful_pose_keeps_more_room_where_a_view_is_left_then(robot, half_known, monkeypatch):

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, make_transform
+from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import InformationConfig, expected_information
@@ -24,8 +24,8 @@ COARSE = InformationConfig(ray_spacing=0.09, range_noise=0.02)
 
 def random_map(rng: np.random.Generator, side: int = 24) -> VoxelMap:
     """Clutter of unknown, empty, uncertain and solid voxels, a third of the blocks all alike."""
-    kinds = np.array([UNKNOWN_QUANTA, -30, -30, -30, -5, 0, 3, 20])
-    quanta = rng.choice(kinds, (side, side, side), p=[0.2, 0.3, 0.2, 0.15, 0.06, 0.04, 0.03, 0.02])
+    kinds = np.array([UNKNOWN_QUANTA, -30, -5, 0, 3, 10, 20])
+    quanta = rng.choice(kinds, (side, side, side), p=[0.2, 0.65, 0.06, 0.04, 0.02, 0.01, 0.02])
     for corner in np.ndindex(side // 8, side // 8, side // 8):
         if rng.random() < 0.33:
             block = tuple(slice(8 * c, 8 * c + 8) for c in corner)
@@ -38,11 +38,13 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
     return make_transform(Rotation.random(random_state=rng).as_matrix(), position)
 
 
-@pytest.mark.parametrize("occlusion", [0.0, 0.6])
-def test_agrees_with_a_naive_sum(rng: np.random.Generator, occlusion: float) -> None:
+@pytest.mark.parametrize(("occlusion", "hiding"), [(0.0, 0.5), (0.6, 0.5), (0.0, 0.9)])
+def test_agrees_with_a_naive_sum(rng: np.random.Generator, occlusion: float, hiding: float) -> None:
     m, config = (
         random_map(rng),
-        InformationConfig(0.09, unknown_occlusion=occlusion, known_weight=0.4),
+        InformationConfig(
+            0.09, unknown_occlusion=occlusion, known_weight=0.4, hiding_probability=hiding
+        ),
     )
     poses = np.array([random_pose(rng) for _ in range(4)])
     bits = expected_information(m, poses, CAMERA, 3.1, config=config)
@@ -59,6 +61,23 @@ def test_only_the_region_counts_but_all_hides(rng: np.random.Generator) -> None:
     expected = [naive.view_bits(m, pose, CAMERA, 4.0, COARSE, region) for pose in poses]
     np.testing.assert_allclose(bits, expected, rtol=0.01, atol=0.5)  # steps at the region's edge
     assert (bits < 0.8 * expected_information(m, poses, CAMERA, 4.0, config=COARSE)).all()
+
+
+def test_doubtful_voxels_in_a_gap_do_not_close_it_for_a_stereo_pair() -> None:
+    """Three layers of them, of evidence that is less than that of one hit; of one hit they do."""
+    rig = StereoRig(CAMERA, CAMERA, 0.1)
+    config = InformationConfig.of_stereo(rig)
+    bits = []
+    for evidence in (-30, GRID.hit_quanta - 1, GRID.hit_quanta):
+        quanta = np.full((40, 40, 40), UNKNOWN_QUANTA)
+        quanta[:, :, :14] = -30
+        quanta[:, :, 10:13] = evidence
+        m = map_of(quanta, (-20, -20, 0), GRID)
+        far = np.array([[-4.0, -4.0, 2.8], [4.0, 4.0, 8.0]])
+        bits += [expected_information(m, np.eye(4), CAMERA, 4.0, config=config, region=far)[0]]
+    assert bits[0] > 100.0
+    assert bits[1] == pytest.approx(bits[0], rel=1e-6)
+    assert bits[2] < 0.1 * bits[0]
 
 
 def test_unknown_space_tells_its_volume_integral() -> None:

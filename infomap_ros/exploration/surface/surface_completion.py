@@ -14,7 +14,7 @@ import numpy as np
 from infomap_ros.exploration.surface.missing_surface import MissingSurface, missing_surface
 from infomap_ros.exploration.surface.surface_sight import sight_weights, sums_in_view
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
 from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.observation_value import observed_share
@@ -43,7 +43,8 @@ class SurfaceCompletion:
     Args:
         sensor: what the camera tells from afar.
         patience: a voxel that is still missing after so many looks from next to it, squarely, is
-            given up; a look from some way off or askance counts less, one from afar nothing.
+            given up; a look from some way off or askance counts less, one from afar nothing. Each
+            look in vain takes its share of the hope that the next one shows the voxel.
     """
 
     unit = "voxels of missing surface"
@@ -51,11 +52,14 @@ class SurfaceCompletion:
 
     def __init__(self, sensor: InformationConfig, patience: float) -> None:
         self._sensor, self._patience = sensor, patience
+        odds = sensor.hiding_probability / (1.0 - sensor.hiding_probability)
+        self._hiding = float(np.log(odds)) / LOG_ODDS_QUANTUM
         self._looks: dict[int, float] = {}
         self._noted = 0  # so many of the views taken have been counted
         self._missing = MissingSurface(
             np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty((0, 3))
         )
+        self._hopes = np.empty(0)  # that a look shows what is missing, 0 to 1
 
     def prepare(self, situation: Situation) -> int:
         """Find what is missing; returns how much of it is not given up.
@@ -65,12 +69,14 @@ class SurfaceCompletion:
         region = np.stack([situation.region.low, situation.region.high])
         missing = missing_surface(situation.voxel_map, region, situation.position)
         keys = pack_all(missing.voxels)
-        self._missing = missing
+        self._missing, self._hopes = missing, np.ones(len(missing))
         for seen in self._in_view(situation, situation.past_views[self._noted :]):
             for at in np.flatnonzero(seen >= _WELL_SEEN):
                 self._looks[int(keys[at])] = self._looks.get(int(keys[at]), 0.0) + seen[at]
         self._noted = len(situation.past_views)
-        rest = np.array([self._looks.get(int(key), 0.0) < self._patience for key in keys], np.bool_)
+        hopes = 1.0 - np.array([self._looks.get(int(key), 0.0) for key in keys]) / self._patience
+        rest = hopes > 0.0
+        self._hopes = hopes[rest]
         self._missing = MissingSurface(
             missing.voxels[rest], missing.places[rest], missing.normals[rest]
         )
@@ -153,6 +159,7 @@ class SurfaceCompletion:
         window = situation.voxel_map.window(low, high)
         sight_weights(
             window.quanta,
+            self._hiding,
             positions / size - window.first,
             self._missing.places / size - window.first,
             self._missing.normals,
@@ -161,7 +168,7 @@ class SurfaceCompletion:
             float(np.cos(_STEEPEST)),
             weights,
         )
-        return weights
+        return weights * self._hopes
 
     def _shares(self, voxel_map: VoxelMap, max_range: float) -> FloatArray:
         """Chance that a voxel is told from each distance of a table."""

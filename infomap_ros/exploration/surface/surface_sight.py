@@ -14,6 +14,7 @@ _STEP = 0.5  # [voxels]
 @njit(cache=True, nogil=True)
 def sight_weights(
     quanta: Any,
+    hiding: float,
     positions: Any,
     places: Any,
     normals: Any,
@@ -25,7 +26,8 @@ def sight_weights(
     """Weight with which each place is seen from each position.
 
     Args:
-        quanta: evidence of the voxels of a window, int16; above 0 they hide what is behind.
+        quanta: evidence of the voxels of a window, int16.
+        hiding: evidence above which they hide what is behind.
         positions: of cameras, shape (P, 3), in voxels of the window.
         places: shape (N, 3), likewise.
         normals: there, shape (N, 3).
@@ -49,13 +51,14 @@ def sight_weights(
             cosine = -(x * normals[n, 0] + y * normals[n, 1] + z * normals[n, 2]) / length
             if cosine < least_cosine:
                 continue
-            if _is_open(quanta, positions[p], (x / length, y / length, z / length), length - _END):
+            way = x / length, y / length, z / length
+            if _is_open(quanta, hiding, positions[p], way, length - _END):
                 weights[p, n] = shares[at] * cosine
 
 
 @njit(cache=True, nogil=True)
-def _is_open(quanta: Any, start: Any, way: Any, length: float) -> bool:
-    """Whether no occupied voxel is on a way; what is beyond the window is open."""
+def _is_open(quanta: Any, hiding: float, start: Any, way: Any, length: float) -> bool:
+    """Whether no voxel that hides is on a way; what is beyond the window is open."""
     for k in range(1, int(length / _STEP) + 1):
         i = int(np.floor(start[0] + k * _STEP * way[0]))
         j = int(np.floor(start[1] + k * _STEP * way[1]))
@@ -64,7 +67,7 @@ def _is_open(quanta: Any, start: Any, way: Any, length: float) -> bool:
             continue
         if i >= quanta.shape[0] or j >= quanta.shape[1] or m >= quanta.shape[2]:
             continue
-        if quanta[i, j, m] > 0:
+        if quanta[i, j, m] > hiding:
             return False
     return True
 

@@ -81,7 +81,7 @@ def _gain_table(grid: VoxelMapConfig, max_range: float, config: InformationConfi
     gains = bits * shell_volumes(edges, config.planar)[:, None]
     before = np.concatenate([np.zeros((1, len(p))), np.cumsum(gains, axis=0)])
     step = reach / steps
-    clear = np.where(p > 0.5, (1.0 - p) ** step, 1.0)
+    clear = np.where(p > config.hiding_probability, (1.0 - p) ** step, 1.0)
     clear[~book.known()] *= (1.0 - config.unknown_occlusion) ** (1.0 / steps)
     return GainTable(gains.astype(np.float32), before.astype(np.float32), clear, step)
 

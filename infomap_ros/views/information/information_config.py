@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping import VoxelMapConfig
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,12 @@ class InformationConfig:
         low=0.0,
         high=0.99,
     )
-
+    hiding_probability: float = parameter(
+        0.5,
+        "A known voxel less likely occupied than this hides nothing.",
+        low=0.5,
+        high=0.999,
+    )
     predict_unknown: bool = parameter(
         False,
         "Whether unknown voxels near known ones have the average probability of their neighbours "
@@ -122,6 +128,10 @@ class InformationConfig:
     ) -> InformationConfig:
         """Configuration with the noise law of a rectified pair.
 
+        About surfaces and depth edges stereo leaves voxels with a part of a hit and some misses.
+        Several in a row would hide for good what is behind a gap that they are in, so a voxel
+        hides from one whole hit on.
+
         Args:
             rig: the pair, with its full image.
             disparity_sigma: standard deviation of a disparity [px].
@@ -132,4 +142,5 @@ class InformationConfig:
             min_range=min_range,
             range_noise=disparity_sigma / (focal_length * rig.baseline),
             pixel_angle=1.0 / focal_length,
+            hiding_probability=VoxelMapConfig.probability_hit,
         )

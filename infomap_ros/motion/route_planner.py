@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
 from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
 from infomap_ros.motion.arm.trajectory import time_path
 from infomap_ros.motion.base.base_path import BasePath
@@ -17,7 +17,6 @@ from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
 from infomap_ros.motion.whole_body import WholeBody
 
-_QUICK = ArmPathConfig(samples=3000)
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
 _THERE = 1e-6  # [rad or m]
@@ -124,7 +123,7 @@ class RoutePlanner:
         base = self.trail.T_map_base
         checker = self.near.checker_at(base)
         for row in range(1, min(len(back), _BRANCHES + 1)):
-            on = plan_arm_path(checker, back[row], goal, base, _QUICK)
+            on = plan_arm_path(checker, back[row], goal, base, QUICK_SEARCH)
             if on.converged:
                 way = np.concatenate([back[:row], corners_of(on.positions)])
                 return self._timed_back(way)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
+from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.collision.checker import CollisionChecker
@@ -19,7 +19,6 @@ _LEAN = 0.1  # [rad]
 _UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
 _TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _ASKED = 50
-_QUICK = ArmPathConfig(samples=3000)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ class StanceFinder:
                 reason = f"with the arm at the view: {stance.reason}"
                 continue
             checker = self.near.checker_at(pose)
-            path = plan_arm_path(checker, self.whole.driving, q, pose, _QUICK)
+            path = plan_arm_path(checker, self.whole.driving, q, pose, QUICK_SEARCH)
             if path.converged:
                 good.append(row)
             else:

@@ -77,7 +77,7 @@ class DormantFiducials:
         finite = np.isfinite(places).all(axis=1)
         rows, places = rows[finite], places[finite]
         since = [(turns or {}).get(name, 0.0) for name in self.tracks.ids[rows].tolist()]
-        angles = _turn_of(self.tracks.warps[rows]) + np.array(since).reshape(-1)
+        angles = _turn_of(self.tracks.warps[rows]) + np.array(since)
         if radius <= self.config.direct_radius:
             return self._aligned(view, rows, places, angles, int(np.ceil(radius)))
         descriptors = self.tracks.descriptors[rows]

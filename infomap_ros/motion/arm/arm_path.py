@@ -23,7 +23,7 @@ from infomap_ros.motion.collision.kernels import MotionSpace
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.route import ArmPath
 
-__all__ = ["ArmPath", "ArmPathConfig", "plan_arm_path"]
+__all__ = ["QUICK_SEARCH", "ArmPath", "ArmPathConfig", "plan_arm_path"]
 
 _SAMPLES_AT_ONCE = 200
 _TURN = 2.0 * np.pi
@@ -56,6 +56,10 @@ class ArmPathConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+
+
+QUICK_SEARCH = ArmPathConfig(samples=3000)
+"""For one way of several that are tried."""
 
 
 def plan_arm_path(

@@ -1,8 +1,9 @@
-"""Whether the last views have brought anything that the task asks for."""
+"""Whether the last views have brought anything that the task asks for, and what comes next."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.task import TaskConfig
@@ -48,3 +49,30 @@ class LastViews:
             f"the last {task.vain_views} views made {100.0 * gain:.2f} % more of the surface known "
             f"and {100.0 * growth:.1f} % more of it mapped"
         )
+
+
+class Turns:
+    """Two kinds of views take turns: each has its turn until its last views were in vain.
+
+    They are those that tell most, and those that show most of the missing surface. Where a kind
+    has half the patience of the task, an exploration that ends in vain has tried both.
+
+    Args:
+        task: what is asked for, and its patience.
+
+    Attributes:
+        is_other: whether it is the turn of the second kind.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        self._task = replace(task, vain_views=max(task.vain_views // 2, 1))
+        self._turn = LastViews(self._task)
+        self.is_other = False
+
+    def note(self, views: int, progress: MapProgress) -> None:
+        """Take the state of the map after so many views."""
+        self._turn.note(views, progress)
+        if self._turn.in_vain():
+            self.is_other = not self.is_other
+            self._turn = LastViews(self._task)
+            self._turn.note(views, progress)

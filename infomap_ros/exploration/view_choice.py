@@ -27,7 +27,7 @@ class ViewChoice:
 
     Where none of the views that were tried can be reached, they are remembered and others are
     drawn. Where none is worth its cost although more is asked for, the way counts less; where none
-    is even so, views are sought that close the holes of the mapped surface.
+    is even so, views are sought that close the holes of the mapped surface, or those come first.
 
     Args:
         config: of choice and memory.
@@ -48,16 +48,12 @@ class ViewChoice:
         self.memory = GoalMemory(config.memory)
         self._information = information
         self._completion = SurfaceCompletion(information.config, config.vain.patience)
-        self._choices = [
-            NextBestView(config.choice, config.strategy, information, localisation_error)
-        ]
-        if config.thorough < 1.0:
-            far = _from_afar(config.choice, config.thorough)
-            close, closing = _of_surface(far, config.thorough), self._completion
-            self._choices += [
-                NextBestView(far, config.strategy, information, localisation_error),
-                NextBestView(close, closing, closing, localisation_error),
-            ]
+        self._near = NextBestView(config.choice, config.strategy, information, localisation_error)
+        far = _from_afar(config.choice, config.thorough)
+        close, closing = _of_surface(far, config.thorough), self._completion
+        self._far = NextBestView(far, config.strategy, information, localisation_error)
+        self._closing = NextBestView(close, closing, closing, localisation_error)
+        self._gives_up_at_once = config.thorough >= 1.0
 
     def select(
         self,
@@ -67,6 +63,7 @@ class ViewChoice:
         goal: FloatArray | None = None,
         *,
         thorough: bool = False,
+        surface_first: bool = False,
         lasting: bool = True,
     ) -> ViewDecision:
         """Choose the next view.
@@ -77,6 +74,7 @@ class ViewChoice:
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
             thorough: where no view is worth its cost, look farther, and for missing surface.
+            surface_first: where thorough, look for missing surface before all else.
             lasting: remember for later choices which views could not be reached.
 
         Returns:
@@ -84,7 +82,8 @@ class ViewChoice:
         """
         attempts = _Attempts(robot)
         memory = self.memory if lasting else deepcopy(self.memory)
-        decisions = self._decisions(situation, attempts, rng, goal, thorough, memory)
+        choices = self._in_order(thorough, surface_first)
+        decisions = self._decisions(choices, situation, attempts, rng, goal, memory)
         decision = next(decisions)
         while decision.chosen is None and (another := next(decisions, None)) is not None:
             decision = another
@@ -106,20 +105,29 @@ class ViewChoice:
             for source in sources
         )
 
+    def _in_order(self, thorough: bool, surface_first: bool) -> list[NextBestView]:
+        """The ways to choose, the first first."""
+        if not thorough or self._gives_up_at_once:
+            return [self._near]
+        by_information = [self._near, self._far]
+        if surface_first:
+            return [self._closing, *by_information]
+        return [*by_information, self._closing]
+
     def _decisions(
         self,
+        choices: Sequence[NextBestView],
         situation: Situation,
         attempts: _Attempts,
         rng: np.random.Generator,
         goal: FloatArray | None,
-        thorough: bool,
         memory: GoalMemory,
     ) -> Iterator[ViewDecision]:
         """One decision after the other, each knowing what could not be reached before."""
         voxel_map = situation.voxel_map
-        for index, choice in enumerate(self._choices[: None if thorough else 1]):
-            if index == 2 and not self._completion.prepare(situation):
-                return
+        for choice in choices:
+            if choice is self._closing and not self._completion.prepare(situation):
+                continue
             for _ in range(self._rounds):
                 yield choice.select(
                     situation,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.exploration.last_views import Turns
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, FailedView, RobotState
@@ -86,6 +87,7 @@ class ViewPlanner:
         self._choice = ViewChoice(self.config, information, localisation_error)
         self._vain = VainLooks(self.config.vain)
         self._kept = KeptPromises()
+        self._turns = Turns(task)
         self._rng = np.random.default_rng(self.config.seed)
         self._heights = camera_heights(robot)
         self._start: ClearStart | None = None
@@ -109,6 +111,7 @@ class ViewPlanner:
         around = around or Surrounding()
         self._take_note(voxel_map, state, around)
         progress = self._progress(voxel_map, state)
+        self._turns.note(len(self._past), progress)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
         self._sent = route
@@ -126,7 +129,11 @@ class ViewPlanner:
         robot = self._reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_vain_looks(situation, progress.entropy_bits)
-        ask: dict[str, Any] = {"goal": self._goal, "thorough": not self.is_done(progress)}
+        ask: dict[str, Any] = {
+            "goal": self._goal,
+            "thorough": not self.is_done(progress),
+            "surface_first": self._turns.is_other,
+        }
         if robot.is_wider:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
             if decision.chosen is not None:

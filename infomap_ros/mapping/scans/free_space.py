@@ -7,10 +7,10 @@ and a table top seen edge-on, of which no pixel may be measured.
 
 A pyramid over the range image answers for whole footprints. The footprint of a voxel is a 3 x 3
 neighbourhood of cells on the level whose cells are as wide as half the footprint or wider; `safe`
-holds the depth up to which every measured pixel of that neighbourhood sees through. For cubes of
-many voxels, `strict` is the depth up to which all pixels of a cell see through if all its parts are
-measured (else -inf), and `upper` what its farthest-seeing pixel reaches. The cubes form an octree
-over the view frustum, down to blocks of 8 x 8 x 8 voxels; `see_through` looks at those.
+holds the depth up to which every measured pixel of that neighbourhood sees through. A cube of many
+voxels is free where all cells of its footprint are measured and see past it, and holds nothing free
+where none does. The cubes form an octree over the view frustum, down to blocks of 8 x 8 x 8 voxels;
+`see_through` looks at those.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numba import njit
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.association import rotated
-from infomap_ros.mapping.scans.pyramid import least, level_for, most
+from infomap_ros.mapping.scans.pyramid import all_see_past, level_for, most
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
 
 FREE, MIXED = 1, 2
@@ -127,7 +127,7 @@ def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float
     level = max(0, level_for(pyramid, max(u1 - u0, v1 - v0) + 1.0) - 2)
     if most(pyramid.upper, pyramid, level, u0, v0, u1, v1) <= near:
         return 0
-    if inside and least(pyramid.strict, pyramid, level, u0, v0, u1, v1) > far:
+    if inside and all_see_past(pyramid, level, u0, v0, u1, v1, far):
         return FREE
     return MIXED
 

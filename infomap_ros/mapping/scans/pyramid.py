@@ -2,8 +2,7 @@
 
 `lower` is the depth up to which every measured pixel of a cell sees through, `share` the part of
 its area that is measured, `safe` the smallest `lower` of a cell and its neighbours (-inf where too
-little of one is measured), `strict` the depth up to which all pixels of a cell see through if all
-its parts are measured (else -inf), `upper` what its farthest-seeing pixel reaches.
+little of one is measured), `upper` what its farthest-seeing pixel reaches.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ class Pyramid(NamedTuple):
             none is measured.
         share: part of a cell's area that is measured, 0 to 1, float32.
         safe: smallest `lower` of a cell and its neighbours, float32 [m].
-        strict: float32 [m].
         upper: float32 [m].
         starts: first cell of each level, int64.
         widths: cells per row of each level, int64.
@@ -40,7 +38,6 @@ class Pyramid(NamedTuple):
     lower: NDArray[np.float32]
     share: NDArray[np.float32]
     safe: NDArray[np.float32]
-    strict: NDArray[np.float32]
     upper: NDArray[np.float32]
     starts: NDArray[np.int64]
     widths: NDArray[np.int64]
@@ -57,7 +54,6 @@ def empty_pyramid(width: int, height: int) -> Pyramid:
     starts = np.concatenate([[0], np.cumsum(cells)[:-1]]).astype(np.int64)
     total = int(cells.sum())
     return Pyramid(
-        np.empty(total, np.float32),
         np.empty(total, np.float32),
         np.empty(total, np.float32),
         np.empty(total, np.float32),
@@ -87,11 +83,9 @@ def build_low_levels(pyramid: Any, first: int, last: int) -> None:
         first: first row of the image [px], a multiple of `LOW_CELL`.
         last: one past the last row, a multiple of `LOW_CELL` or the height.
     """
-    lower, share, strict, width = pyramid.lower, pyramid.share, pyramid.strict, pyramid.widths[0]
+    lower, share, width = pyramid.lower, pyramid.share, pyramid.widths[0]
     for i in range((first >> 1) * width, ((last + 1) >> 1) * width):
-        is_measured = lower[i] < np.inf
-        share[i] = 1.0 if is_measured else 0.0
-        strict[i] = lower[i] if is_measured else -np.inf
+        share[i] = 1.0 if lower[i] < np.inf else 0.0
     for level in range(min(_LOW_LEVELS, len(pyramid.starts))):
         cell = 2 << level
         top, bottom = first // cell, (last + cell - 1) // cell
@@ -122,12 +116,12 @@ def build_high_levels(pyramid: Any, cuts: Any) -> None:
 @kernel
 def _build_level(pyramid: Any, level: int, first: int, last: int) -> None:
     """Fill the rows [first, last) of a level from the level below."""
-    lower, share, strict, upper = pyramid.lower, pyramid.share, pyramid.strict, pyramid.upper
+    lower, share, upper = pyramid.lower, pyramid.share, pyramid.upper
     below, below_start = pyramid.widths[level - 1], pyramid.starts[level - 1]
     below_height, width = pyramid.heights[level - 1], pyramid.widths[level]
     for v in range(first, last):
         for u in range(width):
-            low, low_strict, high = np.inf, np.inf, -np.inf
+            low, high = np.inf, -np.inf
             parts, measured = 0, 0.0
             for dv in range(2):
                 for du in range(2):
@@ -136,11 +130,9 @@ def _build_level(pyramid: Any, level: int, first: int, last: int) -> None:
                         parts += 1
                         measured += share[i]
                         low = min(low, lower[i])
-                        low_strict = min(low_strict, strict[i])
                         high = max(high, upper[i])
             cell = pyramid.starts[level] + v * width + u
             lower[cell], share[cell] = low, measured / parts
-            strict[cell] = low_strict
             upper[cell] = high
 
 
@@ -189,15 +181,17 @@ def level_for(pyramid: Any, extent: float) -> int:
 
 
 @kernel
-def least(values: Any, pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int) -> float:
-    """Smallest value of the cells that cover the pixels [u0, u1] x [v0, v1]."""
-    smallest = np.inf
+def all_see_past(
+    pyramid: Any, level: int, u0: int, v0: int, u1: int, v1: int, depth: float
+) -> bool:
+    """Whether all cells of the pixels [u0, u1] x [v0, v1] are measured and see past a depth [m]."""
     shift = level + 1
     for v in range(v0 >> shift, (v1 >> shift) + 1):
         start = pyramid.starts[level] + v * pyramid.widths[level]
         for u in range(u0 >> shift, (u1 >> shift) + 1):
-            smallest = min(smallest, values[start + u])
-    return smallest
+            if pyramid.share[start + u] < 1.0 or pyramid.lower[start + u] <= depth:
+                return False
+    return True
 
 
 @kernel

@@ -9,7 +9,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
+from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
 
 from .scenes import Scene, look_at
 from .voxels import map_of
@@ -156,6 +156,51 @@ def test_voxel_that_was_seen_through_as_often_as_hit_is_no_step(evidence, height
     put_states(voxel_map._storage, bump)
     terrain = terrain_of(voxel_map, None, (0.5, 0.5, 0.3))
     assert terrain.height_at((20.5 * SIZE, 20.5 * SIZE)) == pytest.approx(middle_of(height))
+
+
+def with_surface_above(normal: tuple[float, float, float], sigma: float, layers: int) -> VoxelMap:
+    """Even ground whose height is known, a square of which is solid some layers higher.
+
+    Args:
+        normal: of the surfaces in the uppermost of these layers; (0, 0, 0) where it has none.
+        sigma: of the ground's height [m].
+        layers: number of them.
+    """
+    voxel_map = map_of(columns((40, 40, 40), 3), (0, 0, 0), SIZE)
+    square = np.indices((6, 6, layers + 1), np.int32).reshape(3, -1).T + np.int32((15, 15, 3))
+    is_ground, is_top = square[:, 2] == 3, square[:, 2] == 3 + layers
+    means = (square + 0.5) * SIZE
+    means[:, 2] = np.where(is_ground, 3.9 * SIZE, means[:, 2])
+    spread = np.tile(np.diag((0.014, 0.014, sigma)) ** 2, (len(square), 1, 1))
+    if any(normal):
+        away = np.eye(3) - np.outer(normal, normal)
+        spread[is_top] = 0.003**2 * np.outer(normal, normal) + 0.014**2 * away
+    has_surface = is_ground | (is_top & any(normal))
+    information = information_of(square, has_surface, means, spread, SIZE)
+    quanta = np.full(len(square), 12, np.int32)
+    put_states(voxel_map._storage, VoxelStates(square, quanta > 0, quanta, information))
+    return voxel_map
+
+
+@pytest.mark.parametrize(
+    ("normal", "sigma", "layers", "height"),
+    [
+        ((0, 0, 0), 0.003, 2, 3.9 * SIZE),
+        ((0, 0, 0), 0.003, 3, 3.9 * SIZE),
+        ((0, 0, 0), 0.003, 4, 7.5 * SIZE),
+        ((0, 0, 0), 0.03, 3, 6.5 * SIZE),
+        ((0, 0, 1), 0.003, 3, 6.5 * SIZE),
+        ((1, 0, 0), 0.003, 3, 6.5 * SIZE),
+    ],
+)
+def test_what_doubtful_poses_made_solid_above_a_known_surface_is_no_step(
+    normal, sigma, layers, height
+):
+    """It is one where a surface lies in it, be it upright, or where the ground is not known."""
+    voxel_map = with_surface_above(normal, sigma, layers)
+    terrain = terrain_of(voxel_map, None, (0.2, 0.2, 0.3))
+    assert terrain.height_at((18.5 * SIZE, 17.5 * SIZE)) == pytest.approx(height, abs=1e-5)
+    assert terrain.height_at((5.5 * SIZE, 5.5 * SIZE)) == pytest.approx(middle_of(3))
 
 
 def test_pole_is_no_speck():

@@ -18,6 +18,8 @@ NEVER_SEEN, OPEN, SOLID = 0, 1, 2
 """States of a cube: no voxel known, none occupied, at least one occupied."""
 
 _FLATTEST = 0.2  # share of a Gaussian's information along z from which it is ground (about 63 deg)
+_BELOW = 1  # cubes below the uppermost solid one in which a surface is still that of its top
+_SMEARED = 3  # cubes that doubtful poses may have made solid above a surface
 
 
 @njit(cache=True, nogil=True)
@@ -118,8 +120,8 @@ def _is_member(members: Any, count: int, a: int, b: int, c: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def refine_heights(
-    blocks: Any, gaussians: Any, size: float, first: Any, ratio: int, top: Any, heights: Any,
-    sigmas: Any,
+    blocks: Any, gaussians: Any, size: float, first: Any, ratio: int, cubes: Any, top: Any,
+    heights: Any, sigmas: Any,
 ) -> None:  # fmt: skip
     """Replace heights of cubes by those of the surface Gaussians in them and one cube below.
 
@@ -128,19 +130,25 @@ def refine_heights(
     centre, z = b_z / A_zz with variance 1 / A_zz. Gaussians of a cell are weighted by A_zz, and
     their deviation is not divided by their number, as their errors are correlated.
 
+    Scans from doubtful poses make voxels above a surface solid in which no surface comes to lie:
+    each of them says where it lies, below. Where no surface is near the top of what is solid, be
+    it upright, and one a few cubes below is known better than to a cube, that is the ground.
+
     Args:
         blocks: a `BlockArrays`.
         gaussians: a `SurfaceArrays`.
         size: edge of a voxel [m].
         first: index of cube (0, 0, 0), shape (3,).
         ratio: voxels along the edge of a cube.
+        cubes: states, shape (nx, ny, nz).
         top: uppermost cube of the ground per cell, -1 for none, shape (nx, ny).
         heights: height of the ground [m, map], shape (nx, ny); changed.
         sigmas: its standard deviation [m], shape (nx, ny); changed.
     """
     nx, ny = top.shape
-    weights, sums = np.zeros((nx, ny)), np.zeros((nx, ny))
-    counts = np.zeros((nx, ny))
+    depths = _SMEARED + 1
+    weights, sums = np.zeros((nx, ny, depths)), np.zeros((nx, ny, depths))
+    counts, has_surface = np.zeros((nx, ny, depths)), np.zeros((nx, ny), np.bool_)
     work, mean = np.empty(6), np.empty(3)
     locals_, others = np.empty(2 * BLOCK_VOXELS, np.int64), np.empty(BLOCK_VOXELS, np.int64)
     records = np.empty((2 * BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
@@ -152,19 +160,40 @@ def refine_heights(
             if not (0 <= i < nx and 0 <= j < ny) or top[i, j] < 0:
                 continue
             below, information = top[i, j] - (z // ratio - first[2]), records[row]
-            if not 0 <= below <= 1 or not is_surface(
+            if not -1 <= below < depths or not is_surface(
                 blocks, voxel, information, 0.5 * size, work, mean
             ):
                 continue
+            has_surface[i, j] = has_surface[i, j] or below <= _BELOW
             along_z = np.float64(information[5])
-            if along_z < _FLATTEST * (information[0] + information[3] + along_z):
+            if below < 0 or along_z < _FLATTEST * (information[0] + information[3] + along_z):
                 continue
             offset = min(max(information[8] / along_z, -size), size)
-            weights[i, j] += along_z
-            sums[i, j] += along_z * ((z + 0.5) * size + offset)
-            counts[i, j] += 1.0
+            weights[i, j, below] += along_z
+            sums[i, j, below] += along_z * ((z + 0.5) * size + offset)
+            counts[i, j, below] += 1.0
     for i in range(nx):
         for j in range(ny):
-            if weights[i, j] > 0.0:
-                heights[i, j] = sums[i, j] / weights[i, j]
-                sigmas[i, j] = np.sqrt(counts[i, j] / weights[i, j])
+            _refine(cubes[i, j], top[i, j], weights[i, j], sums[i, j], counts[i, j],
+                    has_surface[i, j], i, j, heights, sigmas)  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _refine(
+    column: Any, top: int, weights: Any, sums: Any, counts: Any, has_surface: bool, i: int, j: int,
+    heights: Any, sigmas: Any,
+) -> None:  # fmt: skip
+    """Height of one cell, from sums over the Gaussians of the cubes from `top` downwards."""
+    weight = weights[: _BELOW + 1].sum()
+    if weight > 0.0:
+        heights[i, j] = sums[: _BELOW + 1].sum() / weight
+        sigmas[i, j] = np.sqrt(counts[: _BELOW + 1].sum() / weight)
+        return
+    for below in range(_BELOW + 1, len(weights)):
+        if has_surface or top < below or column[top - below + 1] != SOLID:
+            return
+        if weights[below] > 0.0:
+            sigma = np.sqrt(counts[below] / weights[below])
+            if sigma < sigmas[i, j]:
+                heights[i, j], sigmas[i, j] = sums[below] / weights[below], sigma
+            return

@@ -168,7 +168,7 @@ def terrain_of(voxel_map: VoxelMap, config: TerrainConfig | None, near: ArrayLik
     grow_level(cubes, seed, headroom, gap, top, level)
     heights = np.where(top >= 0, (top + first[2] + 0.5) * edge, np.nan)
     sigmas = np.where(top >= 0, edge / _SQRT_12, np.nan)
-    refine_heights(blocks, gaussians, size, first, ratio, top, heights, sigmas)
+    refine_heights(blocks, gaussians, size, first, ratio, cubes, top, heights, sigmas)
     return _measured(
         cubes, top, level, headroom, gap, heights, sigmas, first, edge, settings, point
     )

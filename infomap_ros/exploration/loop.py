@@ -129,11 +129,15 @@ class Exploration:
         except TeammatesBusyError as busy:
             self._wait_for_teammates(str(busy))
             return None
-        ending = self._enough(choice.progress)
-        if ending or self.control.interrupted():
-            return ending
+        state = _state_of(choice.progress)
+        if self.task.is_met(choice.progress.known_fraction, choice.progress.mean_sigma):
+            return Ending(EndReason.DONE, state)
+        if self.control.interrupted():
+            return None
         if choice.pose is None or choice.route is None:
             return Ending(EndReason.NOTHING_LEFT, choice.reason)
+        if spent := self._spent():
+            return Ending(EndReason.BUDGET_SPENT, f"{spent} used; {state}")
         if self._plan_only:
             return self._wait()
         if in_vain := self._last_views.in_vain():
@@ -216,25 +220,15 @@ class Exploration:
         self._enter("waiting for teammates", reason)
         self.control.wait(_PAUSE)
 
-    def _enough(self, progress: MapProgress) -> Ending | None:
-        """Whether expanse and resolution suffice, or the budget is spent."""
+    def _spent(self) -> str:
+        """Which budgets are spent; empty where none is."""
         task, mission = self.task, self.mission
-        known, sigma = progress.known_fraction, progress.mean_sigma
-        state = (
-            f"{100.0 * known:.1f} % of the reachable surface is known, "
-            f"mean sigma {1e3 * sigma:.1f} mm"
-        )
-        if task.is_met(known, sigma):
-            return Ending(EndReason.DONE, state)
         budgets = (
             (f"{mission.views} views", mission.views >= task.max_views),
             (f"{mission.distance:.1f} m", mission.distance >= task.max_distance),
             (f"{mission.seconds:.0f} s", mission.seconds >= task.max_time),
         )
-        spent = [text for text, is_spent in budgets if is_spent]
-        if spent:
-            return Ending(EndReason.BUDGET_SPENT, f"{' and '.join(spent)} used; {state}")
-        return None
+        return " and ".join(text for text, is_spent in budgets if is_spent)
 
     def _fail(self, reason: str) -> Ending | None:
         """Count a failure; the end where there are too many."""
@@ -295,3 +289,11 @@ class Exploration:
         self.mission.seconds += now - self._marked
         self._marked = now
         self._on_step(self)
+
+
+def _state_of(progress: MapProgress) -> str:
+    """How much is known, and how well, in words."""
+    return (
+        f"{100.0 * progress.known_fraction:.1f} % of the reachable surface is known, "
+        f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
+    )

@@ -153,6 +153,12 @@ def test_ends_when_a_budget_is_spent(budget: dict[str, float], word: str) -> Non
     assert word in ending.detail
 
 
+def test_says_that_nothing_is_left_where_a_budget_is_spent_too() -> None:
+    run = Run(view(1.0), nothing(), task=TaskConfig(max_views=2))
+    assert run.exploration.run().reason is EndReason.NOTHING_LEFT
+    assert run.exploration.mission.views == 2
+
+
 @pytest.mark.parametrize("deed", ["look", "drive", "arm"])
 def test_repeated_failure_ends_with_its_name(deed: str) -> None:
     run = Run(view(1.0), task=TaskConfig(max_failures=3))

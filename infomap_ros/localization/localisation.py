@@ -48,3 +48,4 @@ class Choice:
 
     voxel_map: VoxelMap | None
     body: Sequence[PlacedSolid]
+    others: Sequence[PlacedSolid]

@@ -145,6 +145,7 @@ class Localizer(KnownMap):
         *,
         keep: bool = False,
         body: Sequence[PlacedSolid] = (),
+        others: Sequence[PlacedSolid] = (),
     ) -> Localisation:
         """Tell where the camera was when a view was taken.
 
@@ -155,13 +156,14 @@ class Localizer(KnownMap):
             voxel_map: for the certainty of new fiducials, eq. (19).
             keep: keep the pose as a keyframe wherever it is.
             body: of the robot, placed in the camera frame: it carries no fiducials.
+            others: what moves by itself, as teammates, placed in the map: it carries none either.
 
         Raises:
             InvalidInputError: the view is not later than the one before.
         """
         if view.stamp <= self._stamp:
             raise InvalidInputError("view", f"{view.stamp} ns is not later than {self._stamp} ns")
-        chosen = Choice(voxel_map, body)
+        chosen = Choice(voxel_map, body, others)
         if self._state == "searching":
             return self._initialise(view, chosen)
         self._wake(view, prior)
@@ -187,7 +189,7 @@ class Localizer(KnownMap):
             pose, covariance = sighting.camera_pose()
         self._filter.start(pose, covariance)
         self._scene.clear()
-        self._scene.replenish(view, self.config.wanted_fiducials, chosen.voxel_map, chosen.body)
+        self._scene.replenish(view, self.config.wanted_fiducials, chosen)
         self._state, self._fixed = "tracking", view.stamp
         return self._conclude(view, "initialised", 0, self._watch.exists, True)
 
@@ -284,7 +286,7 @@ class Localizer(KnownMap):
             self._recalled = self._filter.pose[0]
         if tracked < self.config.fewest_fiducials:
             missing = self.config.wanted_fiducials - tracked
-            self._scene.replenish(view, missing, chosen.voxel_map, chosen.body)
+            self._scene.replenish(view, missing, chosen)
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import (
     PinholeCamera,
-    PlacedSolid,
     invert_transform,
     points_inside,
     transform_points,
@@ -30,8 +29,8 @@ from infomap_ros.localization.fiducials.viewpoints import (
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
+from infomap_ros.localization.localisation import Choice
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.mapping import VoxelMap
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
 _SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
@@ -187,30 +186,30 @@ class SceneFiducials:
         self,
         view: RangeView,
         count: int,
-        voxel_map: VoxelMap | None = None,
-        body: Sequence[PlacedSolid] = (),
+        chosen: Choice,
     ) -> int:
         """Choose new fiducials and tell the filter where they are.
 
         Args:
             view: that was tracked last.
             count: most new ones.
-            voxel_map: for the certainty of eq. (19).
-            body: of the robot, placed in the camera frame: nothing on it is chosen.
+            chosen: what decides on them.
 
         Returns:
             Number of new ones.
         """
-        pose = None if voxel_map is None else self._filter.pose[0]
+        voxel_map, T_map_camera = chosen.voxel_map, self._filter.pose[0]
+        pose = None if voxel_map is None else T_map_camera
         pixels = select_fiducials(
             view, self._tracker.pixels, count, voxel_map, pose, self._config.selection
         )
         ids = np.arange(self._next, self._next + len(pixels))
         self._next += len(pixels)
         seen = self._tracker.add(view, ids, pixels)
-        if len(body):
-            on_body = points_inside(seen.points(self._camera), body, self._config.body_margin)
-            seen = seen.select(~on_body)
+        for bodies, frame in ((chosen.body, np.eye(4)), (chosen.others, T_map_camera)):
+            if len(bodies):
+                points = transform_points(frame, seen.points(self._camera))
+                seen = seen.select(~points_inside(points, bodies, self._config.body_margin))
         held = self._filter.fiducials().ids
         added = self._filter.add(seen)
         forgotten = np.setdiff1d(held, self._filter.fiducials().ids)

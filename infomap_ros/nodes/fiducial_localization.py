@@ -15,6 +15,7 @@ the target where there is one. With `resume` the map is kept, and the camera has
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,8 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 
-from infomap_ros.geometry import PoseRecord
+from infomap_ros.exploration.team.team_bodies import TeammatePlacesConfig
+from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
@@ -53,6 +55,7 @@ from infomap_ros.nodes.team.map_moves import (
 )
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+from infomap_ros.team.agents_config import AgentBoardConfig
 
 
 class FiducialLocalizationNode(MonitoredNode):
@@ -65,6 +68,8 @@ class FiducialLocalizationNode(MonitoredNode):
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
         (TeamTagsConfig, "team_tags."),
+        (TeammatePlacesConfig, "teammates."),
+        (AgentBoardConfig, "agents."),
         (DeadReckoningConfig, "motion_noise."),
         (StereoConfig, "stereo."),
         (SparseStereoConfig, "sparse."),
@@ -119,7 +124,8 @@ class FiducialLocalizationNode(MonitoredNode):
         return follower
 
     def _on_look(self, look: Look) -> None:
-        self._worker.submit(partial(self._work, look))
+        others = self._teammates.bodies(look.stamp)
+        self._worker.submit(partial(self._work, look, others))
 
     def _on_clock_jump(self) -> None:
         self._worker.submit_always(self._begin_again)
@@ -131,13 +137,13 @@ class FiducialLocalizationNode(MonitoredNode):
         else:
             self._follower.reset()
 
-    def _work(self, look: Look) -> None:
-        self.guard(self._source.image_topics[0], partial(self._locate, look))
+    def _work(self, look: Look, others: Sequence[PlacedSolid]) -> None:
+        self.guard(self._source.image_topics[0], partial(self._locate, look, others))
 
-    def _locate(self, look: Look) -> None:
+    def _locate(self, look: Look, others: Sequence[PlacedSolid]) -> None:
         """One pair: look, locate, publish."""
         framed = self._source.view(look.images, look.infos)
-        result = self._follower.follow(framed.view, look.posture, look.body)
+        result = self._follower.follow(framed.view, look.posture, look.body, others)
         self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
         self._seen = result.stamp
         self._moved = self._moved or result.stamp  # what was found before the start is old

@@ -17,8 +17,11 @@ from infomap_ros.geometry import (
     invert_transform,
     make_transform,
     perturb_transform,
+    points_inside,
+    transform_points,
 )
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.mapping import OCCUPIED, VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.solid_extent import body_extent
@@ -233,6 +236,15 @@ def test_who_is_forgotten_is_not_cut(robot: RobotModel) -> None:
     assert bodies.bodies_in(pose_at(400)) == [] and not bodies.is_described(2)
 
 
+def points_in(placed: PlacedSolid, rng: np.random.Generator) -> np.ndarray:
+    """Points of a solid, in the frame in which it is placed."""
+    points = rng.normal(size=(300, 3))
+    points *= placed.solid.bounding_radius / np.linalg.norm(points, axis=1, keepdims=True)
+    points *= rng.random((300, 1))
+    points = points[placed.solid.signed_distance(points) <= 0.0]
+    return transform_points(placed.transform, points)
+
+
 def test_the_cylinder_holds_the_body_in_any_posture(robot: RobotModel) -> None:
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -241,13 +253,22 @@ def test_the_cylinder_holds_the_body_in_any_posture(robot: RobotModel) -> None:
         }
         radius, bottom, top = body_extent(robot, joints)
         for placed in robot.solids_in("base_link", joints):
-            points = rng.normal(size=(300, 3))
-            points *= placed.solid.bounding_radius / np.linalg.norm(points, axis=1, keepdims=True)
-            points *= rng.random((300, 1))
-            points = points[placed.solid.signed_distance(points) <= 0.0]
-            at = points @ placed.transform[:3, :3].T + placed.transform[:3, 3]
+            at = points_in(placed, rng)
             assert np.hypot(at[:, 0], at[:, 1]).max(initial=0.0) <= radius + 1e-9
             assert (at[:, 2] >= bottom - 1e-9).all() and (at[:, 2] <= top + 1e-9).all()
+
+
+@pytest.mark.parametrize("milliseconds", [400, 600, 1400])
+@pytest.mark.parametrize("error", [0.0, 0.05])
+def test_it_is_within_its_cylinder_in_the_map(
+    robot: RobotModel, milliseconds: int, error: float
+) -> None:
+    """Between two messages and 0.4 s after the last, with an error that it tells of."""
+    cylinder, rng = heard(robot, error).about(milliseconds * MS), np.random.default_rng(3)
+    points = np.concatenate([points_in(one, rng) for one in true_body(robot, milliseconds)])
+    assert points_inside(points, cylinder, LocalizerConfig().body_margin).all()
+    beside = points + np.array([0.0, 3.0, 0.0])
+    assert len(cylinder) == 1 and not points_inside(beside, cylinder).any()
 
 
 def test_nothing_is_cut_where_no_teammate_is_in_view(robot: RobotModel) -> None:

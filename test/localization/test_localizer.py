@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import Box, PlacedSolid, invert_transform, make_transform
+from infomap_ros.geometry import (
+    Box,
+    PlacedSolid,
+    Sphere,
+    invert_transform,
+    make_transform,
+    points_inside,
+)
 from infomap_ros.geometry.transforms import perturb_transform
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.localizer import Localisation, Localizer
@@ -204,6 +211,22 @@ def test_nothing_on_the_robots_body_is_chosen():
     behind = make_transform(np.eye(3), [0.0, 0.0, -15.0])
     free.locate(view(STEP, pose), body=[PlacedSolid(wall.solid, behind, "behind")])
     assert len(free.fiducials()) > 20
+
+
+def test_nothing_on_a_teammate_is_chosen():
+    """Its body is placed in the map: what it hides is not to be mapped with it."""
+    pose = along(1)[0]
+    free = Localizer(CAMERA, T_map_camera=pose)
+    free.locate(view(STEP, pose))
+    places = free.fiducials().positions
+    body = PlacedSolid(Sphere(0.8), make_transform(np.eye(3), np.median(places, axis=0)), "mate")
+    is_near = points_inside(places, [body], 0.1)
+    assert 3 < is_near.sum() < len(places) - 10
+    localizer = Localizer(CAMERA, T_map_camera=pose)
+    localizer.locate(view(STEP, pose), others=[body])
+    chosen = localizer.fiducials().positions
+    assert not points_inside(chosen, [body]).any()
+    assert len(chosen) > (~is_near).sum() - 3
 
 
 def test_a_saved_state_goes_on_with_a_prior_and_is_lost_without():

@@ -11,11 +11,13 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import UpdateRefusedError
+from infomap_ros.exploration.team.team_bodies import TeammatePlacesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,
     invert_transform,
     perturb_transform,
+    points_inside,
 )
 from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.robot_tags import tag_pose
@@ -32,6 +34,7 @@ from infomap_ros.replay.messages import encode_pose
 from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.authentication import TeamKey
 from test.localization.tag_scenes import BoardView, pose_error, seen_from
 from test.nodes.test_fiducial_localization import Stage
@@ -54,6 +57,8 @@ class SightNode(MonitoredNode):
 
     CONFIGS = (
         (TeamTagsConfig, "team_tags."),
+        (TeammatePlacesConfig, "teammates."),
+        (AgentBoardConfig, "agents."),
         (TeamIdentityConfig, ""),
         (RobotTrackerConfig, ""),
     )
@@ -77,6 +82,7 @@ class Meeting:
         self.told = graph.collect(PoseWithCovarianceStamped, "/rover2/map_alignment", qos.stream())
         graph.connect(self.agents)
         self.version = self.said = 0
+        self.base = np.eye(4)
 
     def meet(self, stamp: int, T_theirs_mine: np.ndarray) -> None:
         """See the teammate, and then hear from it where it was."""
@@ -88,7 +94,7 @@ class Meeting:
         T_map_camera = perturb_transform(np.eye(4), self.rng.normal(0.0, 1.0, 6))
         result = Localisation(stamp, "tracking", T_map_camera, 1e-6 * np.eye(6))
         self.node.worker.submit_always(lambda: self.node.sight.look(view, result))
-        base = T_theirs_mine @ T_map_camera @ T_camera_base
+        base = self.base = T_theirs_mine @ T_map_camera @ T_camera_base
         for at in (stamp - SECOND // 10, stamp + SECOND // 10):
             self.version, self.said = self.version + 1, self.said + 1
             camera = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
@@ -223,5 +229,24 @@ def test_a_map_is_not_moved_by_anybody_unless_it_is_allowed(graph: Any) -> None:
 def test_tags_of_the_own_robot_are_not_looked_for(graph: Any) -> None:
     node = graph.add(SightNode, robot_id=1, team_tags__robots=[1], team_tags__ids=[4],
                      team_tags__poses=[float(number) for number in TAG])  # fmt: skip
-    topic = node.resolve_topic_name("team/agents")
-    assert node.count_subscribers(topic) == 0
+    assert node.sight._finder is None
+
+
+def test_it_is_known_where_a_teammate_is_that_is_heard(
+    graph: Any, rng: np.random.Generator
+) -> None:
+    meeting = Meeting(graph, 3, rng)
+    assert meeting.node.sight.bodies(10 * SECOND) == []
+    meeting.meet(10 * SECOND, T_THEIRS_MINE)
+    (body,) = meeting.node.sight.bodies(10 * SECOND)
+    assert points_inside(meeting.base[None, :3, 3], [body]).all()
+    (grown,) = meeting.node.sight.bodies(12 * SECOND)
+    beside = meeting.base[None, :3, 3] + meeting.base[:3, 0]
+    assert points_inside(beside, [grown]).all() and not points_inside(beside, [body]).any()
+
+
+def test_a_robot_that_works_alone_hears_of_nobody(graph: Any) -> None:
+    """What other nodes of it tell on team/agents is not taken for a teammate."""
+    node = graph.add(SightNode, robot_id=0)
+    assert node.resolve_topic_name("team/agents") not in node.health._streams
+    assert node.sight.bodies(10 * SECOND) == []

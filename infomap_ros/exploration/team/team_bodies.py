@@ -11,8 +11,9 @@ margin, and by the standard deviation of where the teammate is for this camera.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,26 +41,19 @@ from infomap_ros.team.agents import Agent
 
 _MOST_MARGIN = 1.0  # [m]; solids that would have to grow by more are replaced by the cylinder
 _OVER_GROUND = 0.03  # [m]; what is no higher than this over a body's lowest point is its ground
+_RECENT = 10  # messages whose postures count for the cylinder about a teammate
 _SURE_MARGIN = 0.15  # [m]; of a body that is taken out of what was fused
 _NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
-class TeamBodiesConfig:
-    """How teammates' bodies are found in scans.
+class TeammatePlacesConfig:
+    """Where teammates may have been at a time.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    wait: float = parameter(
-        0.5,
-        "How long a scan waits until it is known where teammates were at its stamp, in time of the "
-        "data.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
     max_gap: float = parameter(
         0.6,
         "Longest time between two messages of a teammate across which its place is interpolated.",
@@ -91,23 +85,53 @@ class TeamBodiesConfig:
         check_config(self)
 
 
+@dataclass(frozen=True)
+class TeamBodiesConfig(TeammatePlacesConfig):
+    """How teammates' bodies are found in scans.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    wait: float = parameter(
+        0.5,
+        "How long a scan waits until it is known where teammates were at its stamp, in time of the "
+        "data.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+
+
 class _Track:
     """Where one teammate was, and what it is."""
 
-    def __init__(self, config: TeamBodiesConfig) -> None:
+    def __init__(self, config: TeammatePlacesConfig) -> None:
         self.poses = PoseBuffer(PoseBufferConfig(max_gap=config.max_gap, capacity=100))
         self.joints = JointBuffer(JointBufferConfig(max_gap=config.max_gap, capacity=100))
         self.robot: RobotModel | None = None
         self.agent: Agent | None = None
+        self.recent: deque[Agent] = deque(maxlen=_RECENT)
         self.has_arrived = False
 
     def add(self, agent: Agent) -> None:
         self.agent = agent
+        self.recent.append(agent)
         covariance = agent.covariance
         self.poses.add(PoseRecord(agent.stamp, "map", agent.T_map_base, covariance))
         names = tuple(agent.joints)
         positions = np.array([agent.joints[name] for name in names], dtype=np.float64)
         self.joints.add(JointStateRecord(agent.stamp, "", names, positions))
+
+    def about(self, growth: float) -> PlacedSolid:
+        """The cylinder about its body in all postures of late, grown, in the frame of its base."""
+        largest = replace(
+            self.recent[-1],
+            radius=max(agent.radius for agent in self.recent),
+            bottom=min(agent.bottom for agent in self.recent),
+            top=max(agent.top for agent in self.recent),
+        )
+        return cylinder_about(largest, growth)
 
     def at(self, stamp: int) -> tuple[PoseRecord, dict[str, float]]:
         """Pose and joints at a time [ns].
@@ -206,6 +230,25 @@ class TeamBodies:
         heard = [(r, t) for r, t in sorted(self._tracks.items()) if t.agent is not None]
         return [self._placed(robot, track, camera) for robot, track in heard]
 
+    def about(self, stamp: int) -> list[PlacedSolid]:
+        """An upright cylinder about each teammate, in which any of it was at a time.
+
+        Args:
+            stamp: [ns].
+
+        Returns:
+            Placed in the map, grown as the solids are for a scan, but for the error of its pose.
+        """
+        cylinders = []
+        for _, track in sorted(self._tracks.items()):
+            if (agent := track.agent) is not None:
+                pose, _, growth = self._where(track, agent, stamp)
+                sigma = float(np.sqrt(self._their_variance(pose, agent.radius)))
+                about = track.about(self._filter.margin + growth + self._filter.sigmas * sigma)
+                placed = pose.transform @ about.transform
+                cylinders.append(PlacedSolid(about.solid, placed, about.name))
+        return cylinders
+
     def mask(
         self, points: ArrayLike, covariances: ArrayLike | None, camera: PoseRecord
     ) -> NDArray[np.bool_]:
@@ -215,14 +258,7 @@ class TeamBodies:
     def _placed(self, robot: int, track: _Track, camera: PoseRecord) -> BodyInScan:
         agent = track.agent
         assert agent is not None
-        away = 0.0
-        try:
-            pose, joints = track.at(camera.stamp)
-        except PoseUnavailableError:
-            pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
-            joints = dict(agent.joints)
-            away = abs(camera.stamp - agent.stamp) / _NANOSECONDS
-        growth = min(self.config.speed * away, self.config.most_growth)
+        pose, joints, growth = self._where(track, agent, camera.stamp)
         margin = (
             self._filter.margin + growth + self._filter.sigmas * self._sigma(agent, pose, camera)
         )
@@ -231,7 +267,19 @@ class TeamBodies:
         if not solids:
             solids, margin = [cylinder_about(agent, margin)], 0.0
         placed = [PlacedSolid(s.solid, T_camera_base @ s.transform, s.name) for s in solids]
-        return BodyInScan(robot, placed, margin, away == 0.0)
+        return BodyInScan(robot, placed, margin, growth == 0.0)
+
+    def _where(
+        self, track: _Track, agent: Agent, stamp: int
+    ) -> tuple[PoseRecord, dict[str, float], float]:
+        """Pose and joints at a time, and how far it may have moved since these were true [m]."""
+        try:
+            return *track.at(stamp), 0.0
+        except PoseUnavailableError:
+            pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
+            away = abs(stamp - agent.stamp) / _NANOSECONDS
+            growth = min(self.config.speed * away, self.config.most_growth)
+            return pose, dict(agent.joints), growth
 
     def _in_map(self, track: _Track, agent: Agent) -> BodyInScan:
         """A teammate's body in the map as it told it, the frame of the map in place of a camera."""
@@ -259,9 +307,13 @@ class TeamBodies:
     def _sigma(self, agent: Agent, pose: PoseRecord, camera: PoseRecord) -> float:
         """Bound of the standard deviation of where a body is for the camera [m]."""
         distance = float(np.linalg.norm(pose.transform[:3, 3] - camera.transform[:3, 3]))
-        theirs = self.config.unknown_sigma**2
-        if pose.covariance is not None:
-            arm = np.linalg.norm(agent.T_map_camera[:3, 3] - agent.T_map_base[:3, 3])
-            theirs = largest_variance(pose.covariance, agent.radius + float(arm))
+        arm = np.linalg.norm(agent.T_map_camera[:3, 3] - agent.T_map_base[:3, 3])
+        theirs = self._their_variance(pose, agent.radius + float(arm))
         own = 0.0 if camera.covariance is None else largest_variance(camera.covariance, distance)
         return float(np.sqrt(theirs + own))
+
+    def _their_variance(self, pose: PoseRecord, lever: float) -> float:
+        """Largest variance of a point of a body at a lever [m] from its base [m^2]."""
+        if pose.covariance is None:
+            return self.config.unknown_sigma**2
+        return largest_variance(pose.covariance, lever)

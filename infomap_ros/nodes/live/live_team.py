@@ -21,7 +21,7 @@ from infomap_ros.nodes.team.team_topics import SHARED
 from infomap_ros.simulation.company.team_world import starts_abreast
 
 _SHARING = ("map_fusion", "next_best_view")
-_IN_TEAM = (*_SHARING, "explorer")
+_IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
 

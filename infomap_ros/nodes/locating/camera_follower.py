@@ -56,6 +56,7 @@ class CameraFollower:
         view: RangeView,
         posture: RobotPosture | None,
         body: Sequence[PlacedSolid] = (),
+        others: Sequence[PlacedSolid] = (),
     ) -> Localisation:
         """Locate the camera.
 
@@ -63,6 +64,7 @@ class CameraFollower:
             view: later than those before.
             posture: of the robot at that time, None where it is not known.
             body: of the robot, placed in the camera's frame.
+            others: bodies of teammates, placed in the map.
 
         Raises:
             InvalidInputError: the view is not later than those before.
@@ -75,7 +77,7 @@ class CameraFollower:
         prior = None
         if before is not None and posture is not None:
             prior = self._config.motion.between(before, posture)
-        return self._localizer.locate(view, prior, body=body)
+        return self._localizer.locate(view, prior, body=body, others=others)
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""

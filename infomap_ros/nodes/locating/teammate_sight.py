@@ -1,4 +1,4 @@
-"""Teammates that are seen by their tags: how do their maps lie to the own one?
+"""Teammates in view: where no fiducials are chosen, and by their tags, how their maps lie.
 
 Where a teammate was when the image was taken it tells on team/agents, a little later: until then a
 sighting waits. When enough sightings agree that the two maps are not the same, one robot moves its
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 
 import numpy as np
@@ -19,7 +19,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.publisher import Publisher
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.geometry import PoseBufferConfig, PoseRecord
+from infomap_ros.exploration.team.team_bodies import (
+    TeamBodies,
+    TeamBodiesConfig,
+    TeammatePlacesConfig,
+)
+from infomap_ros.geometry import PlacedSolid, PoseBufferConfig, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.localisation import Localisation
@@ -37,6 +42,7 @@ from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.replay.messages import encode_pose
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents_config import AgentBoardConfig
 
 _GAP = 1.5  # longest time between two words of a teammate between which it is interpolated [s]
 _WAITING = 20  # sightings
@@ -55,10 +61,12 @@ class _Teammate:
 
 
 class TeammateSight:
-    """Looks for teammates in views. Used by the worker thread, but for the listening.
+    """Knows where teammates are, and looks for their tags in views.
+
+    Used by the worker thread, but for the listening and `bodies`, which that of the callbacks does.
 
     Args:
-        node: has the configuration of the tags, and speaks.
+        node: has the configurations of team, tags and bodies, and speaks.
         worker: in whose thread views are looked at.
         move: moves the own map, ``T_new_old`` with its covariance.
         stays: whether the own map is that of a target.
@@ -76,15 +84,23 @@ class TeammateSight:
         self._config, who = node.config(TeamTagsConfig), node.config(TeamIdentityConfig)
         self._robot = who.robot_id
         self._key = who.read_key()
-        self._board = AgentBoard(who.robot_id, None, team=who.team, key=self._key)
+        memory, places = node.config(AgentBoardConfig), node.config(TeammatePlacesConfig)
+        self._board = AgentBoard(who.robot_id, None, memory, who.team, self._key)
+        self._bodies = TeamBodies(TeamBodiesConfig(**asdict(places)))
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)
         self._finder = RobotTagFinder(carried) if carried else None
         self._mates: dict[int, _Teammate] = {}
         self._publishers: dict[str, Publisher] = {}
         self._types, self._looked = RclpyMessageTypes(), -(2**62)
-        if self._finder is not None:
+        if self._finder is not None or who.robot_id > 0:
             listen_to_agents(node, self._frame, self._receive)
+
+    def bodies(self, stamp: int) -> Sequence[PlacedSolid]:
+        """Cylinders in the map in which the bodies of the others were at a time [ns]."""
+        remembered = self._board.remembered(time.monotonic())
+        self._bodies.keep([agent.robot for agent in remembered])
+        return self._bodies.about(stamp)
 
     def look(self, view: RangeView, result: Localisation) -> None:
         """Look for teammates in a view.
@@ -116,7 +132,10 @@ class TeammateSight:
 
     def _receive(self, text: str) -> None:
         agent = self._board.hear(text, time.monotonic())
-        if agent is not None:
+        if agent is None:
+            return
+        self._bodies.hear(agent)
+        if self._finder is not None:
             self._worker.submit_always(partial(self._hear, agent))
 
     def _hear(self, agent: Agent) -> None:

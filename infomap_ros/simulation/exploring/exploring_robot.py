@@ -77,7 +77,7 @@ class SimulatedRobot:
         voxel_map: receives what is seen.
         config: how views are taken.
         on_scan: called with each scan that was fused.
-        teammates: whose bodies are cut from scans.
+        teammates: whose bodies are cut from scans and carry no fiducials.
 
     Attributes:
         poses: where it has its pose from.
@@ -96,7 +96,10 @@ class SimulatedRobot:
         self._config = config = config or ExploringRobotConfig()
         self.poses: PoseSource
         if config.pose_source == "localization":
-            self.poses = SelfLocalisation(simulator, robot, config.stereo, config.localization)
+            others = (lambda _: ()) if teammates is None else teammates.about
+            self.poses = SelfLocalisation(
+                simulator, robot, config.stereo, config.localization, others
+            )
             store = ScanStoreConfig()
         else:
             self.poses = MeasuredPoses(simulator, config.stereo)

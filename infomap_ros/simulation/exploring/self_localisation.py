@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.geometry import StereoRig, invert_transform
+from infomap_ros.geometry import PlacedSolid, StereoRig, invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
@@ -94,6 +95,7 @@ class SelfLocalisation:
         robot: its model, with the camera frame.
         stereo: how pairs are measured.
         config: when pairs are taken, and how they are used.
+        others: bodies of teammates at a time [ns], placed in the map: they carry no fiducials.
 
     Implements `infomap_ros.simulation.exploring.pose_source.PoseSource`.
 
@@ -111,8 +113,10 @@ class SelfLocalisation:
         robot: RobotModel,
         stereo: StereoConfig,
         config: SelfLocalisationConfig | None = None,
+        others: Callable[[int], Sequence[PlacedSolid]] = lambda _: (),
     ) -> None:
         self.config = config or SelfLocalisationConfig()
+        self._others = others
         self._simulator, self._robot = simulator, robot
         self._rectifier = StereoRectifier(*simulator.calibrations)
         self.rig: StereoRig = self._rectifier.rig
@@ -139,7 +143,8 @@ class SelfLocalisation:
         posture = self._measured_posture(joints)
         view = StereoView(pair.stamp, *self._rectifier.rectify(pair.left, pair.right), self._sensor)
         body = self._robot.solids_in(self._robot.camera_frame, joints)
-        self.last = self.localizer.locate(view, self._prior(posture), voxel_map, body=body)
+        prior, others = self._prior(posture), self._others(pair.stamp)
+        self.last = self.localizer.locate(view, prior, voxel_map, body=body, others=others)
         self._posture = posture
         if self.last.state == "tracking" or self._known is None:
             self._note_pose(self.last, posture)

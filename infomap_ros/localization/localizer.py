@@ -156,7 +156,7 @@ class Localizer(KnownMap):
             voxel_map: for the certainty of new fiducials, eq. (19).
             keep: keep the pose as a keyframe wherever it is.
             body: of the robot, placed in the camera frame: it carries no fiducials.
-            others: what moves by itself, as teammates, placed in the map: it carries none either.
+            others: what moves by itself, as teammates, placed in the map: likewise.
 
         Raises:
             InvalidInputError: the view is not later than the one before.
@@ -204,10 +204,9 @@ class Localizer(KnownMap):
         """Track the fiducials, from where they are expected."""
         if self._state == "lost":
             return self._scene.follow(view, None)
-        pose = self._filter.pose[0]
+        pose, (motion, duration) = self._filter.pose[0], self._step
         if prior is not None:
             return self._scene.follow(view, pose @ prior.T_before_after)
-        motion, duration = self._step
         seconds = 1e-9 * (view.stamp - self._stamp)
         steady = self._state == "tracking" and 0.5 * duration < seconds < 2.0 * duration
         return self._scene.follow(view, pose @ motion if steady else pose)
@@ -285,8 +284,7 @@ class Localizer(KnownMap):
             tracked += self._recovery.return_to_known(view)
             self._recalled = self._filter.pose[0]
         if tracked < self.config.fewest_fiducials:
-            missing = self.config.wanted_fiducials - tracked
-            self._scene.replenish(view, missing, chosen)
+            self._scene.replenish(view, self.config.wanted_fiducials - tracked, chosen)
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool

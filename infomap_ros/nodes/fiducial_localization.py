@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 
-from infomap_ros.exploration.team.team_bodies import TeammatePlacesConfig
+from infomap_ros.exploration.team.team_bodies_config import TeammatePlacesConfig
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig

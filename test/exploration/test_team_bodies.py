@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
+from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PlacedSolid,

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.exploration.team.team_bodies import TeammatePlacesConfig
+from infomap_ros.exploration.team.team_bodies_config import TeammatePlacesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,

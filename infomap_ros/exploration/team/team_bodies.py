@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from infomap_ros.exploration.team.bodies_in_scan import (
     largest_variance,
     on_bodies,
 )
+from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig, TeammatePlacesConfig
 from infomap_ros.geometry import (
     JointStateRecord,
     PlacedSolid,
@@ -33,7 +34,6 @@ from infomap_ros.geometry import (
     PoseRecord,
     invert_transform,
 )
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion import RobotModel
@@ -44,63 +44,6 @@ _OVER_GROUND = 0.03  # [m]; what is no higher than this over a body's lowest poi
 _RECENT = 10  # messages whose postures count for the cylinder about a teammate
 _SURE_MARGIN = 0.15  # [m]; of a body that is taken out of what was fused
 _NANOSECONDS = 1e9
-
-
-@dataclass(frozen=True)
-class TeammatePlacesConfig:
-    """Where teammates may have been at a time.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    max_gap: float = parameter(
-        0.6,
-        "Longest time between two messages of a teammate across which its place is interpolated.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
-    speed: float = parameter(
-        0.7,
-        "How fast any part of a teammate moves at the most: so much its body grows for each second "
-        "for which it is not known where it was.",
-        unit="m/s",
-        low=0.0,
-        high=100.0,
-    )
-    most_growth: float = parameter(
-        1.5, "It grows no further by that: it is taken to have stopped.", unit="m", low=0.0,
-        high=100.0,
-    )  # fmt: skip
-    unknown_sigma: float = parameter(
-        0.1,
-        "Standard deviation of the place of a teammate that does not tell it.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
-
-
-@dataclass(frozen=True)
-class TeamBodiesConfig(TeammatePlacesConfig):
-    """How teammates' bodies are found in scans.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    wait: float = parameter(
-        0.5,
-        "How long a scan waits until it is known where teammates were at its stamp, in time of the "
-        "data.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
 
 
 class _Track:

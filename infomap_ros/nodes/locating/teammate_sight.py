@@ -19,11 +19,8 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.publisher import Publisher
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.team_bodies import (
-    TeamBodies,
-    TeamBodiesConfig,
-    TeammatePlacesConfig,
-)
+from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig, TeammatePlacesConfig
 from infomap_ros.geometry import PlacedSolid, PoseBufferConfig, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer
 from infomap_ros.localization.fiducials.range_view import RangeView

@@ -272,6 +272,11 @@ def test_it_is_within_its_cylinder_in_the_map(
     assert len(cylinder) == 1 and not points_inside(beside, cylinder).any()
 
 
+def test_who_is_silent_does_not_take_all_the_room(robot: RobotModel) -> None:
+    (soon,), (late,) = (heard(robot).about(ms * MS) for ms in (1100, 60_000))
+    assert 0.1 < late.solid.radius - soon.solid.radius < 0.25
+
+
 def test_nothing_is_cut_where_no_teammate_is_in_view(robot: RobotModel) -> None:
     points = scan_of([])
     turned = LOOKING @ invert_transform(make_transform(np.diag([-1.0, 1.0, -1.0]), np.zeros(3)))

@@ -241,7 +241,7 @@ def test_it_is_known_where_a_teammate_is_that_is_heard(
     (body,) = meeting.node.sight.bodies(10 * SECOND)
     assert points_inside(meeting.base[None, :3, 3], [body]).all()
     (grown,) = meeting.node.sight.bodies(12 * SECOND)
-    beside = meeting.base[None, :3, 3] + meeting.base[:3, 0]
+    beside = meeting.base[None, :3, 3] + (body.solid.radius + 0.15) * meeting.base[:3, 0]
     assert points_inside(beside, [grown]).all() and not points_inside(beside, [body]).any()
 
 

@@ -41,6 +41,7 @@ from infomap_ros.team.agents import Agent
 
 _MOST_MARGIN = 1.0  # [m]; solids that would have to grow by more are replaced by the cylinder
 _OVER_GROUND = 0.03  # [m]; what is no higher than this over a body's lowest point is its ground
+_MOST_AROUND = 0.3  # [m] about a teammate where no fiducials are chosen: others are needed
 _RECENT = 10  # messages whose postures count for the cylinder about a teammate
 _SURE_MARGIN = 0.15  # [m]; of a body that is taken out of what was fused
 _NANOSECONDS = 1e9
@@ -176,6 +177,8 @@ class TeamBodies:
     def about(self, stamp: int) -> list[PlacedSolid]:
         """An upright cylinder about each teammate, in which any of it was at a time.
 
+        A teammate that is silent or lost takes no more room than `_MOST_AROUND` about its body.
+
         Args:
             stamp: [ns].
 
@@ -187,7 +190,8 @@ class TeamBodies:
             if (agent := track.agent) is not None:
                 pose, _, growth = self._where(track, agent, stamp)
                 sigma = float(np.sqrt(self._their_variance(pose, agent.radius)))
-                about = track.about(self._filter.margin + growth + self._filter.sigmas * sigma)
+                margin = self._filter.margin + growth + self._filter.sigmas * sigma
+                about = track.about(min(margin, _MOST_AROUND))
                 placed = pose.transform @ about.transform
                 cylinders.append(PlacedSolid(about.solid, placed, about.name))
         return cylinders

@@ -54,18 +54,21 @@ class _Track:
         self.poses = PoseBuffer(PoseBufferConfig(max_gap=config.max_gap, capacity=100))
         self.joints = JointBuffer(JointBufferConfig(max_gap=config.max_gap, capacity=100))
         self.robot: RobotModel | None = None
-        self.agent: Agent | None = None
         self.recent: deque[Agent] = deque(maxlen=_RECENT)
         self.has_arrived = False
 
     def add(self, agent: Agent) -> None:
-        self.agent = agent
         self.recent.append(agent)
         covariance = agent.covariance
         self.poses.add(PoseRecord(agent.stamp, "map", agent.T_map_base, covariance))
         names = tuple(agent.joints)
         positions = np.array([agent.joints[name] for name in names], dtype=np.float64)
         self.joints.add(JointStateRecord(agent.stamp, "", names, positions))
+
+    @property
+    def agent(self) -> Agent | None:
+        """What it told last; None where only its body is known."""
+        return self.recent[-1] if self.recent else None
 
     def about(self, growth: float) -> PlacedSolid:
         """The cylinder about its body in all postures of late, grown, in the frame of its base."""
@@ -188,9 +191,9 @@ class TeamBodies:
         cylinders = []
         for _, track in sorted(self._tracks.items()):
             if (agent := track.agent) is not None:
-                pose, _, growth = self._where(track, agent, stamp)
+                pose, _, away = self._where(track, agent, stamp)
                 sigma = float(np.sqrt(self._their_variance(pose, agent.radius)))
-                margin = self._filter.margin + growth + self._filter.sigmas * sigma
+                margin = self._filter.margin + self._growth(away) + self._filter.sigmas * sigma
                 about = track.about(min(margin, _MOST_AROUND))
                 placed = pose.transform @ about.transform
                 cylinders.append(PlacedSolid(about.solid, placed, about.name))
@@ -205,7 +208,8 @@ class TeamBodies:
     def _placed(self, robot: int, track: _Track, camera: PoseRecord) -> BodyInScan:
         agent = track.agent
         assert agent is not None
-        pose, joints, growth = self._where(track, agent, camera.stamp)
+        pose, joints, away = self._where(track, agent, camera.stamp)
+        growth = self._growth(away)
         margin = (
             self._filter.margin + growth + self._filter.sigmas * self._sigma(agent, pose, camera)
         )
@@ -214,19 +218,22 @@ class TeamBodies:
         if not solids:
             solids, margin = [cylinder_about(agent, margin)], 0.0
         placed = [PlacedSolid(s.solid, T_camera_base @ s.transform, s.name) for s in solids]
-        return BodyInScan(robot, placed, margin, growth == 0.0)
+        return BodyInScan(robot, placed, margin, away == 0.0)
 
     def _where(
         self, track: _Track, agent: Agent, stamp: int
     ) -> tuple[PoseRecord, dict[str, float], float]:
-        """Pose and joints at a time, and how far it may have moved since these were true [m]."""
+        """Pose and joints at a time, and how far in time from there they were told [s]."""
         try:
             return *track.at(stamp), 0.0
         except PoseUnavailableError:
             pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
             away = abs(stamp - agent.stamp) / _NANOSECONDS
-            growth = min(self.config.speed * away, self.config.most_growth)
-            return pose, dict(agent.joints), growth
+            return pose, dict(agent.joints), away
+
+    def _growth(self, away: float) -> float:
+        """How far a teammate may have moved in a time [s], in metres."""
+        return min(self.config.speed * away, self.config.most_growth)
 
     def _in_map(self, track: _Track, agent: Agent) -> BodyInScan:
         """A teammate's body in the map as it told it, the frame of the map in place of a camera."""

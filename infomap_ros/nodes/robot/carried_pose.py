@@ -44,30 +44,39 @@ class CarriedPose:
         """Frame of odometry, empty before any has come."""
         return self._motion.odom_frame
 
-    def posture(self) -> RobotPosture:
-        """Base and camera at the newest time for which odometry and joints are known.
+    @property
+    def newest_stamp(self) -> int:
+        """Newest time for which odometry and joints are known [ns]; -1 before."""
+        return min(self._odometry, self._joints)
+
+    def posture(self, stamp: int) -> RobotPosture:
+        """Base and camera at a time.
+
+        Args:
+            stamp: [ns].
 
         Raises:
-            PoseUnavailableError: one of them has not come.
+            PoseUnavailableError: odometry or joints are not known at that time.
+            RobotModelError: a joint is never published.
         """
-        return self._motion.posture(min(self._odometry, self._joints))
+        return self._motion.posture(stamp)
 
-    def carry(self, pose: PoseRecord) -> PoseRecord:
+    def carry(self, pose: PoseRecord, start: RobotPosture) -> PoseRecord:
         """The pose of the camera at the newest time for which odometry and joints are known.
 
         Args:
             pose: of the camera, with covariance.
+            start: posture of the robot then.
 
         Returns:
             The later pose; the same one where odometry does not tell of the time since then.
         """
-        newest = min(self._odometry, self._joints)
+        newest = self.newest_stamp
         if newest <= pose.stamp or pose.covariance is None:
             return pose
         try:
-            before, after = (self._motion.posture(stamp) for stamp in (pose.stamp, newest))
+            posture = self._motion.posture(newest)
         except InfomapError:
             return pose
-        start = MotionPrior(pose.transform, pose.covariance)
-        here = start.then(self._noise.since(before, after))
+        here = MotionPrior(pose.transform, pose.covariance).then(self._noise.since(start, posture))
         return PoseRecord(newest, pose.frame_id, here.T_before_after, here.covariance)

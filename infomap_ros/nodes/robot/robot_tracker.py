@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import CameraCalibration, PoseRecord, invert_transform
+from infomap_ros.geometry import CameraCalibration, invert_transform
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
@@ -23,6 +23,7 @@ from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.nodes.robot.last_pose import LastPose
 from infomap_ros.replay.messages import (
     decode_camera_info,
     decode_joint_state,
@@ -30,8 +31,6 @@ from infomap_ros.replay.messages import (
     decode_pose_with_covariance,
     decode_text,
 )
-
-_KEPT_POSES = 50
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class RobotTracker:
         self._assumed = node.config(AssumedPoseConfig)
         self._joints = JointBuffer(node.config(JointBufferConfig))
         self._news = threading.Condition()
-        self._poses: list[PoseRecord] = []
+        self._pose = LastPose(self._joints, self._assumed)
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
         self._description = ""
         self._robot: RobotModel | None = None
@@ -133,7 +132,8 @@ class RobotTracker:
     def newest_stamp(self) -> int | None:
         """Stamp of the newest camera_pose or odometry [ns]; None before the first pose."""
         with self._news:
-            return max(self._poses[-1].stamp, self._odometry) if self._poses else None
+            newest = self._pose.newest_stamp
+            return None if newest is None else max(newest, self._odometry)
 
     def stamped_state(self) -> tuple[int, RobotState]:
         """As `state`, with its stamp [ns].
@@ -143,11 +143,11 @@ class RobotTracker:
         """
         robot = self.robot
         with self._news:
-            pose, joints = self._newest()
-        covariance = self._assumed.covariance() if pose.covariance is None else pose.covariance
+            pose, joints = self._pose.now(self._carried)
+        assert pose.covariance is not None
         T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
         T_map_base = pose.transform @ invert_transform(T_base_camera)
-        return pose.stamp, RobotState(T_map_base, pose.transform, covariance, joints)
+        return pose.stamp, RobotState(T_map_base, pose.transform, pose.covariance, joints)
 
     def state_in_odometry(self) -> RobotState:
         """Where odometry has the robot, in its own frame: for a robot that is not located yet.
@@ -159,7 +159,8 @@ class RobotTracker:
         with self._news:
             if self._carried is None:
                 raise PoseUnavailableError("no odometry has arrived yet")
-            camera, joints = self._carried.posture().T_odom_camera, self._joints.newest()
+            posture = self._carried.posture(self._carried.newest_stamp)
+            camera, joints = posture.T_odom_camera, self._joints.newest()
         T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
         base = camera @ invert_transform(T_base_camera)
         return RobotState(base, camera, self._assumed.covariance(), joints)
@@ -212,27 +213,6 @@ class RobotTracker:
         with self._news:
             self._news.notify_all()
 
-    def _newest(self) -> tuple[PoseRecord, dict[str, float]]:
-        if not self._poses:
-            raise PoseUnavailableError("no camera_pose has arrived yet")
-        for pose in reversed(self._poses):
-            try:
-                joints = self._joints.at(pose.stamp)
-                return self._carry(pose, joints)
-            except PoseUnavailableError as error:
-                problem = error
-        raise problem
-
-    def _carry(
-        self, pose: PoseRecord, joints: dict[str, float]
-    ) -> tuple[PoseRecord, dict[str, float]]:
-        """The pose and joints of now, or as they are given where odometry does not tell."""
-        if self._carried is None:
-            return pose, joints
-        assumed = self._assumed.covariance() if pose.covariance is None else pose.covariance
-        here = self._carried.carry(replace(pose, covariance=assumed))
-        return (pose, joints) if here.stamp == pose.stamp else (here, self._joints.at(here.stamp))
-
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         pose = decode_pose_with_covariance(message)
         if pose.frame_id != self._config.map_frame:
@@ -240,10 +220,8 @@ class RobotTracker:
                 f"pose in frame '{pose.frame_id}', the map is '{self._config.map_frame}'"
             )
         with self._news:
-            if self._poses and pose.stamp < self._poses[-1].stamp:
-                self._poses.clear()  # the clock was set back
-            self._poses = [*self._poses[-_KEPT_POSES:], pose]
-            self._news.notify_all()
+            self._pose.add(pose)
+            self._settle()
 
     def _on_joints(self, message: JointState) -> None:
         record = decode_joint_state(message)
@@ -251,7 +229,7 @@ class RobotTracker:
             self._joints.add(record)
             if self._carried is not None:
                 self._carried.add_joints(record)
-            self._news.notify_all()
+            self._settle()
 
     def _on_odometry(self, message: Odometry) -> None:
         with self._news:
@@ -259,6 +237,11 @@ class RobotTracker:
                 record = decode_odometry(message)
                 self._carried.add_odometry(record)
                 self._odometry = record.stamp
+                self._settle()
+
+    def _settle(self) -> None:
+        self._pose.settle(self._carried)
+        self._news.notify_all()
 
     def _on_description(self, message: String) -> None:
         with self._news:

@@ -15,7 +15,6 @@ the target where there is one. With `resume` the map is kept, and the camera has
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,8 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 
-from infomap_ros.exploration.team.team_bodies_config import TeammatePlacesConfig
-from infomap_ros.geometry import PlacedSolid, PoseRecord
+from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
+from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
@@ -124,8 +123,7 @@ class FiducialLocalizationNode(MonitoredNode):
         return follower
 
     def _on_look(self, look: Look) -> None:
-        others = self._teammates.bodies(look.stamp)
-        self._worker.submit(partial(self._work, look, others))
+        self._worker.submit(partial(self._work, look))
 
     def _on_clock_jump(self) -> None:
         self._worker.submit_always(self._begin_again)
@@ -137,12 +135,13 @@ class FiducialLocalizationNode(MonitoredNode):
         else:
             self._follower.reset()
 
-    def _work(self, look: Look, others: Sequence[PlacedSolid]) -> None:
-        self.guard(self._source.image_topics[0], partial(self._locate, look, others))
+    def _work(self, look: Look) -> None:
+        self.guard(self._source.image_topics[0], partial(self._locate, look))
 
-    def _locate(self, look: Look, others: Sequence[PlacedSolid]) -> None:
+    def _locate(self, look: Look) -> None:
         """One pair: look, locate, publish."""
         framed = self._source.view(look.images, look.infos)
+        others = self._teammates.bodies(look.stamp)
         result = self._follower.follow(framed.view, look.posture, look.body, others)
         self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
         self._seen = result.stamp

@@ -22,7 +22,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
-from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig
+from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig

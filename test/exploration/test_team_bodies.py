@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.team_bodies import TeamBodies
-from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig
+from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PlacedSolid,
@@ -56,13 +55,25 @@ def joints_of(robot: RobotModel, angle: float) -> Joints:
     return {joint.name: angle if "arm" in joint.name else 0.0 for joint in robot.joints}
 
 
-def told(robot: RobotModel, milliseconds: int, version: int, error: float = 0.0) -> Agent:
-    """What the teammate tells of itself, its pose wrong by `error` along x and y [m]."""
+def told(
+    robot: RobotModel,
+    milliseconds: int,
+    version: int,
+    error: float = 0.0,
+    sigma: float | None = None,
+) -> Agent:
+    """What the teammate tells of itself.
+
+    Args:
+        error: of its pose along x and y [m].
+        sigma: standard deviation that it claims [m]; that error, if it is not given.
+    """
     base, angle = place(milliseconds)
     base = perturb_transform(base, [error, error, 0.0, 0.0, 0.0, 0.0])
     joints = joints_of(robot, angle)
     radius, bottom, top = body_extent(robot, joints)
-    covariance = np.diag([max(error, 0.002) ** 2] * 3 + [1e-6] * 3)
+    claimed = max(error, 0.002) if sigma is None else sigma
+    covariance = np.diag([claimed**2] * 3 + [1e-6] * 3)
     return Agent(
         2, 1, version, milliseconds * MS, milliseconds * MS, base, base, covariance, CAMERA, 4.0,
         joints=joints, radius=radius, bottom=bottom, top=top, base_frame="base_link",
@@ -145,10 +156,12 @@ def mapped(
     return voxel_map, kept / all_others
 
 
-def heard(robot: RobotModel, error: float = 0.0, described: bool = True) -> TeamBodies:
+def heard(
+    robot: RobotModel, error: float = 0.0, described: bool = True, sigma: float | None = None
+) -> TeamBodies:
     bodies = TeamBodies()
     for version, time in enumerate(TOLD, 1):
-        bodies.hear(told(robot, time, version, error))
+        bodies.hear(told(robot, time, version, error, sigma))
     if described:
         bodies.describe(2, robot)
     return bodies
@@ -167,10 +180,7 @@ def test_nor_does_one_whose_pose_is_wrong_by_what_it_says(robot: RobotModel) -> 
     after, kept = mapped(robot, heard(robot, error=0.05), SCANS)
     assert occupied_near(after, robot, SCANS) == 0
     assert kept > 0.8
-    told_exact = heard(robot, error=0.05)
-    for track in told_exact._tracks.values():
-        track.poses._poses = [replace(p, covariance=1e-8 * np.eye(6)) for p in track.poses._poses]
-    wrong, _ = mapped(robot, told_exact, SCANS)
+    wrong, _ = mapped(robot, heard(robot, error=0.05, sigma=1e-4), SCANS)
     assert occupied_near(wrong, robot, SCANS) > 0, "it is the covariance that does it"
 
 

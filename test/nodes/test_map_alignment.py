@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.exploration.team.team_bodies_config import TeammatePlacesConfig
+from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,
@@ -152,7 +152,8 @@ def test_words_that_no_robot_can_say_next_are_not_believed(
     meeting.meet(10 * SECOND, T_THEIRS_MINE)
     meeting.version += 1 << 25
     meeting.meet(11 * SECOND, T_THEIRS_MINE)
-    assert meeting.node.health.drops() == {"version far ahead": 2}
+    refused = {"version far ahead": 2}
+    graph.spin_until(lambda: meeting.node.health.drops() == refused, "both words to be refused")
 
 
 def test_robots_with_one_map_move_nothing(graph: Any, rng: np.random.Generator) -> None:
@@ -238,6 +239,7 @@ def test_it_is_known_where_a_teammate_is_that_is_heard(
     meeting = Meeting(graph, 3, rng)
     assert meeting.node.sight.bodies(10 * SECOND) == []
     meeting.meet(10 * SECOND, T_THEIRS_MINE)
+    graph.spin_until(lambda: meeting.node.sight.bodies(10 * SECOND), "the teammate to be heard")
     (body,) = meeting.node.sight.bodies(10 * SECOND)
     assert points_inside(meeting.base[None, :3, 3], [body]).all()
     (grown,) = meeting.node.sight.bodies(12 * SECOND)

@@ -200,7 +200,7 @@ def test_who_was_forgotten_and_is_back_is_still_what_it_was(graph: Any) -> None:
     wall.wait_until_described()
     gate = wall.bench.node._gate
     graph.spin_until(
-        lambda: not gate._teammates.bodies_in(pose()) and not gate._teammates._bodies._tracks,
+        lambda: not gate._teammates.bodies_in(pose()),
         "the teammate to be forgotten",
     )
     wall.tell(0, 2)

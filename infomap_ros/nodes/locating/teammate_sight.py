@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -19,10 +19,8 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.publisher import Publisher
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.team_bodies import TeamBodies
-from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig, TeammatePlacesConfig
-from infomap_ros.geometry import PlacedSolid, PoseBufferConfig, PoseRecord
-from infomap_ros.geometry.pose_buffer import PoseBuffer
+from infomap_ros.exploration.team.teammate_places import TeammatePlaces, TeammatePlacesConfig
+from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
@@ -36,20 +34,18 @@ from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_topics import AGENTS
 from infomap_ros.replay.messages import encode_pose
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
 
-_GAP = 1.5  # longest time between two words of a teammate between which it is interpolated [s]
 _WAITING = 20  # sightings
 
 
 @dataclass
 class _Teammate:
-    """One teammate: where it was, and what sightings of it tell."""
+    """One teammate: what sightings of it tell, and how it is told."""
 
-    poses: PoseBuffer
     alignment: TeamAlignment
     tell: Publisher | None = None
     waiting: deque[tuple[int, Alignment, Alignment]] = field(
@@ -60,10 +56,10 @@ class _Teammate:
 class TeammateSight:
     """Knows where teammates are, and looks for their tags in views.
 
-    Used by the worker thread, but for the listening and `bodies`, which that of the callbacks does.
+    Used by the worker thread, which is also given what is heard.
 
     Args:
-        node: has the configurations of team, tags and bodies, and speaks.
+        node: has the configurations of team, tags and places, and speaks.
         worker: in whose thread views are looked at.
         move: moves the own map, ``T_new_old`` with its covariance.
         stays: whether the own map is that of a target.
@@ -81,9 +77,9 @@ class TeammateSight:
         self._config, who = node.config(TeamTagsConfig), node.config(TeamIdentityConfig)
         self._robot = who.robot_id
         self._key = who.read_key()
-        memory, places = node.config(AgentBoardConfig), node.config(TeammatePlacesConfig)
+        memory = node.config(AgentBoardConfig)
         self._board = AgentBoard(who.robot_id, None, memory, who.team, self._key)
-        self._bodies = TeamBodies(TeamBodiesConfig(**asdict(places)))
+        self._places = TeammatePlaces(node.config(TeammatePlacesConfig))
         self._frame = node.config(RobotTrackerConfig).map_frame
         carried = self._config.carried(but=self._robot)
         self._finder = RobotTagFinder(carried) if carried else None
@@ -96,8 +92,8 @@ class TeammateSight:
     def bodies(self, stamp: int) -> Sequence[PlacedSolid]:
         """Cylinders in the map in which the bodies of the others were at a time [ns]."""
         remembered = self._board.remembered(time.monotonic())
-        self._bodies.keep([agent.robot for agent in remembered])
-        return self._bodies.about(stamp)
+        self._places.keep([agent.robot for agent in remembered])
+        return self._places.about(stamp)
 
     def look(self, view: RangeView, result: Localisation) -> None:
         """Look for teammates in a view.
@@ -128,42 +124,39 @@ class TeammateSight:
             mate.waiting.clear()
 
     def _receive(self, text: str) -> None:
-        agent = self._board.hear(text, time.monotonic())
+        hear = partial(self._hear, text, time.monotonic())
+        self._worker.submit_always(partial(self._node.guard, AGENTS, hear))
+
+    def _hear(self, text: str, now: float) -> None:
+        agent = self._board.hear(text, now)
         if agent is None:
             return
-        self._bodies.hear(agent)
-        if self._finder is not None:
-            self._worker.submit_always(partial(self._hear, agent))
-
-    def _hear(self, agent: Agent) -> None:
-        if agent.covariance is None:
+        self._places.hear(agent)
+        if self._finder is None:
             return
-        mate = self._mate(agent.robot)
         if agent.description:
-            mate.tell = self._publisher(agent.description.rpartition("/")[0])
-        base = PoseRecord(agent.stamp, self._frame, agent.T_map_base, agent.covariance)
-        if mate.poses.newest_stamp is None or agent.stamp > mate.poses.newest_stamp:
-            mate.poses.add(base)
+            self._mate(agent.robot).tell = self._publisher(agent.description.rpartition("/")[0])
         self._resolve(agent.robot)
 
     def _mate(self, robot: int) -> _Teammate:
         if robot not in self._mates:
-            buffer = PoseBuffer(PoseBufferConfig(max_gap=_GAP))
-            self._mates[robot] = _Teammate(buffer, TeamAlignment(self._config.sightings))
+            self._mates[robot] = _Teammate(TeamAlignment(self._config.sightings))
         return self._mates[robot]
 
     def _resolve(self, robot: int) -> None:
         """Use the sightings for which it is known where the teammate was."""
-        mate = self._mates[robot]
+        mate = self._mate(robot)
         waiting, mate.waiting = mate.waiting, deque(maxlen=_WAITING)
         for stamp, camera, other in waiting:
             try:
-                base = mate.poses.at(stamp)
+                base = self._places.told_at(robot, stamp).pose
             except PoseUnavailableError as error:
                 if error.may_arrive:
                     mate.waiting.append((stamp, camera, other))
                 continue
-            there = Alignment(base.transform, base.covariance)  # type: ignore[arg-type]
+            if base.covariance is None:
+                continue
+            there = Alignment(base.transform, base.covariance)
             found = mate.alignment.add(align_by_sighting(camera, other, there).inverse())
             if mate.alignment.problem:
                 self._node.drop("alignment", f"robot {robot}: {mate.alignment.problem}")

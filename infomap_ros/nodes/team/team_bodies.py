@@ -14,8 +14,7 @@ from functools import partial
 from std_msgs.msg import String
 
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
-from infomap_ros.exploration.team.team_bodies import TeamBodies
-from infomap_ros.exploration.team.team_bodies_config import TeamBodiesConfig
+from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig

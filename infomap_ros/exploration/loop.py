@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from enum import Enum
 
@@ -11,11 +11,19 @@ from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.drift_guard import DriftGuard
 from infomap_ros.exploration.last_views import LastViews
-from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.mission import HOME, Mission
 from infomap_ros.exploration.planar import planar_pose, way_length
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
-from infomap_ros.exploration.robot import Choice, FailedView, Interrupted, Motion, Planner, Robot
+from infomap_ros.exploration.robot import (
+    Choice,
+    FailedView,
+    Interrupted,
+    KnownPlace,
+    Motion,
+    Planner,
+    Robot,
+)
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.way_back import WayBack
 from infomap_ros.motion.route import Route
@@ -89,7 +97,7 @@ class Exploration:
         self._robot, self._planner, self._log = robot, planner, log
         self._plan_only, self._on_step, self._clock = plan_only, on_step, clock
         self._failures, self._marked = 0, clock()
-        self._last_views, self._back = LastViews(task), WayBack()
+        self._last_views, self._back = LastViews(task), WayBack(self.mission)
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -157,10 +165,10 @@ class Exploration:
 
     def _initialise(self) -> None:
         """Note where the mission began."""
-        if not self.mission.home_base:
+        if not self.mission.home.is_known:
             state = self._robot.state()
-            self.mission.home_base = list(planar_pose(state.T_map_base))
-            self.mission.home_joints = dict(state.joints)
+            base = planar_pose(state.T_map_base)
+            self.mission.home = KnownPlace(HOME.name, base, dict(state.joints))
             self.mission.home_pose = state.T_map_base.tolist()
 
     def _look(self) -> Ending | None:
@@ -256,8 +264,8 @@ class Exploration:
     def _go_home(self) -> None:
         """Go to where the mission began; where that fails, say so and stay."""
         self._enter("going home")
-        home, control = (self.mission.home_base, self.mission.home_joints), self.control
-        problem = self._go_to(*home, "home", lambda: control.request is not Request.HOME)
+        control = self.control
+        problem = self._go_to(self.mission.home, lambda: control.request is not Request.HOME)
         self.last_reason = f"home: {problem}" if problem else "at home"
 
     def _go_back(self) -> Ending | None:
@@ -265,18 +273,16 @@ class Exploration:
         self._enter("going back to the last look")
         self._back.take()
         interrupted = self.control.interrupted
-        problem = self._go_to(self._back.base, self._back.joints, "back", interrupted)
+        problem = self._go_to(self.mission.last_look, interrupted)
         return None if problem or interrupted() else self._look()
 
-    def _go_to(
-        self, base: Sequence[float], joints: Mapping[str, float], why: str, interrupted: Interrupted
-    ) -> str:
-        """Go to a place of the base and a posture; returns empty, or why it did not get there."""
-        choice = self._planner.way_home(self._robot.state(), base, joints)
+    def _go_to(self, place: KnownPlace, interrupted: Interrupted) -> str:
+        """Go to where the robot has stood; returns empty, or why it did not get there."""
+        choice = self._planner.way_to(self._robot.state(), place)
         problem = choice.reason
         if choice.route is not None:
             problem = self.follow(choice.route, interrupted)
-        self._log.write("motion", action=why, outcome=problem, path=[])
+        self._log.write("motion", action=place.name, outcome=problem, path=[])
         return problem
 
     def _enter(self, state: str, reason: str | None = None) -> None:

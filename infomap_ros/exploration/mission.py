@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError, MissionFileError
+from infomap_ros.exploration.robot import KnownPlace
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.geometry.transforms import (
@@ -19,6 +19,9 @@ from infomap_ros.geometry.transforms import (
     quaternion_from_transform,
     transform_from_quaternion,
 )
+
+HOME, LAST_LOOK = KnownPlace("home"), KnownPlace("last look")
+"""Where nothing is known of them yet; their names stay."""
 
 
 @dataclass
@@ -29,8 +32,8 @@ class Mission:
         views: taken so far.
         distance: way of the base so far [m].
         seconds: spent so far [s].
-        home_base: base pose at the start (x, y, yaw) [m, rad]; empty before the start.
-        home_joints: joint positions at the start [rad or m].
+        home: where it began.
+        last_look: where the last look succeeded.
         home_pose: ``T_map_base`` at the start, shape (4, 4); empty where not known.
         looks: camera poses of the views, (x, y, z) [m, map] and quaternion (x, y, z, w) each.
     """
@@ -38,8 +41,8 @@ class Mission:
     views: int = 0
     distance: float = 0.0
     seconds: float = 0.0
-    home_base: list[float] = field(default_factory=list)
-    home_joints: dict[str, float] = field(default_factory=dict)
+    home: KnownPlace = HOME
+    last_look: KnownPlace = LAST_LOOK
     home_pose: list[list[float]] = field(default_factory=list)
     looks: list[list[float]] = field(default_factory=list)
 
@@ -55,7 +58,18 @@ class Mission:
         Raises:
             OSError: the file cannot be written.
         """
-        write_json(path, dataclasses.asdict(self))
+        write_json(
+            path,
+            {
+                "views": self.views,
+                "distance": self.distance,
+                "seconds": self.seconds,
+                **_place_numbers("home", self.home),
+                **_place_numbers("look", self.last_look),
+                "home_pose": self.home_pose,
+                "looks": self.looks,
+            },
+        )
 
     @classmethod
     def load(cls, path: Path) -> Mission:
@@ -70,8 +84,8 @@ class Mission:
                 int(content["views"]),
                 float(content["distance"]),
                 float(content["seconds"]),
-                [float(number) for number in content["home_base"]],
-                {str(name): float(q) for name, q in content["home_joints"].items()},
+                read_place(HOME, content["home_base"], content["home_joints"]),
+                read_place(LAST_LOOK, content.get("look_base", []), content.get("look_joints", {})),
                 _pose_rows(content.get("home_pose", [])),
                 [[float(number) for number in look] for look in content.get("looks", [])],
             )
@@ -85,18 +99,37 @@ class Mission:
             InvalidInputError,
         ) as error:
             raise MissionFileError(f"mission file {path}: {error!r}") from error
-        numbers = (
-            mission.views,
-            mission.distance,
-            mission.seconds,
-            *mission.home_base,
-            *mission.home_joints.values(),
-        )
-        if not all(map(math.isfinite, numbers)) or min(numbers[:3]) < 0.0:
+        numbers = (mission.views, mission.distance, mission.seconds)
+        if not all(map(math.isfinite, numbers)) or min(numbers) < 0.0:
             raise MissionFileError(f"mission file {path}: holds impossible numbers")
-        if len(mission.home_base) not in (0, 3):
-            raise MissionFileError(f"mission file {path}: home_base is not (x, y, yaw)")
         return mission
+
+
+def read_place(kind: KnownPlace, base: Sequence[float], joints: Mapping[str, float]) -> KnownPlace:
+    """A place of a kind, with what was read from a file or a message.
+
+    Args:
+        kind: has its name.
+        base: (x, y, yaw) [m, rad], or nothing.
+        joints: positions by name [rad or m].
+
+    Raises:
+        ValueError: a number is not finite, or the base is not a pose.
+    """
+    place = KnownPlace(
+        kind.name,
+        tuple(float(number) for number in base),
+        {str(name): float(q) for name, q in joints.items()},
+    )
+    if len(place.base) not in (0, 3):
+        raise ValueError(f"{kind.name} is not (x, y, yaw)")
+    if not all(map(math.isfinite, (*place.base, *place.joints.values()))):
+        raise ValueError(f"{kind.name} is not finite")
+    return place
+
+
+def _place_numbers(kind: str, place: KnownPlace) -> dict[str, object]:
+    return {f"{kind}_base": list(place.base), f"{kind}_joints": dict(place.joints)}
 
 
 def look_poses(looks: Sequence[Sequence[float]]) -> FloatArray:

@@ -31,6 +31,26 @@ class RobotState:
     joints: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class KnownPlace:
+    """A place where the robot has stood.
+
+    Attributes:
+        name: what is remarkable of it.
+        base: its pose there (x, y, yaw) [m, rad, map]; empty where it is not known yet.
+        joints: positions by name [rad or m].
+    """
+
+    name: str
+    base: tuple[float, ...] = ()
+    joints: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is such a place yet."""
+        return bool(self.base)
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What became of a motion.
@@ -100,10 +120,8 @@ class Planner(Protocol):
     def choose(self, state: RobotState) -> Choice:
         """The next best view from `state`."""
 
-    def way_home(
-        self, state: RobotState, base: Sequence[float], joints: Mapping[str, float]
-    ) -> Choice:
-        """The way to a base pose (x, y, yaw) and arm posture."""
+    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """The way to where the robot has stood, as it stood there."""
 
     def failed(self, view: FailedView) -> None:
         """Tell that a chosen view brought nothing, so that it is not chosen again at once."""

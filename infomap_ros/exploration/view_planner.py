@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from infomap_ros.exploration.last_views import Turns
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -152,16 +152,15 @@ class ViewPlanner:
         promising = self._vain.without_them(situation.voxel_map)
         return replace(situation, promising=promising, kept_shares=self._kept.shares)
 
-    def way_home(
+    def way_to(
         self,
         voxel_map: VoxelMap,
         state: RobotState,
-        base: Sequence[float],
-        joints: Mapping[str, float],
+        place: KnownPlace,
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
-        """The way to a base pose (x, y, yaw) and arm posture, or why there is none."""
-        result = self._reach(voxel_map, state, obstacles).way_to(base, joints)
+        """The way to where the robot has stood, or why there is none."""
+        result = self._reach(voxel_map, state, obstacles).way_to(place.base, place.joints)
         self._sent = result.route
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)

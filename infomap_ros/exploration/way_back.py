@@ -1,38 +1,38 @@
-"""Where a robot that does not know its place goes: to where it last looked and did."""
+"""When a robot that does not know its place goes back to where it last looked and did."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
+from infomap_ros.exploration.mission import LAST_LOOK, Mission
 from infomap_ros.exploration.planar import planar_pose
-from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.robot import KnownPlace, RobotState
 
 
 class WayBack:
-    """Remembers the last look that succeeded, and whether to go back there.
+    """Notes the last look that succeeded, and whether to go back there.
 
     From there known things are in view, by which a lost camera finds its place. One failed look
     sends the robot back once: where the look there fails too it goes on.
 
+    Args:
+        mission: keeps the place, so that a restarted robot knows it, too.
+
     Attributes:
-        base: x, y [m] and yaw [rad] of the base at the last look; empty before the first.
-        joints: positions then, by name [rad or m].
         is_due: whether the look after it failed.
     """
 
-    def __init__(self) -> None:
-        self.base: tuple[float, ...] = ()
-        self.joints: Mapping[str, float] = {}
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
         self.is_due = self._is_taken = False
 
     def looked(self, state: RobotState) -> None:
         """A look succeeded from a state."""
-        self.base, self.joints = planar_pose(state.T_map_base), dict(state.joints)
+        base = planar_pose(state.T_map_base)
+        self._mission.last_look = KnownPlace(LAST_LOOK.name, base, dict(state.joints))
         self.is_due = self._is_taken = False
 
     def failed(self) -> None:
         """A look failed: it is time to go back, unless that was just done."""
-        self.is_due = bool(self.base) and not self._is_taken
+        self.is_due = self._mission.last_look.is_known and not self._is_taken
         self._is_taken = False
 
     def take(self) -> None:

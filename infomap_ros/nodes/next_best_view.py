@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
@@ -84,7 +84,8 @@ class NextBestViewNode(MonitoredNode):
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(), required=False
         )
         offer_order(self, "~/plan", self._worker, self._plan)
-        offer_order(self, "~/plan_home", self._worker, self._plan_home)
+        offer_order(self, "~/plan_home", self._worker, lambda: self._plan_way(self._news.home))
+        offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
@@ -114,17 +115,16 @@ class NextBestViewNode(MonitoredNode):
         )
         return self._publish(planner.choose(voxel_map, state, around))
 
-    def _plan_home(self) -> str:
-        """Plan the way to where the mission began, which exploration_status tells.
+    def _plan_way(self, place: KnownPlace) -> str:
+        """Plan the way to where the robot has stood, which exploration_status tells.
 
         Raises:
             InfomapError: something that is needed has not arrived.
         """
         planner, voxel_map, state = self._ready()
-        if not self._news.home_base:
-            raise ExplorationError("exploration_status has not told where the mission began")
-        home = self._news.home_base, self._news.home_joints
-        return self._publish(planner.way_home(voxel_map, state, *home))
+        if not place.is_known:
+            raise ExplorationError(f"exploration_status has not told where {place.name} is")
+        return self._publish(planner.way_to(voxel_map, state, place))
 
     def _publish(self, choice: Choice) -> str:
         self._outputs.publish(choice)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.exploration.robot import Choice, FailedView, Interrupted, Motion, RobotState
+from infomap_ros.exploration.robot import (
+    Choice,
+    FailedView,
+    Interrupted,
+    KnownPlace,
+    Motion,
+    RobotState,
+)
 from infomap_ros.geometry import make_transform
 from infomap_ros.motion.route import ArmPath, Route
 
@@ -78,11 +85,10 @@ class FakePlanner:
         self.states.append(state)
         return self.script.pop(0) if len(self.script) > 1 else self.script[0]
 
-    def way_home(
-        self, state: RobotState, base: Sequence[float], joints: Mapping[str, float]
-    ) -> Choice:
-        route = route_to(base[0], base[1], state.T_map_base[:2, 3])
-        return self.home or Choice(progress(), pose_at(base[0], base[1]), route, "")
+    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        x, y, _ = place.base
+        route = route_to(x, y, state.T_map_base[:2, 3])
+        return self.home or Choice(progress(), pose_at(x, y), route, "")
 
     def failed(self, view: FailedView) -> None:
         self.failures.append(view.reason)

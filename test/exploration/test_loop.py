@@ -63,10 +63,27 @@ def test_goes_back_to_the_last_look_once_where_a_look_fails() -> None:
     # from 2 back to 1, where it looks; from 3 back to 1, in vain; it goes on as it would
     assert places[:5] == [0.0, 1.0, 2.0, 1.0, 3.0]
     assert len(run.planner.failures) == 2
-    assert [note["outcome"] for note in run.notes.of("motion") if note["action"] == "back"] == [
-        "",
-        "",
-    ]
+    back = [note for note in run.notes.of("motion") if note["action"] == "last look"]
+    assert [note["outcome"] for note in back] == ["", ""]
+
+
+def test_a_robot_that_is_lost_after_a_restart_goes_back_to_the_last_look(tmp_path: Path) -> None:
+    path = tmp_path / "mission.json"
+    first = Run(view(1.0), view(2.0), task=TaskConfig(max_views=2))
+    first.exploration.run()
+    first.exploration.mission.save(path)
+    second = Run(view(3.0), task=TaskConfig(max_views=4), mission=Mission.load(path))
+    second.robot.place = (1.7, 0.0)
+    looks, places = iter([False, True, True]), []
+
+    def lose(deed: str) -> None:
+        if deed == "look":
+            places.append(second.robot.place[0])
+            second.robot.problems = {} if next(looks) else {"look": "the camera is lost"}
+
+    second.robot.during = lose
+    second.exploration.run()
+    assert places == [1.7, 1.0, 3.0]
 
 
 def test_ends_where_views_bring_nothing_any_more() -> None:
@@ -289,7 +306,7 @@ def test_mission_survives_the_process(tmp_path: Path) -> None:
     second.robot.place = (2.0, 0.0)
     second.exploration.run()
     assert second.exploration.mission.views == 4
-    assert second.exploration.mission.home_base == [0.0, 0.0, 0.0]
+    assert second.exploration.mission.home.base == (0.0, 0.0, 0.0)
     np.testing.assert_array_equal(second.exploration.mission.home_pose, np.eye(4))
 
 
@@ -300,6 +317,9 @@ def test_mission_survives_the_process(tmp_path: Path) -> None:
         "{",
         '{"views": 1}',
         '{"views": -1, "distance": 0, "seconds": 0, "home_base": [], "home_joints": {}}',
+        '{"views": 1, "distance": 0, "seconds": 0, "home_base": [1], "home_joints": {}}',
+        '{"views": 1, "distance": 0, "seconds": 0, "home_base": [], "home_joints": {}, '
+        '"look_base": [0, 0, NaN]}',
         '{"views": 1, "distance": 0, "seconds": 0, "home_base": [], "home_joints": {}, '
         '"home_pose": [[1, 2], [3, 4]]}',
         "[1, 2]",

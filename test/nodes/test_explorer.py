@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,14 @@ class OneView:
         self.rover, self.left, self.calls = rover, views, 0
         self.refuses = False
         graph.tester.create_service(Trigger, "next_best_view/plan", self.plan)
-        graph.tester.create_service(Trigger, "next_best_view/plan_home", self.plan)
+        self.asked: list[str] = []
+        for name in ("plan_home", "plan_back"):
+            graph.tester.create_service(Trigger, f"next_best_view/{name}", partial(self.way, name))
+
+    def way(self, name: str, *call: Any) -> Trigger.Response:
+        self.asked.append(name)
+        self.rover.tells_updates = True
+        return self.plan(*call)
 
     def plan(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.calls += 1
@@ -100,12 +108,24 @@ def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
     assert stage.rover.base[0, 3] == pytest.approx(2.0)
     news = read_status(stage.said[-1])
     assert news.views == 3
-    assert news.home_base == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert news.home.base == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     assert len(news.looks) == 3
     assert news.looks[-1, 0, 3] - news.looks[0, 0, 3] == pytest.approx(2.0, abs=0.1)
     kinds = [json.loads(line)["kind"] for line in (tmp_path / "run.jsonl").read_text().splitlines()]
     assert kinds[0] == "start" and kinds[-1] == "end"
     assert json.loads((tmp_path / "mission.json").read_text())["views"] == 3
+
+
+def test_a_lost_camera_goes_back_to_the_last_look_and_not_home(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=4, autostart=True)
+    graph.spin_until(lambda: len(stage.rover.paths) == 2, "the second way")
+    stage.rover.tells_updates = False
+    stage.spin_to("ended: done")
+    assert stage.planner.asked == ["plan_back"]
+    news = [read_status(status) for status in stage.said]
+    last = next(each.last_look for each in news if each.views == 2)
+    assert last.base == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert set(last.joints) == set(stage.rover.joints)
 
 
 class SearchStage(Stage):
@@ -198,7 +218,7 @@ def test_restarted_explorer_goes_on_with_its_mission(graph: Any, tmp_path: Path)
     stage.spin_to("ended: done")
     news = read_status(stage.said[-1])
     assert news.views == 9
-    assert news.home_base == (1.0, 2.0, 0.0)
+    assert news.home.base == (1.0, 2.0, 0.0)
 
 
 def test_plan_only_moves_nothing(graph: Any, tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ def stage(graph: Any) -> Stage:
 
 def status(**values: object) -> DiagnosticStatus:
     given = {"views": 1, "home base": [], "home joints": {}, "failures": 0}
+    given |= {"last look base": [], "last look joints": {}}
     content = given | {name.replace("_", " "): value for name, value in values.items()}
     pairs = {k: v if isinstance(v, str) else json.dumps(v) for k, v in content.items()}
     return DiagnosticStatus(values=[KeyValue(key=k, value=v) for k, v in pairs.items()])
@@ -145,12 +146,13 @@ def test_candidates_show_their_terms_and_their_rejections(stage: Stage) -> None:
 
 def test_what_is_missing_is_said(graph: Any) -> None:
     stage = Stage(graph)
-    for name in ("plan", "plan_home"):
+    for name in ("plan", "plan_home", "plan_back"):
         answer = stage.call(name)
         assert (answer.success, answer.message) == (False, "no map_updates have arrived yet")
     stage.tell(stage.rover.updates, 0.0)
     stage.plan()
-    assert "where the mission began" in stage.call("plan_home").message
+    assert "has not told where home is" in stage.call("plan_home").message
+    assert "has not told where last look is" in stage.call("plan_back").message
 
 
 def test_a_map_that_still_arrives_is_waited_for(graph: Any) -> None:
@@ -222,14 +224,15 @@ def test_foreign_statuses_are_counted(stage: Stage) -> None:
     stage.wait_for_drops("malformed message", 1)
 
 
-def test_the_way_home_is_planned(stage: Stage) -> None:
+@pytest.mark.parametrize("name, place", [("plan_home", "home"), ("plan_back", "last_look")])
+def test_ways_to_known_places_are_planned(stage: Stage, name: str, place: str) -> None:
     stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
     joints = {**stage.rover.joints, "arm_pan_joint": 0.3}
-    home = status(home_base=[0.0, 0.0, 0.0], home_joints=joints, home_pose=np.eye(4).tolist())
-    stage.status.publish(home)
-    stage.graph.spin_until(lambda: stage.node._news.home_base, "home to be heard")
+    known = {f"{place}_base": [0.0, 0.0, 0.0], f"{place}_joints": joints}
+    stage.status.publish(status(home_pose=np.eye(4).tolist(), **known))
+    stage.graph.spin_until(lambda: getattr(stage.node._news, place).is_known, "it to be heard")
     stage.plan()
-    answer = stage.call("plan_home")
+    answer = stage.call(name)
     assert answer.success, answer.message
     route = choice_from_text(answer.message).route
     assert route is not None

@@ -125,7 +125,7 @@ class Motion:
 
     Attributes:
         time: since the start [s].
-        action: "drive", "arm", "look", "home" or "back".
+        action: "drive", "arm", "look", "home" or "last look".
         outcome: why it failed; empty when done.
         path: along which the base (drive, home) or the camera went, shape (N, 3) [m, map].
     """

@@ -9,13 +9,13 @@ are never sent to look at the same thing as long as messages arrive within `Agen
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from infomap_ros.errors import TeammatesBusyError
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.team.team_space import teammate_of
 from infomap_ros.exploration.team.teamwork import Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
@@ -93,17 +93,11 @@ class TeamPlanner:
                 return choice
         return self._later("they were quicker to claim every view that was chosen")
 
-    def way_home(
-        self,
-        voxel_map: VoxelMap,
-        state: RobotState,
-        base: Sequence[float],
-        joints: Mapping[str, float],
-    ) -> Choice:
-        """The way to a base pose (x, y, yaw) and arm posture around the others."""
+    def way_to(self, voxel_map: VoxelMap, state: RobotState, place: KnownPlace) -> Choice:
+        """The way to where the robot has stood, around the others."""
         self._team.give_up()
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
-        return self.planner.way_home(voxel_map, state, base, joints, obstacles)
+        return self.planner.way_to(voxel_map, state, place, obstacles)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view brought nothing; this robot is not heading for it any more."""

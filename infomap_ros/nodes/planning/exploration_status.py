@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -12,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.exploration.loop import Exploration
-from infomap_ros.exploration.mission import look_poses
-from infomap_ros.exploration.robot import FailedView
+from infomap_ros.exploration.mission import HOME, LAST_LOOK, look_poses, read_place
+from infomap_ros.exploration.robot import FailedView, KnownPlace
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -27,8 +26,8 @@ class ExplorationNews:
 
     Attributes:
         views: taken so far.
-        home_base: base pose of the beginning (x, y, yaw) [m, rad]; empty where not yet known.
-        home_joints: joint positions of the beginning [rad or m].
+        home: where the mission began.
+        last_look: where the last look succeeded.
         home_pose: ``T_map_base`` of the beginning, shape (4, 4); None where not yet known.
         failed_view: the last view that brought nothing; None before.
         failures: number of views that brought nothing so far.
@@ -36,8 +35,8 @@ class ExplorationNews:
     """
 
     views: int = 0
-    home_base: tuple[float, ...] = ()
-    home_joints: dict[str, float] = field(default_factory=dict)
+    home: KnownPlace = HOME
+    last_look: KnownPlace = LAST_LOOK
     home_pose: FloatArray | None = None
     failed_view: FailedView | None = None
     failures: int = 0
@@ -54,8 +53,8 @@ def status_message(
         "last reason": exploration.last_reason,
         "views": mission.views,
         "distance [m]": round(mission.distance, 2),
-        "home base": json.dumps(mission.home_base),
-        "home joints": json.dumps(mission.home_joints),
+        **_place_texts(mission.home),
+        **_place_texts(mission.last_look),
         "home pose": json.dumps(mission.home_pose),
         "looks": json.dumps(mission.looks),
     }
@@ -91,17 +90,26 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
     """
     values = {pair.key: pair.value for pair in message.values}
     try:
-        home = tuple(float(number) for number in json.loads(values["home base"]))
-        joints = {str(k): float(q) for k, q in json.loads(values["home joints"]).items()}
+        home, last_look = _place(values, HOME), _place(values, LAST_LOOK)
         pose = _pose(values.get("home pose", "[]"))
         view = _failed_view(values)
-        if len(home) not in (0, 3) or not all(map(math.isfinite, (*home, *joints.values()))):
-            raise ValueError("home is not a finite pose")
         views, failures = int(values["views"]), int(values["failures"])
         looks = look_poses(json.loads(values.get("looks", "[]")))
-        return ExplorationNews(views, home, joints, pose, view, failures, looks)
+        return ExplorationNews(views, home, last_look, pose, view, failures, looks)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error
+
+
+def _place_texts(place: KnownPlace) -> dict[str, object]:
+    return {
+        f"{place.name} base": json.dumps(place.base),
+        f"{place.name} joints": json.dumps(dict(place.joints)),
+    }
+
+
+def _place(values: Mapping[str, str], kind: KnownPlace) -> KnownPlace:
+    base, joints = values[f"{kind.name} base"], values[f"{kind.name} joints"]
+    return read_place(kind, json.loads(base), json.loads(joints))
 
 
 def _failed_view(values: Mapping[str, str]) -> FailedView | None:

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.robot import KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig
@@ -57,7 +57,7 @@ def warm_up(config: ViewPlannerConfig) -> None:
     planner = ViewPlanner(robot, StereoRig(_CAMERA, _CAMERA, _BASELINE), TaskConfig(), small)
     state = RobotState(np.eye(4), T_map_camera, 1e-6 * np.eye(6), posture)
     planner.choose(voxel_map, state)
-    planner.way_home(voxel_map, state, _AWAY, joints)
+    planner.way_to(voxel_map, state, KnownPlace("away", _AWAY, joints))
 
 
 def _scan(T_map_camera: FloatArray) -> FloatArray:

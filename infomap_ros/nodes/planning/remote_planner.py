@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from rclpy.client import Client
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError, TeammatesBusyError
+from infomap_ros.exploration.mission import HOME, LAST_LOOK
 from infomap_ros.exploration.records.choice_text import choice_from_text
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -61,7 +62,10 @@ class RemotePlanner:
         self._log, self._report, self._stopped = node.get_logger(), report_failure, stopped
         planner = self._config.planner
         self._plan = node.create_client(Trigger, f"{planner}/plan")
-        self._plan_home = node.create_client(Trigger, f"{planner}/plan_home")
+        self._ways = {
+            HOME.name: node.create_client(Trigger, f"{planner}/plan_home"),
+            LAST_LOOK.name: node.create_client(Trigger, f"{planner}/plan_back"),
+        }
         self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
 
     @property
@@ -78,15 +82,13 @@ class RemotePlanner:
         """
         return self._ask(self._plan)
 
-    def way_home(
-        self, state: RobotState, base: Sequence[float], joints: Mapping[str, float]
-    ) -> Choice:
-        """Ask for the way home, which next_best_view knows from exploration_status.
+    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """Ask for the way to a place that next_best_view knows from exploration_status.
 
         Raises:
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
-        return self._ask(self._plan_home)
+        return self._ask(self._ways[place.name])
 
     def look_for_target(self) -> Choice:
         """Ask where to look for the target, in the frame of odometry.

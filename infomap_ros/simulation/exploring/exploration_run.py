@@ -19,7 +19,7 @@ from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.reports.report import write_report
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import invert_transform, transform_points
@@ -89,8 +89,8 @@ class _MapPlanner:
             self._audit.expect(state.pose_covariance, float(terms["localisation_error"]))
         return choice
 
-    def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
-        return self._planner.way_home(self._map, state, base, joints)
+    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        return self._planner.way_to(self._map, state, place)
 
     def failed(self, view: FailedView) -> None:
         self._planner.failed(view)

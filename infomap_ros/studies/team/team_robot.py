@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
-from infomap_ros.exploration.robot import Choice, FailedView, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.awareness import Awareness
 from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear
@@ -180,9 +180,9 @@ class TeamRobot:
                     raise
                 self._let_pass(_BUSY)
 
-    def way_home(self, state: RobotState, base: Any, joints: Mapping[str, float]) -> Choice:
-        """The way to where the mission began."""
-        return self._planner.way_home(self.member.replica.voxel_map, state, base, joints)
+    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """The way to where the robot has stood."""
+        return self._planner.way_to(self.member.replica.voxel_map, state, place)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view could not be reached."""

@@ -13,11 +13,13 @@ from infomap_ros.nodes.live import demo_team
 from infomap_ros.nodes.live.demo_team import sum_of_maps
 from infomap_ros.nodes.live.kernels import compile_kernels
 from infomap_ros.nodes.live.live_team import LiveTeam
+from infomap_ros.simulation.company.team_starts import TeamStart
 
 
 def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> None:
     given = {"simulator": {"world": "cave"}, "next_best_view": {"threads": 1}}
-    team = LiveTeam(tmp_path, (1.0, 0.0, 0.0), given, robots=3, loss=0.2)
+    starts = [TeamStart((0.0, float(y), 0.1), clear) for y, clear in ((-1, 0.6), (0, 2), (1, 0.7))]
+    team = LiveTeam(tmp_path, starts, given, loss=0.2)
 
     nodes = [team._parameters[name] for name in team.names]
     assert team.names == ("rover1", "rover2", "rover3")
@@ -26,8 +28,8 @@ def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> Non
     assert [robot["simulator"]["publish_clock"] for robot in nodes] == [True, False, False]
     assert nodes[1]["simulator"]["teammates"] == ["rover1", "rover3"]
     assert nodes[1]["simulator"]["world"] == "cave"
-    places = np.array([robot["simulator"]["start"] for robot in nodes])
-    assert np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).min() > 0.9
+    assert [robot["simulator"]["start"] for robot in nodes] == [each.place for each in starts]
+    assert [robot["next_best_view"]["start_clearance"] for robot in nodes] == [0.6, 0.9, 0.7]
     assert len({str(robot["map_fusion"]["map_file"]) for robot in nodes}) == 3
     reliable = "qos_overrides./rover2/camera_pose.subscription.reliability"
     assert nodes[1]["map_fusion"][reliable] == "reliable"

@@ -11,7 +11,6 @@ import pytest
 from infomap_ros.errors import ExplorationError, PoseUnavailableError
 from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.company.radio import Channel, Radio
-from infomap_ros.simulation.company.team_world import starts_abreast
 from infomap_ros.simulation.company.turns import SwitchedOff, Turns
 from infomap_ros.simulation.exploring.pose_source import MeasuredPoses
 from infomap_ros.studies.team.team_exploration import TeamExploration
@@ -148,9 +147,3 @@ def test_the_channel_loses_packets_and_takes_its_time() -> None:
     assert len(heard) == pytest.approx(800, abs=40)
     assert [each.content for each in heard] == sorted(each.content for each in heard)
     assert {each.receiver for each in heard} == {1}
-
-
-def test_robots_start_abreast_about_the_start() -> None:
-    one, two = starts_abreast((1.0, 2.0, np.pi / 2), 2, distance=0.8)
-    np.testing.assert_allclose([one, two], [(1.4, 2.0, np.pi / 2), (0.6, 2.0, np.pi / 2)])
-    assert starts_abreast((1.0, 2.0, 0.3), 1) == [(1.0, 2.0, 0.3)]

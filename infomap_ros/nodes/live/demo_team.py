@@ -38,11 +38,13 @@ from infomap_ros.nodes.live.kernels import compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
+from infomap_ros.simulation.company.team_starts import team_starts
 from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
+_ROBOTS = 2
 _DOWN = 10.0  # [s] until the robot that was killed is started again
 _AGREEING = 120.0  # [s]
 
@@ -58,7 +60,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     world = make_world(options.world, options.seed, size=options.size)
     begin = time.monotonic()
     status = Status("compiling kernels", console=console)
-    run = LiveTeam(out, world.start, _parameters(options, world), loss=options.loss)
+    run = LiveTeam(out, team_starts(world, _ROBOTS), _parameters(options, world), loss=options.loss)
     with run, status:
 
         def show() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -13,15 +13,17 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 
 from infomap_ros.errors import ProcessError
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.live.live_exploration import Parameters, robot_parameters
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.processes import NodeProcesses
 from infomap_ros.nodes.team.team_topics import SHARED
-from infomap_ros.simulation.company.team_world import starts_abreast
+from infomap_ros.simulation.company.team_starts import TeamStart
 
 _SHARING = ("map_fusion", "next_best_view")
 _IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
+_CLEARANCE = ViewPlannerConfig().start_clearance
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
 
@@ -33,9 +35,8 @@ class LiveTeam(LiveGraph):
 
     Args:
         out: folder with a folder for each robot.
-        start: place of the team in the world: x, y [m], yaw [rad].
+        starts: of the robots in the world.
         parameters: further parameters by node name, for all robots.
-        robots: how many.
         loss: share of the team's messages that are lost on arrival.
 
     Attributes:
@@ -48,13 +49,12 @@ class LiveTeam(LiveGraph):
     def __init__(
         self,
         out: Path,
-        start: tuple[float, float, float],
+        starts: Sequence[TeamStart],
         parameters: Mapping[str, Parameters] | None = None,
-        robots: int = 2,
         loss: float = 0.0,
     ) -> None:
         super().__init__(out)
-        self.names = tuple(f"rover{number}" for number in range(1, robots + 1))
+        self.names = tuple(f"rover{number}" for number in range(1, len(starts) + 1))
         self.figures: dict[str, dict[str, str]] = {name: {} for name in self.names}
         self.contacts = dict.fromkeys(self.names, 0)
         self.folders = {name: out.absolute() / name for name in self.names}
@@ -64,7 +64,6 @@ class LiveTeam(LiveGraph):
         }
         self._down: set[str] = set()
         self._may_end: tuple[str, ...] = ()
-        starts = starts_abreast(start, robots)
         self._parameters = {
             name: self._parameters_of(number, starts[number], loss, parameters or {})
             for number, name in enumerate(self.names)
@@ -73,7 +72,7 @@ class LiveTeam(LiveGraph):
     def _parameters_of(
         self,
         number: int,
-        start: tuple[float, float, float],
+        start: TeamStart,
         loss: float,
         given: Mapping[str, Parameters],
     ) -> dict[str, dict[str, object]]:
@@ -81,7 +80,7 @@ class LiveTeam(LiveGraph):
         nodes = robot_parameters(self.folders[name], f"/{name}")
         nodes["simulator"] |= {
             "teammates": [other for other in self.names if other != name],
-            "start": start,
+            "start": start.place,
             "seed": 1 + number,
             "publish_clock": number == 0,
         }
@@ -91,6 +90,7 @@ class LiveTeam(LiveGraph):
         }
         for node in _IN_TEAM:
             nodes[node] |= member
+        nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
         for node in _SHARING:
             nodes[node]["team_map.simulated_loss"] = loss
         return {node: {**values, **given.get(node, {})} for node, values in nodes.items()}

@@ -6,13 +6,10 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-
+from infomap_ros.simulation.company.team_starts import team_starts
 from infomap_ros.simulation.company.turns import Turns
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
-
-ABREAST = 1.0  # [m] between robots that start side by side
 
 
 class TeamSimulator(Simulator):
@@ -44,6 +41,7 @@ class TeamWorld:
             number.
 
     Attributes:
+        starts: where the robots began.
         simulators: of the robots.
         turns: in which they run.
 
@@ -63,8 +61,9 @@ class TeamWorld:
         names = self._names = tuple(f"robot_{number}" for number in range(robots))
         self.turns, self._on_step = Turns(names), on_step
         self.simulators: list[TeamSimulator] = []
-        for number, start in enumerate(starts_abreast(world.start, robots)):
-            own = dataclasses.replace(config, seed=config.seed + 1000 * number, start=start)
+        self.starts = team_starts(world, robots)
+        for number, start in enumerate(self.starts):
+            own = dataclasses.replace(config, seed=config.seed + 1000 * number, start=start.place)
             others = {name: description for name in names if name != names[number]}
             simulator = TeamSimulator(world, description, own, others)
             simulator.after_step = partial(self._after_step, number)
@@ -97,21 +96,3 @@ class TeamWorld:
         for name, other in zip(self._names, self.simulators, strict=True):
             if other is not own:
                 own.place_teammate(name, other.true_pose(), other.true_joints())
-
-
-def starts_abreast(
-    start: tuple[float, float, float], robots: int, distance: float = ABREAST
-) -> list[tuple[float, float, float]]:
-    """Places for robots side by side about a start, all with its heading.
-
-    Args:
-        start: x, y [m], yaw [rad].
-        robots: how many.
-        distance: between two of them [m].
-
-    Returns:
-        x, y [m], yaw [rad] of each, from the right to the left.
-    """
-    x, y, yaw = start
-    offsets = distance * (np.arange(robots) - 0.5 * (robots - 1))
-    return [(float(x - o * np.sin(yaw)), float(y + o * np.cos(yaw)), yaw) for o in offsets]

@@ -100,14 +100,21 @@ class TeamExploration:
         task = task_in(scene, options.task, self.T_world_map)
         task = dataclasses.replace(task, known_fraction=1.0)
         self._outfits = [
-            RobotOutfit(n, options, task, model, out / str(n), self._on_view, audit.note)
-            for n, audit in enumerate(self.audits)
+            RobotOutfit(n, own, task, model, out / str(n), self._on_view, audit.note)
+            for n, (own, audit) in enumerate(zip(self._own_options(), self.audits, strict=True))
         ]
         self._missions: dict[int, Mission] = {}
         self.robots: list[TeamRobot | None] = [self._start(n) for n in range(count)]
         self._endings: dict[int, Ending] = {}
         self.looks: list[Look] = []
         self.kills, self._is_over = 0, False
+
+    def _own_options(self) -> list[TeamExplorationOptions]:
+        """What each robot is told: no more space about it is declared clear than is."""
+        planner = self.options.planner
+        clear = [min(planner.start_clearance, start.clearance) for start in self.world.starts]
+        own = [dataclasses.replace(planner, start_clearance=radius) for radius in clear]
+        return [dataclasses.replace(self.options, planner=each) for each in own]
 
     def run(self) -> dict[str, Any]:
         """Explore to the end, let the maps agree, and say what came of it.

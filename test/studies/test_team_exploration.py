@@ -52,6 +52,9 @@ def test_two_rovers_with_losses_and_a_restart_end_with_one_map(tmp_path: Path) -
     assert figures["views"] == one.mission.views + two.mission.views
     assert figures["coverage"] > 0.3
     assert figures["contacts"] == 0
+    for robot, start in zip((one, two), exploration.world.starts, strict=True):
+        declared = robot.outfit.options.planner.start_clearance
+        assert declared == min(options.planner.start_clearance, start.clearance)
 
 
 def test_rovers_that_localise_themselves_share_the_frame_of_the_board(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from infomap_ros.errors import InfomapError, TeammatesBusyError
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.drift_guard import DriftGuard
 from infomap_ros.exploration.last_views import LastViews
-from infomap_ros.exploration.mission import HOME, Mission
-from infomap_ros.exploration.planar import planar_pose, way_length
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.planar import way_length
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import (
@@ -122,7 +122,8 @@ class Exploration:
         self._enter(state, reason)
 
     def _explore(self) -> Ending:
-        self._initialise()
+        if not self.mission.home.is_known:
+            self.mission.note_home(self._robot.state())
         ending = self._look()
         while ending is None:
             ending = self._obey() or self._take_next_view()
@@ -162,14 +163,6 @@ class Exploration:
         if self._back.is_due:
             self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
         return ending
-
-    def _initialise(self) -> None:
-        """Note where the mission began."""
-        if not self.mission.home.is_known:
-            state = self._robot.state()
-            base = planar_pose(state.T_map_base)
-            self.mission.home = KnownPlace(HOME.name, base, dict(state.joints))
-            self.mission.home_pose = state.T_map_base.tolist()
 
     def _look(self) -> Ending | None:
         """Acquire a view and have it fused."""

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError, MissionFileError
-from infomap_ros.exploration.robot import KnownPlace
+from infomap_ros.exploration.planar import planar_pose
+from infomap_ros.exploration.robot import KnownPlace, RobotState
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.geometry.transforms import (
@@ -45,6 +46,15 @@ class Mission:
     last_look: KnownPlace = LAST_LOOK
     home_pose: list[list[float]] = field(default_factory=list)
     looks: list[list[float]] = field(default_factory=list)
+
+    def note_home(self, state: RobotState) -> None:
+        """Keep where it begins."""
+        self.home = _place_of(HOME, state)
+        self.home_pose = state.T_map_base.tolist()
+
+    def note_success(self, state: RobotState) -> None:
+        """Keep from where a look succeeded."""
+        self.last_look = _place_of(LAST_LOOK, state)
 
     def note_look(self, T_map_camera: FloatArray) -> None:
         """Keep the pose of the view just taken, shape (4, 4), where it is not kept yet."""
@@ -126,6 +136,10 @@ def read_place(kind: KnownPlace, base: Sequence[float], joints: Mapping[str, flo
     if not all(map(math.isfinite, (*place.base, *place.joints.values()))):
         raise ValueError(f"{kind.name} is not finite")
     return place
+
+
+def _place_of(kind: KnownPlace, state: RobotState) -> KnownPlace:
+    return KnownPlace(kind.name, planar_pose(state.T_map_base), dict(state.joints))
 
 
 def _place_numbers(kind: str, place: KnownPlace) -> dict[str, object]:

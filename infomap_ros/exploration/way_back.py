@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from infomap_ros.exploration.mission import LAST_LOOK, Mission
-from infomap_ros.exploration.planar import planar_pose
-from infomap_ros.exploration.robot import KnownPlace, RobotState
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.robot import RobotState
 
 
 class WayBack:
@@ -26,8 +25,7 @@ class WayBack:
 
     def looked(self, state: RobotState) -> None:
         """A look succeeded from a state."""
-        base = planar_pose(state.T_map_base)
-        self._mission.last_look = KnownPlace(LAST_LOOK.name, base, dict(state.joints))
+        self._mission.note_success(state)
         self.is_due = self._is_taken = False
 
     def failed(self) -> None:

@@ -118,7 +118,7 @@ setup(
             "explorer = infomap_ros.nodes.explorer:main",
             "fiducial_localization = infomap_ros.nodes.fiducial_localization:main",
             "dead_reckoning = infomap_ros.nodes.dead_reckoning:main",
-            "infomap = infomap_ros.cli:main",
+            "infomap = infomap_ros.cli.app:main",
         ],
     },
 )

@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.atomic_file import write_json
-from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.exploring.visible_surface import (
     map_errors,

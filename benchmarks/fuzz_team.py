@@ -20,8 +20,8 @@ import numpy as np
 
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.replay.messages import RosbagsMessageTypes
-from infomap_ros.replay.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages import RosbagsMessageTypes
+from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 from infomap_ros.team.authentication import TeamKey
 

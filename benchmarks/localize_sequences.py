@@ -28,10 +28,10 @@ from odometry_baselines import BASELINES, follow
 from stereo_bag import write_stereo_bag
 from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
 
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
 from infomap_ros.replay.measuring.range_sources import measure_all

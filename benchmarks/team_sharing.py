@@ -22,8 +22,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
-from infomap_ros.replay.messages import RosbagsMessageTypes
-from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.messages import RosbagsMessageTypes
+from infomap_ros.messages.rows import encode_rows
 from infomap_ros.studies.team.team_lag import LagMeter
 from infomap_ros.studies.team.team_network import Radio, TeamNetwork
 from infomap_ros.team import MapUpdate, TeamConfig, decode_update, encode_update

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.replay.commands.settings import with_settings
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.studies.team.team_exploration import TeamExploration
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 

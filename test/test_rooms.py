@@ -19,6 +19,7 @@ RANKS = (
     {"team", "localization", "views"},
     {"motion"},
     {"exploration"},
+    {"messages"},
     {"replay"},
     {"simulation"},
     {"studies"},

@@ -22,6 +22,7 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import BagError, InfomapError
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.messages import encode_clock
 from infomap_ros.nodes.bag_topics import advertise_topics
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -29,7 +30,6 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.replay.bags.player import BagPlayer, PlayerConfig, Step
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.messages import encode_clock
 
 _SETTLING = 1.0  # [s]
 _CLOCK_PERIOD = 0.05  # [s]

@@ -21,19 +21,19 @@ from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization import DeadReckoning, DeadReckoningConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     decode_camera_info,
     decode_joint_state,
     decode_odometry,
     decode_text,
     encode_pose,
 )
+from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
 
 class DeadReckoningNode(MonitoredNode):

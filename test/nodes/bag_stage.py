@@ -14,9 +14,9 @@ from std_msgs.msg import String
 
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.messages import decode_pose_with_covariance, encode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.messages import decode_pose_with_covariance, encode
 
 TYPES = RclpyMessageTypes()
 IMAGES = ("/left/image_raw", "/right/image_raw")

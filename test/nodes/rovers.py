@@ -23,17 +23,17 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     encode_camera_info,
     encode_joint_state,
     encode_odometry,
     encode_pose,
     encode_text,
 )
-from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.messages.rows import encode_rows
+from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
 
 FRAMES = {side: f"{side}_camera_optical_frame" for side in ("left", "right")}

@@ -22,11 +22,11 @@ from infomap_ros.geometry import (
     TextRecord,
     TransformRecord,
 )
+from infomap_ros.messages import decode_image, decode_joint_state, encode_point_cloud
 from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.messages import decode_image, decode_joint_state, encode_point_cloud
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

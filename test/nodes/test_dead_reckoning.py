@@ -21,16 +21,16 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     decode_pose_with_covariance,
     encode_camera_info,
     encode_joint_state,
     encode_odometry,
     encode_text,
 )
+from infomap_ros.motion import RobotModel
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
 
 CAMERA = "left_camera_optical_frame"
 TYPES = RclpyMessageTypes()

@@ -16,7 +16,7 @@ import rclpy
 from sensor_msgs.msg import PointCloud2
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.replay.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import MapUpdate, decode_update, encode_update
 
 robot = int(sys.argv[1])

@@ -15,12 +15,12 @@ from infomap_ros.errors import ConfigError, MapFileError
 from infomap_ros.geometry import ImageRecord, invert_transform
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.messages import TF, decode_transforms, encode_image
+from infomap_ros.messages.keyframes import decode_keyframe_poses
+from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
-from infomap_ros.replay.messages import TF, decode_transforms, encode_image
-from infomap_ros.replay.messages.keyframes import decode_keyframe_poses
-from infomap_ros.replay.messages.rows import decode_rows
 from test.nodes.bag_stage import IMAGES, INFOS, MOTION, TYPES, BagStage
 
 SECOND = 1_000_000_000

@@ -12,11 +12,11 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord, PoseRecord
+from infomap_ros.messages import encode_camera_info, encode_image
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.diagnosis import findings
 from infomap_ros.nodes.diagnosis.doctor import Doctor, main
-from infomap_ros.replay.messages import encode_camera_info, encode_image
 
 FRAME = "left_optical_frame"
 

@@ -17,9 +17,9 @@ from scipy.special import chdtri
 
 from infomap_ros.geometry import PoseRecord, TransformRecord
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.messages import TF, decode_pose_with_covariance, decode_transforms
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.live.live_exploration import LiveExploration
-from infomap_ros.replay.messages import TF, decode_pose_with_covariance, decode_transforms
 from infomap_ros.simulation.exploring.visible_surface import map_errors
 from infomap_ros.simulation.worlds.scenes import make_world
 

@@ -23,6 +23,8 @@ from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.robot_tags import tag_pose
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
+from infomap_ros.messages import encode_pose
+from infomap_ros.messages.agents import encode_agent
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
@@ -30,8 +32,6 @@ from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_moves import MoveSeal
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.replay.messages import encode_pose
-from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig

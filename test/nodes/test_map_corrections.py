@@ -14,15 +14,15 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import PoseRecord, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.replay.messages import encode_pose
-from infomap_ros.replay.messages.keyframes import (
+from infomap_ros.messages import encode_pose
+from infomap_ros.messages.keyframes import (
     KeyframePoses,
     decode_keyframe_covariances,
     decode_keyframe_poses,
     encode_keyframe_covariances,
     encode_keyframe_poses,
 )
-from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.messages.rows import encode_rows
 from infomap_ros.team.moving import moved_map
 from test.nodes.test_map_fusion import (
     CAMERA,

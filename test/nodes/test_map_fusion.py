@@ -31,11 +31,11 @@ from infomap_ros.mapping import (
     VoxelMap,
     VoxelMapConfig,
 )
+from infomap_ros.messages import encode, encode_point_cloud, encode_pose
+from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.map_fusion import MapFusionNode
-from infomap_ros.replay.messages import encode, encode_point_cloud, encode_pose
-from infomap_ros.replay.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import (
     NOT_OBSERVED,
     MapUpdate,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
+from infomap_ros.messages import encode_pose
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
-from infomap_ros.replay.messages import encode_pose
 
 
 class FakeRun:

@@ -17,19 +17,19 @@ from trajectory_msgs.msg import JointTrajectory
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import rig_from_calibrations
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.route import ArmPath
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.simulator import SimulatorNode
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     decode_camera_info,
     decode_image,
     decode_joint_state,
     decode_odometry,
     decode_pose_with_covariance,
 )
-from infomap_ros.replay.messages.motions import encode_arm_trajectory, encode_base_path
+from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.route import ArmPath
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.worlds.scenes import build_scene
 

@@ -9,9 +9,9 @@ import pytest
 from nav_msgs.msg import Path
 
 from infomap_ros.errors import ConfigError
+from infomap_ros.messages.motions import encode_base_path
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.simulator import SimulatorNode
-from infomap_ros.replay.messages.motions import encode_base_path
 from infomap_ros.simulation.company.shared_time import SharedTime
 
 SMALL = {

@@ -19,15 +19,15 @@ from infomap_ros.geometry import (
     ImageRecord,
     rig_from_calibrations,
 )
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.stereo_range import StereoRangeNode
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     decode_image,
     decode_point_cloud,
     encode_camera_info,
     encode_image,
 )
-from infomap_ros.replay.messages.rows import decode_rows
+from infomap_ros.messages.rows import decode_rows
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.stereo_range import StereoRangeNode
 from infomap_ros.stereo import PACKED_FIELDS, StereoConfig, StereoRangeSensor
 
 TYPES = RclpyMessageTypes()

@@ -11,9 +11,9 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
-from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import MapReplica, decode_update
 
 from .rovers import update_messages

@@ -28,7 +28,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.replay.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 
 robot, types = int(sys.argv[1]), RclpyMessageTypes()

@@ -28,7 +28,7 @@ from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot.robot_body import without_bodies
-from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
+from infomap_ros.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
 warm_up(1)

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from infomap_ros.geometry import ImageRecord, JointStateRecord, PoseRecord, Record, TransformRecord
-from infomap_ros.replay.messages import RosbagsMessageTypes, encode, message_type_of
+from infomap_ros.messages import RosbagsMessageTypes, encode, message_type_of
 
 STEP = 100_000_000
 START = 1_700_000_000_000_000_000

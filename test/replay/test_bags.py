@@ -11,9 +11,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from infomap_ros.errors import BagError, InvalidInputError
 from infomap_ros.geometry import ImageRecord, PointCloudRecord, PoseRecord, TextRecord
+from infomap_ros.messages import decode_image, decode_transforms
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.messages import decode_image, decode_transforms
 
 from .bags import FRAMES, START, STEP, sample_records, write_rosbag1, write_rosbag2
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from infomap_ros.cli.settings import setting_names, with_settings
 from infomap_ros.errors import BagError, CapacityError, ConfigError
 from infomap_ros.geometry import (
     CameraInfoRecord,
@@ -23,7 +24,6 @@ from infomap_ros.geometry import (
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.commands.settings import setting_names, with_settings
 from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
 from infomap_ros.replay.sequences import convert

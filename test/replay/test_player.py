@@ -7,9 +7,9 @@ import struct
 import pytest
 
 from infomap_ros.errors import ConfigError, MalformedMessageError
+from infomap_ros.messages import header_stamp
 from infomap_ros.replay.bags.player import BagPlayer, PlayerConfig
 from infomap_ros.replay.bags.reader import BagMessage
-from infomap_ros.replay.messages import header_stamp
 
 START = 1_000_000_000_000
 STEP = 100_000_000

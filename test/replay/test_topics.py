@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from infomap_ros.errors import BagError
-from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
     IMAGE,
@@ -15,6 +14,7 @@ from infomap_ros.replay.messages import (
     POSE_WITH_COVARIANCE,
     TF,
 )
+from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
 
 
 def camera(namespace: str, *images: str, kind: str = IMAGE) -> dict[str, str]:

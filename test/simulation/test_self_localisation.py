@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.localisation import Localisation, State
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
     ExplorationRun,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import ExplorationError, PoseUnavailableError
-from infomap_ros.replay.commands.settings import with_settings
 from infomap_ros.simulation.company.radio import Channel, Radio
 from infomap_ros.simulation.company.turns import SwitchedOff, Turns
 from infomap_ros.simulation.exploring.pose_source import MeasuredPoses

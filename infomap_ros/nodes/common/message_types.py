@@ -1,4 +1,4 @@
-"""The messages of rclpy for the encoders of `infomap_ros.replay.messages`."""
+"""The messages of rclpy for the encoders of `infomap_ros.messages`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def message_class(type_name: str) -> type:
 
 
 class RclpyMessageTypes:
-    """Makes rclpy messages; see `infomap_ros.replay.messages.MessageTypes`."""
+    """Makes rclpy messages; see `infomap_ros.messages.MessageTypes`."""
 
     def make(self, type_name: str, /, **fields: Any) -> Any:
         """Build one message.

@@ -15,12 +15,7 @@ from rclpy.node import Node
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import Record
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.message_types import message_class
-from infomap_ros.nodes.diagnosis import findings
-from infomap_ros.nodes.diagnosis.findings import Finding
-from infomap_ros.nodes.diagnosis.graph_checks import similar_topics, unconnected
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     CAMERA_INFO,
     IMAGE,
     JOINT_STATE,
@@ -30,6 +25,11 @@ from infomap_ros.replay.messages import (
     STRING,
     decode,
 )
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import message_class
+from infomap_ros.nodes.diagnosis import findings
+from infomap_ros.nodes.diagnosis.findings import Finding
+from infomap_ros.nodes.diagnosis.graph_checks import similar_topics, unconnected
 
 REQUIRED = {
     "left/camera_info": CAMERA_INFO,

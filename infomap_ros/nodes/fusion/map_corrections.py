@@ -16,16 +16,16 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages.keyframes import (
+    KeyframePoses,
+    decode_keyframe_covariances,
+    decode_keyframe_poses,
+)
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.fusion.map_keeper import KEYFRAME_POSES, MapKeeper
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
-from infomap_ros.replay.messages.keyframes import (
-    KeyframePoses,
-    decode_keyframe_covariances,
-    decode_keyframe_poses,
-)
 
 _COVARIANCES = "keyframe_covariances"
 

@@ -22,6 +22,8 @@ from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.messages import decode_point_cloud
+from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.fusion.map_outputs import MapOutputs
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
@@ -30,8 +32,6 @@ from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.robot.robot_body import without_bodies
 from infomap_ros.nodes.team.map_moves import describe_move
 from infomap_ros.nodes.team.team_map import TeamMap
-from infomap_ros.replay.messages import decode_point_cloud
-from infomap_ros.replay.messages.keyframes import KeyframePoses
 from infomap_ros.team.moving import moved_map
 
 KEYFRAME_POSES = "keyframe_poses"

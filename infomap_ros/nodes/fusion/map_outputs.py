@@ -11,12 +11,12 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
+from infomap_ros.messages import encode_cloud_fields, encode_occupancy_grid
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
-from infomap_ros.replay.messages import encode_cloud_fields, encode_occupancy_grid
 
 
 @dataclass(frozen=True)

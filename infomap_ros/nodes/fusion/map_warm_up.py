@@ -11,10 +11,10 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
 from infomap_ros.nodes.robot.robot_body import without_bodies
-from infomap_ros.replay.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.stereo import DepthCameraSensor
 from infomap_ros.team import MapReplica, MapUpdate, encode_update
 

@@ -18,14 +18,14 @@ from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.messages import POINT_CLOUD, decode_pose_with_covariance
+from infomap_ros.messages.fields import MessageFields
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.clock_jumps import JumpingBuffer
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.robot.robot_body import RobotBody
 from infomap_ros.nodes.team.team_bodies import TeamBodyListener
-from infomap_ros.replay.messages import POINT_CLOUD, decode_pose_with_covariance
-from infomap_ros.replay.messages.fields import MessageFields
 
 _NO_POSE = "no pose at the stamp"
 _REASONS = {"time went backwards": "time went backwards"}

@@ -21,6 +21,7 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.mapping import VoxelChanges, VoxelMap
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
@@ -28,7 +29,6 @@ from infomap_ros.nodes.fusion.map_contents import without_evidence
 from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
-from infomap_ros.replay.messages.rows import encode_rows
 from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
     OCCUPANCY_ROW,

@@ -8,9 +8,9 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.live.live_run import LiveRun
 from infomap_ros.replay.measuring.pictures import draw_depth, draw_sigma
-from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.stereo import PACKED_FIELDS, RangeCloud
 
 

@@ -9,8 +9,8 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages import decode_pose_with_covariance
 from infomap_ros.nodes.live.live_graph import LiveGraph
-from infomap_ros.replay.messages import decode_pose_with_covariance
 
 
 class PoseComparison:

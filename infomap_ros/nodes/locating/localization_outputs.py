@@ -14,17 +14,17 @@ from visualization_msgs.msg import Marker, MarkerArray
 from infomap_ros.geometry import PoseRecord, TransformRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localisation import Localisation
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
-from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
-from infomap_ros.replay.messages import TF, encode_pose, encode_transforms
-from infomap_ros.replay.messages.keyframes import (
+from infomap_ros.messages import TF, encode_pose, encode_transforms
+from infomap_ros.messages.keyframes import (
     KeyframePoses,
     encode_keyframe_covariances,
     encode_keyframe_poses,
 )
-from infomap_ros.replay.messages.rows import encode_rows
+from infomap_ros.messages.rows import encode_rows
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
 
 FIDUCIAL_ROW = np.dtype(
     [

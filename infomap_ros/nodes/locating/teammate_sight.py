@@ -26,6 +26,7 @@ from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
 from infomap_ros.localization.target.robot_tags import RobotTagFinder
 from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
+from infomap_ros.messages import encode_pose
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
@@ -35,7 +36,6 @@ from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
-from infomap_ros.replay.messages import encode_pose
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents_config import AgentBoardConfig
 

@@ -11,6 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.errors import ExplorationError, FrameError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
@@ -18,7 +19,6 @@ from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
-from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
 
 _GROWTH = 1.01  # by this factor the map must grow to count as growing

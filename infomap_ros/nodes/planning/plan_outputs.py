@@ -14,15 +14,15 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.replay.messages.motions import (
+from infomap_ros.messages.motions import (
     encode_arm_trajectory,
     encode_base_path,
     encode_pose_stamped,
 )
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
 _ARROW = (0.12, 0.012, 0.03)  # length, shaft and head of a candidate [m]
 _REJECTED = ColorRGBA(r=0.55, g=0.55, b=0.55, a=0.35)

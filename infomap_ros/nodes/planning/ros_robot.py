@@ -15,14 +15,14 @@ from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages import POINT_CLOUD
+from infomap_ros.messages.fields import MessageFields
+from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.replay.messages import POINT_CLOUD
-from infomap_ros.replay.messages.fields import MessageFields
-from infomap_ros.replay.messages.motions import encode_arm_trajectory, encode_base_path
 
 
 @dataclass(frozen=True)

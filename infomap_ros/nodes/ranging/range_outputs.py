@@ -6,11 +6,11 @@ from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from infomap_ros.geometry import ImageRecord
+from infomap_ros.messages import encode_cloud_fields, encode_disparity, encode_image
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.replay.measuring.range_meters import Measurement
-from infomap_ros.replay.messages import encode_cloud_fields, encode_disparity, encode_image
 from infomap_ros.stereo import PACKED_FIELDS
 
 

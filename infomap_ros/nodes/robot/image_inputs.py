@@ -9,10 +9,10 @@ from functools import partial
 from sensor_msgs.msg import CameraInfo, Image
 
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord
+from infomap_ros.messages import decode_camera_info, decode_image
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.clock_jumps import JumpingPairs
-from infomap_ros.replay.messages import decode_camera_info, decode_image
 
 CLOCK_JUMP = 1_000_000_000
 """Images older than the newest by more than this have jumped back [ns]."""

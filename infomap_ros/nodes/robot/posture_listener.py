@@ -12,12 +12,12 @@ from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
 from infomap_ros.geometry import OdometryRecord, PlacedSolid
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
+from infomap_ros.messages import decode_joint_state, decode_odometry, decode_text
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.replay.measuring.robot_motion import RobotMotion
-from infomap_ros.replay.messages import decode_joint_state, decode_odometry, decode_text
 
 _CLOCK_JUMP = 1_000_000_000  # [ns]
 

@@ -14,12 +14,12 @@ from infomap_ros.geometry import PlacedSolid, PointCloudRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
+from infomap_ros.messages import decode_joint_state, decode_text
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.clock_jumps import JumpingBuffer
-from infomap_ros.replay.messages import decode_joint_state, decode_text
 
 
 @dataclass(frozen=True)

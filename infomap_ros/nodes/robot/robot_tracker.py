@@ -18,19 +18,19 @@ from infomap_ros.geometry import CameraCalibration, invert_transform
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.description_config import DescriptionConfig
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.carried_pose import CarriedPose
-from infomap_ros.nodes.robot.last_pose import LastPose
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     decode_camera_info,
     decode_joint_state,
     decode_odometry,
     decode_pose_with_covariance,
     decode_text,
 )
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.nodes.robot.last_pose import LastPose
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from infomap_ros.geometry import OdometryRecord, TransformRecord, invert_transform
+from infomap_ros.messages import TF, encode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
-from infomap_ros.replay.messages import TF, encode_transforms
 from infomap_ros.simulation.body.robot import fixed_frames, moving_frames
 from infomap_ros.simulation.simulator import Simulator
 

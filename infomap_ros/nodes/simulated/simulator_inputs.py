@@ -13,16 +13,16 @@ from trajectory_msgs.msg import JointTrajectory
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputsConfig
-from infomap_ros.replay.messages import decode_pose_with_covariance
-from infomap_ros.replay.messages.commands import (
+from infomap_ros.messages import decode_pose_with_covariance
+from infomap_ros.messages.commands import (
     BasePathCommand,
     decode_arm_trajectory,
     decode_base_path,
     decode_velocity,
 )
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputsConfig
 from infomap_ros.simulation.simulator import Simulator
 
 _KEPT = 400  # places of the camera in odom, by stamp

@@ -22,11 +22,7 @@ from infomap_ros.geometry import (
     TextRecord,
 )
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     encode_camera_info,
     encode_clock,
     encode_image,
@@ -35,6 +31,10 @@ from infomap_ros.replay.messages import (
     encode_pose,
     encode_text,
 )
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
 from infomap_ros.simulation.simulator import Simulator
 
 _SIDES = ("left", "right")

@@ -19,9 +19,9 @@ from sensor_msgs.msg import JointState
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages import decode_joint_state, decode_pose_with_covariance
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.replay.messages import decode_joint_state, decode_pose_with_covariance
 from infomap_ros.simulation.company.shared_time import SharedTime
 from infomap_ros.simulation.simulator import Simulator
 

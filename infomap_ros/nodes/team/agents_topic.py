@@ -7,10 +7,10 @@ from collections.abc import Callable
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import FrameError
+from infomap_ros.messages.agents import decode_agent_texts
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.team.team_topics import AGENTS
-from infomap_ros.replay.messages.agents import decode_agent_texts
 
 
 def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None]) -> None:

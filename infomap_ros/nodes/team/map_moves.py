@@ -17,10 +17,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from infomap_ros.errors import FrameError, InvalidInputError, UpdateRefusedError
 from infomap_ros.geometry import PoseRecord
+from infomap_ros.messages import decode_pose_with_covariance
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.replay.messages import decode_pose_with_covariance
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 
 MAP_ALIGNMENT = "map_alignment"

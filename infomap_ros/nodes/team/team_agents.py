@@ -11,6 +11,7 @@ from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import CameraCalibration
+from infomap_ros.messages.agents import encode_agent
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
@@ -18,7 +19,6 @@ from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConf
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
-from infomap_ros.replay.messages.agents import encode_agent
 from infomap_ros.team import draw_session, version_at
 from infomap_ros.team.agents_config import AgentsConfig
 

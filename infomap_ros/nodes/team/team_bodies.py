@@ -18,13 +18,13 @@ from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfi
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.messages import decode_text
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.replay.messages import decode_text
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig

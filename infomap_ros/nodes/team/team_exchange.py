@@ -12,12 +12,12 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
+from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_topics import DIGESTS, REQUESTS
-from infomap_ros.replay.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 
 Rows = NDArray[np.void]

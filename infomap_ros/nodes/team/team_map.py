@@ -17,6 +17,7 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
@@ -24,7 +25,6 @@ from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_topics import UPDATES
-from infomap_ros.replay.messages.rows import decode_rows
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
 from infomap_ros.team.digest import decode_digest
 

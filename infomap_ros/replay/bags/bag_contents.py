@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import TransformRecord
+from infomap_ros.messages import JOINT_STATE, STRING, TF
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import Topics, check_present
 from infomap_ros.replay.measuring.robot_body import description_among
-from infomap_ros.replay.messages import JOINT_STATE, STRING, TF
 
 _TF_TYPES = (TF, "tf/msg/tfMessage")
 

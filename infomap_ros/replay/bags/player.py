@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.messages import header_stamp
 from infomap_ros.replay.bags.reader import BagMessage
-from infomap_ros.replay.messages import header_stamp
 
 _NANOSECONDS = 1e9
 _MESSAGES_PER_STEP = 64

@@ -10,10 +10,10 @@ from types import TracebackType
 
 from infomap_ros.errors import BagError, MalformedMessageError
 from infomap_ros.geometry.records import Record
+from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import SalvagedSource
 from infomap_ros.replay.bags.salvage import SALVAGERS, open_salvage
 from infomap_ros.replay.bags.source import DAMAGE, BagSource, Channel, RosbagsSource, typestore_of
-from infomap_ros.replay.messages import DECODABLE_TYPES, decode
 
 # Old ROS 1 bags have tf under this name; the content is the same.
 _RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from infomap_ros.errors import BagError
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
     IMAGE,

@@ -28,14 +28,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from infomap_ros.errors import BagError, InvalidInputError
 from infomap_ros.geometry.records import Record, TransformRecord
-from infomap_ros.replay.bags.source import is_latched_by_custom
-from infomap_ros.replay.messages import (
+from infomap_ros.messages import (
     TF,
     RosbagsMessageTypes,
     encode,
     encode_transforms,
     message_type_of,
 )
+from infomap_ros.replay.bags.source import is_latched_by_custom
 
 _STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 

@@ -12,6 +12,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
+from infomap_ros.messages import ODOMETRY
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.replay.bags.bag_contents import (
@@ -29,7 +30,6 @@ from infomap_ros.replay.measuring.range_sources import Meter, RangeSource
 from infomap_ros.replay.measuring.robot_motion import RobotMotion
 from infomap_ros.replay.measuring.source_choice import ImageInputConfig, find_source
 from infomap_ros.replay.measuring.view_meters import DepthViewMeter, FramedView, StereoViewMeter
-from infomap_ros.replay.messages import ODOMETRY
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -17,8 +17,8 @@ from infomap_ros.geometry import (
     StereoRig,
     rig_from_calibrations,
 )
+from infomap_ros.messages import IMAGE
 from infomap_ros.replay.measuring.pixels import intensity_pixels
-from infomap_ros.replay.messages import IMAGE
 from infomap_ros.stereo import (
     DepthCameraConfig,
     DepthCameraSensor,

@@ -1,0 +1,73 @@
+"""Plans of motion into messages: next view, base path, arm trajectory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.geometry import make_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages.types import MessageTypes, make_header, make_pose
+from infomap_ros.motion.route import ArmPath
+
+_NANOSECONDS = 1_000_000_000
+
+
+def encode_pose_stamped(
+    types: MessageTypes, stamp: int, frame_id: str, transform: FloatArray
+) -> Any:
+    """Build a ``geometry_msgs/PoseStamped``; stamp [ns], ``T_frame_pose`` (4, 4)."""
+    return types.make(
+        "geometry_msgs/msg/PoseStamped",
+        header=make_header(types, stamp, frame_id),
+        pose=make_pose(types, transform),
+    )
+
+
+def encode_base_path(types: MessageTypes, stamp: int, frame_id: str, poses: FloatArray) -> Any:
+    """Build a ``nav_msgs/Path``.
+
+    Args:
+        types: who makes the message.
+        stamp: [ns].
+        frame_id: frame of the poses.
+        poses: x, y [m] and yaw [rad], shape (K, 3), or transforms, shape (K, 4, 4).
+    """
+    transforms = poses if poses.ndim == 3 else [_planar_transform(*pose) for pose in poses]
+    return types.make(
+        "nav_msgs/msg/Path",
+        header=make_header(types, stamp, frame_id),
+        poses=[encode_pose_stamped(types, stamp, frame_id, each) for each in transforms],
+    )
+
+
+def encode_arm_trajectory(types: MessageTypes, stamp: int, path: ArmPath) -> Any:
+    """Build a ``trajectory_msgs/JointTrajectory``; stamp [ns] is when it begins."""
+    none = np.zeros(0)
+    return types.make(
+        "trajectory_msgs/msg/JointTrajectory",
+        header=make_header(types, stamp, ""),
+        joint_names=list(path.joint_names),
+        points=[
+            types.make(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                positions=np.array(positions),
+                velocities=none,
+                accelerations=none,
+                effort=none,
+                time_from_start=_duration(types, float(time)),
+            )
+            for positions, time in zip(path.positions, path.times, strict=True)
+        ],
+    )
+
+
+def _duration(types: MessageTypes, seconds: float) -> Any:
+    whole, rest = divmod(round(seconds * _NANOSECONDS), _NANOSECONDS)
+    return types.make("builtin_interfaces/msg/Duration", sec=whole, nanosec=rest)
+
+
+def _planar_transform(x: float, y: float, yaw: float) -> FloatArray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return make_transform(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), (x, y, 0.0))

@@ -1,1 +1,0 @@
-"""What commands on bags have in common."""

@@ -1,0 +1,213 @@
+"""The command line: results where they were asked for, one line when it could not."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import subprocess
+import sys
+from types import UnionType
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from infomap_ros import cli
+from infomap_ros.cli import study_commands as studies
+from infomap_ros.mapping import VoxelMap
+
+from ..replay.scenes import depth_frames, fill_after, write
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run a command; returns exit status, standard output and standard error."""
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["infomap", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        error = captured.err
+        status = ended.value.code
+        if isinstance(status, str):  # what the interpreter prints when it exits with a text
+            error, status = error + status + "\n", 1
+        return int(status or 0), captured.out, error
+
+    return command
+
+
+def test_map_leaves_everything_beside_its_summary(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    status, out, _ = run("map", bag, "--out", tmp_path / "out", "--voxel-size", 0.1)
+    assert status == 0
+    summary = json.loads(out)
+    assert summary == json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["frames"] == 6
+    assert summary["seconds"] > 0
+    assert summary["memory_bytes"] > 1000
+    assert all(not isinstance(value, (dict, list)) for value in summary.values())
+    names = {"map.infomap", "map.ply", "map.png", "depth.png", "sigma.png", "summary.json"}
+    assert names == {path.name for path in (tmp_path / "out").iterdir()}
+    loaded = VoxelMap.load(tmp_path / "out" / "map.infomap")
+    assert loaded.known_voxels == summary["known_voxels"]
+    assert loaded.config.voxel_size == 0.1
+
+
+def test_map_with_given_topics_and_settings(tmp_path, run):
+    entries = [(f"/rig{topic}", record) for topic, record in depth_frames()]
+    bag = write(tmp_path / "bag", entries)
+    status, out, _ = run(
+        "map", bag, "--out", tmp_path / "out", "--depth", "/rig/depth/image_rect",
+        "--pose-topic", "/rig/camera_pose", "--max-range", 1.8, "--set", "map.threads=2",
+    )  # fmt: skip
+    assert status == 0
+    assert json.loads(out)["frames"] == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["map", "{tmp}/nothing", "--out", "{tmp}/out"], "there is no bag"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--voxel-size", "-1"], "voxel_size"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--set", "map.size=1"], "map.voxel_size"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--source", "stereo"], "no stereo pair"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--pose-topic", "/x"], "/x"),
+        (["map", "{bag}", "--out", "{tmp}/file"], "file"),
+        (["show", "{tmp}/file"], "file"),
+        (["convert", "nothing", "{tmp}", "{tmp}/out"], "rgbd"),
+        (["convert", "rgbd", "{tmp}/nothing", "{tmp}/out"], "no folder"),
+        (["calibrate-noise", "{tmp}", "--out", "{tmp}/out"], ""),
+    ],
+)
+def test_failure_is_one_clear_line_and_a_status(tmp_path, run, arguments, said):
+    bag = write(tmp_path / "bag", depth_frames(2))
+    (tmp_path / "file").write_text("not a map")
+    status, out, error = run(*(a.format(tmp=tmp_path, bag=bag) for a in arguments))
+    assert status == 1
+    assert out == ""
+    lines = error.strip().splitlines()
+    assert len(lines) == 1, error
+    assert lines[0].startswith("infomap: ")
+    assert said in lines[0]
+
+
+def test_damaged_bag_is_mapped_and_told(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    (bag / "metadata.yaml").unlink()
+    status, out, error = run("map", bag, "--out", tmp_path / "out")
+    assert status == 0
+    assert json.loads(out)["frames"] == 6
+    assert "metadata.yaml" in error
+
+
+def test_full_map_is_written_and_the_status_tells(tmp_path, run, monkeypatch):
+    fill_after(monkeypatch, frames=2)
+    bag = write(tmp_path / "bag", depth_frames())
+    status, out, error = run("map", bag, "--out", tmp_path / "out")
+    assert status == 1
+    assert "the map is full" in error
+    assert json.loads(out)["frames"] == 2
+    assert (tmp_path / "out" / "map.infomap").exists()
+
+
+def test_show_prints_and_draws(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    run("map", bag, "--out", tmp_path / "out")
+    picture = tmp_path / "picture.png"
+    status, out, _ = run("show", tmp_path / "out" / "map.infomap", "--out", picture)
+    figures = json.loads(out)
+    assert status == 0
+    assert picture.stat().st_size > 1000
+    low, high = np.array(figures["low"]), np.array(figures["high"])
+    assert (low < [2.0, 0.0, 0.0]).all()
+    assert (high > [2.0, 0.0, 0.0]).all()
+
+
+def test_settings_are_listed(tmp_path, run):
+    status, out, _ = run("map", "--settings")
+    assert status == 0
+    assert "map.voxel_size" in out.splitlines()
+
+
+@pytest.mark.parametrize(
+    "command", ["map", "show", "convert", "record-demo-bag", "calibrate-noise", "doctor"]
+)
+def test_every_command_explains_itself(run, command):
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    assert "sage" in out
+
+
+LATE = [*cli.COMMANDS.values(), *studies.COMMANDS.values()]
+LATE_FUNCTIONS = [command for command in LATE if command.load() is not studies.app]
+
+
+@pytest.mark.parametrize("command", LATE, ids=lambda command: command.place)
+def test_the_list_of_commands_says_what_they_say_themselves(command):
+    loaded = command.load()
+    if loaded is studies.app:
+        assert command.help == loaded.info.help
+    else:
+        assert command.help == inspect.getdoc(loaded).splitlines()[0]
+
+
+@pytest.mark.parametrize("command", LATE_FUNCTIONS, ids=lambda command: command.place)
+def test_options_are_written_as_the_oldest_typer_reads_them(command):
+    for name, hint in inspect.get_annotations(command.load()).items():
+        assert not isinstance(hint, str), "from __future__ import annotations hides Annotated"
+        assert not isinstance(next(iter(get_args(hint)), hint), UnionType), (
+            f"{name} should be Optional"
+        )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["study", "--help"]])
+def test_the_list_of_commands_loads_none_of_them(arguments):
+    program = (
+        "import sys, infomap_ros.cli as cli\n"
+        "try: cli.main()\n"
+        "except SystemExit: pass\n"
+        "print({'numba', 'scipy', 'mujoco', 'matplotlib'} & set(sys.modules))"
+    )
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, text=True, capture_output=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+    assert "rover" in done.stdout or "localize" in done.stdout
+
+
+def test_a_command_computes_small_matrices_in_one_thread():
+    program = """
+import sys
+from threadpoolctl import threadpool_info
+from infomap_ros.cli import main
+
+sys.argv = ["infomap", "map", "--settings"]
+try:
+    main()
+finally:
+    import numpy.linalg, scipy.linalg
+    threads = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+    print("threads", *threads)
+"""
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, text=True, capture_output=True, check=True, env=free)
+    threads = done.stdout.splitlines()[-1].split()
+    assert threads[0] == "threads" and set(threads[1:]) == {"1"}
+
+
+def test_a_study_leaves_its_figure_and_summary(tmp_path, run):
+    status, out, _ = run("study", "map-consistency", "--scenes", 2, "--out", tmp_path)
+    summary = json.loads(out.splitlines()[-1])
+    assert status in (0, 1), "two scenes decide nothing"
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    assert summary["scenes"] == 2
+    assert "| 2 cm | 2 |" in out
+    assert (tmp_path / "map_consistency.png").stat().st_size > 10_000
+
+
+def test_a_study_that_there_is_not_is_named(run):
+    status, _, error = run("study", "alchemy")
+    assert status == 2
+    assert "alchemy" in error

@@ -7,6 +7,7 @@ from infomap_ros.geometry.camera import (
     rig_from_calibrations,
 )
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
+from infomap_ros.geometry.pose_uncertainty import MotionClock, PoseUncertainty
 from infomap_ros.geometry.records import (
     CameraInfoRecord,
     ImageRecord,
@@ -51,6 +52,7 @@ __all__ = [
     "Cylinder",
     "ImageRecord",
     "JointStateRecord",
+    "MotionClock",
     "OdometryRecord",
     "PinholeCamera",
     "PlacedSolid",
@@ -58,6 +60,7 @@ __all__ = [
     "PoseBuffer",
     "PoseBufferConfig",
     "PoseRecord",
+    "PoseUncertainty",
     "Record",
     "Solid",
     "Sphere",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.pose_uncertainty import PoseUncertainty
 from infomap_ros.geometry.records import PoseRecord
 from infomap_ros.geometry.transforms import FloatArray, interpolate_transforms
 
@@ -148,6 +149,7 @@ class PoseBuffer:
             interpolate_transforms(before.transform, after.transform, fraction),
             _mean_covariance(before.covariance, after.covariance, fraction),
             before.child_frame_id,
+            uncertainty=_mean_uncertainty(before.uncertainty, after.uncertainty, fraction),
         )
 
 
@@ -157,3 +159,13 @@ def _mean_covariance(
     if first is None or second is None:
         return None
     return (1.0 - fraction) * first + fraction * second
+
+
+def _mean_uncertainty(
+    first: PoseUncertainty | None, second: PoseUncertainty | None, fraction: float
+) -> PoseUncertainty | None:
+    if first is None or second is None:
+        return None
+    names = ("drift", "white", "offset", "clock")
+    pairs = ((getattr(first, name), getattr(second, name)) for name in names)
+    return PoseUncertainty(*((1.0 - fraction) * one + fraction * other for one, other in pairs))

@@ -6,12 +6,13 @@ arrays must not be written to.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.camera import CameraCalibration
+from infomap_ros.geometry.pose_uncertainty import PoseUncertainty
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -58,11 +59,13 @@ class PoseRecord(Record):
         covariance: shape (6, 6), order and convention of `geometry.transforms`; None if unknown
             (never zero for unknown).
         child_frame_id: empty where the message does not say.
+        uncertainty: the covariance in its parts, None where nobody says.
     """
 
     transform: FloatArray
     covariance: FloatArray | None = None
     child_frame_id: str = ""
+    uncertainty: PoseUncertainty | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)

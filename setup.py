@@ -97,6 +97,7 @@ setup(
             "hypothesis>=6.98",
             "pyoctomap>=1.2",
             "pytest>=9.0",
+            "pytest-xdist>=3.6",
             "setuptools>=78,<80",
         ],
         # What the benchmarks are compared with.

@@ -75,7 +75,7 @@ class LocalizationOutputs:
         self._poses.publish(encode_pose(self._types, pose))
 
     def publish_frame(self, edge: TransformRecord) -> None:
-        """Publish a transform, where frames are published at all."""
+        """Publish a transform at its stamp, where frames are published at all."""
         if self._tf is not None:
             self._tf.publish(encode_transforms(self._types, [edge]))
 

@@ -18,6 +18,7 @@ from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.messages import TF, decode_transforms, encode_image
 from infomap_ros.messages.keyframes import decode_keyframe_poses
+from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
@@ -157,6 +158,19 @@ def test_keyframes_and_fiducials_are_told(graph: Any) -> None:
     place = stage.poses[stamp].transform[:3, 3]
     distances = np.linalg.norm(np.stack([rows["x"], rows["y"], rows["z"]], -1) - place, axis=1)
     assert np.median(distances) < 10.0
+
+
+def test_the_parts_of_a_covariance_come_with_its_pose(graph: Any) -> None:
+    messages = graph.collect(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
+    stage = Stage(graph)
+    stamps = stage.run(4)
+    graph.spin_until(lambda: len(messages) >= 2, "uncertainties")
+    clocks = []
+    for stamp, frame, parts in map(decode_pose_uncertainty, messages):
+        assert stamp in stamps and frame == "map"
+        np.testing.assert_allclose(parts.covariance, stage.poses[stamp].covariance, atol=1e-12)
+        clocks.append(parts.clock)
+    assert clocks == sorted(clocks)
 
 
 def test_odometry_is_used_where_it_is_offered(graph: Any) -> None:

@@ -57,9 +57,8 @@ class LocalizationNews:
         self._outputs.publish_status(result)
         if result.T_map_camera is None:
             return
-        pose = PoseRecord(
-            result.stamp, self._map, result.T_map_camera, result.covariance, camera_frame
-        )
+        told = result.T_map_camera, result.covariance, camera_frame
+        pose = PoseRecord(result.stamp, self._map, *told, uncertainty=result.uncertainty)
         self._outputs.publish_pose(pose)
         self._tell_frame(pose, posture, odom_frame)
         self._tell_keyframes(result)

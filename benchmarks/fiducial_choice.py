@@ -4,8 +4,8 @@ Localizes recorded drives with four choices: `corners` (the strongest of every p
 `range` (certainty of the range itself, no map), `map` (certainty of the voxel in the map that the
 drive has built so far, as `fiducial_localization` with `use_map`) and `map_depth` (that, and the
 depth contrast of the dense cloud). Each drive is recorded in simulation, from a world seed of its
-own, unless bags are given. Figures of each: absolute position error after alignment (ATE, rms), mean
-error over 0.5 m, share of views in which the pose was not tracked, processor time per view.
+own, unless bags are given. Figures of each: absolute position error after alignment (ATE, rms),
+mean error over 0.5 m, share of views in which the pose was not tracked.
 
 Rows are kept in `--out`, so that a series that was broken off goes on. Prints one JSON line.
 
@@ -61,6 +61,7 @@ class MappingLocalizer:
         self.seconds = 0.0
 
     def locate(self, view: Any, prior: Any, body: Any = ()) -> Localisation:
+        """As `Localizer.locate`; the dense cloud then goes into the map, without the body."""
         start = time.process_time()
         result = self._localizer.locate(view, prior, self.map, body=body)
         self.seconds += time.process_time() - start
@@ -79,6 +80,7 @@ class MappingLocalizer:
         return result
 
     def keyframes(self) -> Any:
+        """As `Localizer.keyframes`."""
         return self._localizer.keyframes()
 
 

@@ -46,6 +46,7 @@ from infomap_ros.nodes.locating.view_gate import Look, ViewGate
 from infomap_ros.nodes.locating.view_sources import ViewSource
 from infomap_ros.nodes.robot.image_inputs import ImageInputs
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.map_moves import (
     MAP_ALIGNMENT,
     check_is_later,
@@ -53,7 +54,9 @@ from infomap_ros.nodes.team.map_moves import (
     listen_to_moves,
 )
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
 
 
@@ -63,6 +66,9 @@ class FiducialLocalizationNode(MonitoredNode):
     CONFIGS = (
         (FiducialLocalizationConfig, ""),
         (TeamIdentityConfig, ""),
+        (TeamConfig, "team_map."),
+        (TeamRadioConfig, "team_map."),
+        (MapListenerConfig, ""),
         (RobotTrackerConfig, ""),
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
@@ -90,6 +96,7 @@ class FiducialLocalizationNode(MonitoredNode):
         self._worker = self.start_worker(config.queue_size)
         stays = self.config(TargetConfig).kind != "none"
         self._teammates = TeammateSight(self, self._worker, self._move_map, stays=stays)
+        self._map = MapListener(self, self._worker, required=False) if config.use_map else None
         self._moved = self._seen = 0  # stamps [ns]
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
@@ -142,7 +149,8 @@ class FiducialLocalizationNode(MonitoredNode):
         """One pair: look, locate, publish."""
         framed = self._source.view(look.images, look.infos)
         others = self._teammates.bodies(look.stamp)
-        result = self._follower.follow(framed.view, look.posture, look.body, others)
+        voxel_map = None if self._map is None else self._map.known_map()
+        result = self._follower.follow(framed.view, look.posture, look.body, others, voxel_map)
         self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
         self._seen = result.stamp
         self._moved = self._moved or result.stamp  # what was found before the start is old

@@ -16,6 +16,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.status import Status
 
+from infomap_ros.exploration.records.pose_predictions import prediction_figures
+from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
@@ -127,6 +129,7 @@ def write_results(out: Path, voxel_map: VoxelMap, results: dict[str, object]) ->
         "surface_voxels": voxel_map.surface_voxels,
         "memory_bytes": voxel_map.memory_bytes(),
         "voxel_size": voxel_map.config.voxel_size,
+        **prediction_figures(read_run(out / "exploration.jsonl")),
     }
     write_summary(out, results)
     write_report(

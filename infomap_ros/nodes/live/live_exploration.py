@@ -10,7 +10,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
 from infomap_ros.nodes.live.live_graph import LiveGraph
-from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
+from infomap_ros.nodes.simulated.simulated_localisation import (
+    IMAGE_RATE,
+    simulated_localisation,
+    simulated_motion_noise,
+)
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
@@ -65,7 +69,7 @@ def robot_parameters(
             "waiting.max_wait": _MAX_WAIT,
             **reliable("points2", "camera_pose", "joint_states"),
         },
-        "next_best_view": {**updates},
+        "next_best_view": {**simulated_motion_noise(), **updates},
         "explorer": {
             "autostart": True,
             "resume": True,

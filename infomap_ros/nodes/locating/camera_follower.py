@@ -17,6 +17,7 @@ from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetDetector
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.localizing.localize_run import looking_along_x
 
 _LEAST_SIGMA = 1e-4
@@ -57,6 +58,7 @@ class CameraFollower:
         posture: RobotPosture | None,
         body: Sequence[PlacedSolid] = (),
         others: Sequence[PlacedSolid] = (),
+        voxel_map: VoxelMap | None = None,
     ) -> Localisation:
         """Locate the camera.
 
@@ -65,6 +67,7 @@ class CameraFollower:
             posture: of the robot at that time, None where it is not known.
             body: of the robot, placed in the camera's frame.
             others: bodies of teammates, placed in the map.
+            voxel_map: for the certainty of new fiducials, eq. (19).
 
         Raises:
             InvalidInputError: the view is not later than those before.
@@ -77,7 +80,7 @@ class CameraFollower:
         prior = None
         if before is not None and posture is not None:
             prior = self._config.motion.between(before, posture)
-        return self._localizer.locate(view, prior, body=body, others=others)
+        return self._localizer.locate(view, prior, voxel_map, body=body, others=others)
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""

@@ -22,6 +22,7 @@ LOCALISATION_FILE = "localisation.infomap"
 _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
+_PLANNING = ("next_best_view", "explorer")
 _AUTOSAVE = 5.0  # [s]
 _MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 
@@ -114,10 +115,21 @@ class LiveExploration(LiveGraph):
 
     def start(self) -> None:
         """Start all nodes; the explorer begins by itself when the others are there."""
+        self.start_sensing()
+        self.start_planning()
+
+    def start_sensing(self) -> None:
+        """Start the nodes that make a map of where the robot stands."""
+        for name in self._parameters:
+            if name not in _PLANNING:
+                self.start_node(name)
+
+    def start_planning(self) -> None:
+        """Start the nodes that choose views and move the robot there, after the others."""
         self.subscribe(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(depth=1)
         )
-        for name in self._parameters:
+        for name in _PLANNING:
             self.start_node(name)
 
     def start_node(self, name: str) -> None:

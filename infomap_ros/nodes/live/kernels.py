@@ -19,7 +19,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.fusion import map_warm_up
 from infomap_ros.nodes.locating import localization_warm_up
 from infomap_ros.nodes.planning import plan_warm_up
-from infomap_ros.nodes.ranging.range_sources import RangeSource
+from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.stereo import StereoConfig
 from infomap_ros.team import TeamConfig, TeamMember
 
@@ -50,7 +50,7 @@ def _share() -> None:
 
 
 STEPS: Mapping[str, Callable[[], object]] = {
-    "range": lambda: RangeSource.of_stereo(StereoConfig(), rectify=True).seconds_to_warm_up(),
+    "range": lambda: StereoRangeEstimator(StereoConfig(), rectify=True).warm_up(),
     "map": lambda: map_warm_up.warm_up(1),
     "sharing": _share,
     "localisation": localization_warm_up.warm_up,

@@ -24,7 +24,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.fusion import map_warm_up
 from infomap_ros.nodes.locating import localization_warm_up
 from infomap_ros.nodes.planning import plan_warm_up
-from infomap_ros.nodes.ranging.range_sources import RangeSource
+from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.stereo import DepthCameraSensor, StereoConfig
 from infomap_ros.team import TeamConfig, TeamMember
 
@@ -60,7 +60,7 @@ def _share() -> None:
 
 def _measure() -> None:
     """Measure as both kinds of camera do."""
-    RangeSource.of_stereo(StereoConfig(), rectify=True).seconds_to_warm_up()
+    StereoRangeEstimator(StereoConfig(), rectify=True).warm_up()
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
     DepthCameraSensor(camera).measure(np.full((48, 64), 1.0))
 

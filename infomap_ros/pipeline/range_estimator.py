@@ -1,8 +1,8 @@
-"""Images and their calibrations into range clouds: the same for a bag and for live topics."""
+"""Range clouds from the images of one moment."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import (
     CameraCalibration,
-    ImageRecord,
     PinholeCamera,
+    PointCloudRecord,
     StereoRig,
     rig_from_calibrations,
 )
 from infomap_ros.messages import IMAGE
-from infomap_ros.replay.measuring.pixels import intensity_pixels
+from infomap_ros.messages.clouds import round_correlation
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.pixels import intensity_pixels
 from infomap_ros.stereo import (
     DepthCameraConfig,
     DepthCameraSensor,
@@ -33,7 +35,7 @@ _DEPTH_ENCODINGS = ("32FC1", "16UC1", "mono16")
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
+class RangeMeasurement:
     """A range cloud with its origin.
 
     Attributes:
@@ -50,13 +52,21 @@ class Measurement:
     rig: StereoRig | None = None
     search: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def record(self) -> PointCloudRecord:
+        """The cloud as a message would carry it; its numbers are not copied."""
+        cloud = self.cloud
+        points, covariances = cloud.organised_points, cloud.covariance_triangles
+        correlation = round_correlation(cloud.error_correlation)
+        return PointCloudRecord(
+            self.stamp, self.frame_id, points, covariances, error_correlation=correlation
+        )
 
-class RangeMeter(Protocol):
+
+class RangeEstimator(Protocol):
     """Measures range from the images of one moment."""
 
-    def measure(
-        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
-    ) -> Measurement:
+    def measure(self, images: ImageSet) -> RangeMeasurement:
         """Measure; the stamp and frame are those of the first image.
 
         Raises:
@@ -74,7 +84,7 @@ class _Tools:
     rectifier: StereoRectifier | None
 
 
-class PairPreparation:
+class PairRectifier:
     """Makes rectified pairs, and the sensor for them, from images and their calibrations.
 
     Args:
@@ -87,15 +97,15 @@ class PairPreparation:
         self._tools: _Tools | None = None
 
     def prepare(
-        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
+        self, images: ImageSet
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], StereoRangeSensor]:
         """Rectified left and right image and the sensor; the left image may be RGB.
 
         Raises:
             InfomapError: images or calibrations cannot be used.
         """
-        tools = self._tools_for(tuple(calibrations))
-        left, right = (intensity_pixels(image) for image in images)
+        tools = self._tools_for(images.calibrations)
+        left, right = (intensity_pixels(image) for image in images.images)
         if tools.rectifier is not None:
             left, right = tools.rectifier.rectify(left, right, grey_right=True)
         return left, right, tools.sensor
@@ -111,8 +121,8 @@ class PairPreparation:
         return self._tools
 
 
-class StereoMeter:
-    """Measures by a pair of cameras, left and right; see `RangeMeter`.
+class StereoRangeEstimator:
+    """Measures by a pair of cameras, left and right; see `RangeEstimator`.
 
     Args:
         config: of the sensor.
@@ -121,19 +131,17 @@ class StereoMeter:
 
     def __init__(self, config: StereoConfig, *, rectify: bool) -> None:
         self._config = config
-        self._pairs = PairPreparation(config, rectify=rectify)
+        self._pairs = PairRectifier(config, rectify=rectify)
 
-    def measure(
-        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
-    ) -> Measurement:
-        """See `RangeMeter.measure`."""
-        left, right, sensor = self._pairs.prepare(images, calibrations)
+    def measure(self, images: ImageSet) -> RangeMeasurement:
+        """See `RangeEstimator.measure`."""
+        left, right, sensor = self._pairs.prepare(images)
         cloud = sensor.measure(left, right)
         search = (float(sensor.search.minimum), float(sensor.search.maximum))
-        return Measurement(images[0].stamp, images[0].frame_id, cloud, sensor.rig, search)
+        return RangeMeasurement(images.stamp, images.frame_id, cloud, sensor.rig, search)
 
     def warm_up(self) -> None:
-        """See `RangeMeter.warm_up`."""
+        """See `RangeEstimator.warm_up`."""
         camera = PinholeCamera(160, 40, 100.0, 100.0, 79.5, 19.5)
         noise = np.random.default_rng(0).integers(0, 256, (40, 164), dtype=np.uint8)
         left, right = noise[:, 4:], noise[:, :160]
@@ -142,10 +150,10 @@ class StereoMeter:
         sensor.measure(np.stack([left] * 3, axis=-1), np.stack([right] * 3, axis=-1))
 
 
-class DepthMeter:
+class DepthRangeEstimator:
     """Measures by a depth camera, with a registered colour image if there is one.
 
-    See `RangeMeter`.
+    See `RangeEstimator`.
 
     Args:
         config: of the sensor.
@@ -156,11 +164,9 @@ class DepthMeter:
         self._sensor: DepthCameraSensor | None = None
         self._calibration: CameraCalibration | None = None
 
-    def measure(
-        self, images: Sequence[ImageRecord], calibrations: Sequence[CameraCalibration]
-    ) -> Measurement:
-        """See `RangeMeter.measure`."""
-        depth = images[0]
+    def measure(self, images: ImageSet) -> RangeMeasurement:
+        """See `RangeEstimator.measure`."""
+        depth, calibrations = images.images[0], images.calibrations
         if depth.encoding not in _DEPTH_ENCODINGS:
             expected = ", ".join(_DEPTH_ENCODINGS)
             problem = f"encoding '{depth.encoding}' of a depth image, expected {expected}"
@@ -168,10 +174,19 @@ class DepthMeter:
         if self._sensor is None or self._calibration != calibrations[0]:
             self._calibration = calibrations[0]
             self._sensor = DepthCameraSensor(self._calibration.rectified_camera(), self._config)
-        color = intensity_pixels(images[1]) if len(images) > 1 else None
-        return Measurement(depth.stamp, depth.frame_id, self._sensor.measure(depth.pixels, color))
+        color = intensity_pixels(images.images[1]) if len(images.images) > 1 else None
+        return RangeMeasurement(
+            depth.stamp, depth.frame_id, self._sensor.measure(depth.pixels, color)
+        )
 
     def warm_up(self) -> None:
-        """See `RangeMeter.warm_up`."""
+        """See `RangeEstimator.warm_up`."""
         sensor = DepthCameraSensor(PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5), self._config)
         sensor.measure(np.full((24, 32), 1.0, np.float32))
+
+
+def seconds_to_warm_up(estimator: RangeEstimator) -> float:
+    """Use every kernel of an estimator once; returns how long it took [s]."""
+    start = time.monotonic()
+    estimator.warm_up()
+    return time.monotonic() - start

@@ -101,6 +101,9 @@ class CameraPoses:
             reason = f"frame {self.camera_frame} has no place in {map_frame}"
             raise PoseUnavailableError(str(error), reason, may_arrive=True) from error
 
+    def others_have_jumped(self, stamp: int) -> None:
+        """The images' clock has jumped back; each edge notices that by its own stamps."""
+
     def _top_frame(self) -> str:
         if not self._by_tf:
             return ""

@@ -62,6 +62,11 @@ class RobotMotion:
             self._tree.add_transform(record)
 
     @property
+    def is_offered(self) -> bool:
+        """True: who makes it has odometry."""
+        return True
+
+    @property
     def odom_frame(self) -> str:
         """Frame of odometry, empty before any has come."""
         return self._odom

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.pipeline.perception import ImageSources, Perception
+from infomap_ros.pipeline.range_estimator import RangeEstimator
+from infomap_ros.pipeline.view_estimator import ViewEstimator
 from infomap_ros.replay.bags.topics import Topics, find_depth_topics, find_stereo_topics
-from infomap_ros.replay.measuring.range_sources import DepthSource, Meter, RangeSource, StereoSource
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -40,14 +39,15 @@ class ImageInputConfig:
         check_config(self)
 
 
-def find_source(
+def find_images(
     types: Topics,
     config: ImageInputConfig,
     given: Mapping[str, str],
-    make_meter: Callable[[str, bool], Meter[Result]],
+    make_estimator: Callable[[str, bool], RangeEstimator | ViewEstimator],
     *,
     color: bool = False,
-) -> RangeSource[Result]:
+    is_dense: bool = False,
+) -> Perception:
     """Find the images and who measures them.
 
     Args:
@@ -55,33 +55,38 @@ def find_source(
         config: which images are wanted.
         given: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
             ``right_info``, ``depth``, ``info``, ``color``.
-        make_meter: called with ``stereo`` or ``depth`` and whether the images are raw.
+        make_estimator: called with ``stereo`` or ``depth`` and whether the images are raw.
         color: whether a depth image waits for its colour image.
+        is_dense: see `Perception`.
 
     Raises:
         BagError: there is no stereo pair and no depth camera, or not the one that is wanted.
     """
-    wanted = config.source
-    if wanted == "auto" and given.get("depth"):
-        wanted = "depth"
+    wanted = "depth" if config.source == "auto" and given.get("depth") else config.source
     failures = []
-    if wanted in ("auto", "stereo"):
+    for kind in ("stereo", "depth") if wanted == "auto" else (wanted,):
         try:
-            topics = find_stereo_topics(types, given_of(given, "stereo"))
+            sources, raw = _sources(kind, types, config, given_of(given, kind), color)
         except BagError as error:
             failures.append(str(error))
-        else:
-            raw = {"auto": not topics.is_rectified, "yes": True, "no": False}[config.rectify]
-            return StereoSource(topics, make_meter("stereo", raw), config.pairing_tolerance)
-    if wanted in ("auto", "depth"):
-        try:
-            found = find_depth_topics(types, given_of(given, "depth"))
-        except BagError as error:
-            failures.append(str(error))
-        else:
-            found = found if color else replace(found, color=None)
-            return DepthSource(found, make_meter("depth", False), config.pairing_tolerance)
+            continue
+        tolerance = config.pairing_tolerance
+        return Perception(sources, make_estimator(kind, raw), tolerance, is_dense=is_dense)
     raise BagError("; ".join(failures))
+
+
+def _sources(
+    kind: str, types: Topics, config: ImageInputConfig, given: Mapping[str, str], color: bool
+) -> tuple[ImageSources, bool]:
+    """Topics of a kind of images, and whether they are raw."""
+    if kind == "stereo":
+        pair = find_stereo_topics(types, given)
+        raw = {"auto": not pair.is_rectified, "yes": True, "no": False}[config.rectify]
+        infos = pair.left_info, pair.right_info
+        return ImageSources((pair.left_image, pair.right_image), infos), raw
+    found = find_depth_topics(types, given)
+    colors = (found.color,) if color and found.color else ()
+    return ImageSources((found.depth, *colors), (found.info,)), False
 
 
 def given_of(topics: Mapping[str, str], task: str) -> dict[str, str]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, PlacedSolid
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
@@ -18,14 +19,13 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.replay.localizing.localize_run import looking_along_x
 
 _LEAST_SIGMA = 1e-4
 """Of a pose that defines the map [m and rad]: in messages a covariance of zero means unknown."""
 
 
 @dataclass(frozen=True)
-class CameraFollowerConfig:
+class CameraLocalizerConfig:
     """What the localizer is made with.
 
     Attributes:
@@ -39,20 +39,20 @@ class CameraFollowerConfig:
     localizer: LocalizerConfig
     motion: KinematicMotion
     detector: TargetDetector | None
-    start_tilt: float
+    start_tilt: float = 0.0
 
 
-class CameraFollower:
+class CameraLocalizer:
     """Makes a localizer when the camera is known, and tells it how the robot has moved."""
 
-    def __init__(self, config: CameraFollowerConfig) -> None:
+    def __init__(self, config: CameraLocalizerConfig) -> None:
         self._config = config
         self._localizer: Localizer | None = None
         self._camera: PinholeCamera | None = None
         self._posture: RobotPosture | None = None
         self._saved: SavedLocalisation | None = None
 
-    def follow(
+    def locate(
         self,
         view: RangeView,
         posture: RobotPosture | None,
@@ -142,3 +142,13 @@ class CameraFollower:
             sigmas += [kinematics.kinematics_rotation_sigma] * 3
         covariance = np.diag(np.square(sigmas))
         return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)
+
+
+def looking_along_x(tilt: float) -> FloatArray:
+    """Optical frame at the origin of a level map, looking along x and down by `tilt` [rad].
+
+    Returns:
+        ``T_map_camera``, shape (4, 4).
+    """
+    down = Rotation.from_euler("y", tilt).as_matrix()
+    return make_transform(down @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])

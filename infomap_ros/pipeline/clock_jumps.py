@@ -13,6 +13,9 @@ from typing import Generic, Protocol, TypeVar
 from infomap_ros.geometry import ImageRecord, Record
 from infomap_ros.geometry.pairing import StampPairing
 
+CLOCK_JUMP = 1_000_000_000
+"""Images and odometry older than the newest by more than this have jumped back [ns]."""
+
 Kept_contra = TypeVar("Kept_contra", bound=Record, contravariant=True)
 Kept = TypeVar("Kept", bound=Record)
 Found_co = TypeVar("Found_co", covariant=True)
@@ -97,7 +100,15 @@ class JumpingPairs:
             self._on_drop("no partner")
         return pair
 
+    def drop_all(self, reason: str) -> None:
+        """Drop every image that still waits for its partner, for one reason."""
+        self._drop(list(self._pairings), reason)
+
     def _drop_finished_rounds(self) -> None:
-        for number in [n for n in self._pairings if n < min(self._rounds)]:
+        finished = [number for number in self._pairings if number < min(self._rounds)]
+        self._drop(finished, "time went backwards")
+
+    def _drop(self, rounds: list[int], reason: str) -> None:
+        for number in rounds:
             for _ in range(self._pairings.pop(number).clear()):
-                self._on_drop("time went backwards")
+                self._on_drop(reason)

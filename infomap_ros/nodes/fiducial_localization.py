@@ -47,7 +47,7 @@ from infomap_ros.nodes.locating.view_sources import ViewSource
 from infomap_ros.nodes.robot.image_inputs import ImageInputs
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_moves import (
-    MoveSeal,
+    MAP_ALIGNMENT,
     check_is_later,
     describe_move,
     listen_to_moves,
@@ -94,8 +94,8 @@ class FiducialLocalizationNode(MonitoredNode):
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
             who = self.config(TeamIdentityConfig)
-            seal = MoveSeal(who.read_key(), who.robot_id)
-            listen_to_moves(self, frame, self._worker, self._move_map, seal=seal)
+            identity = who.read_key(), who.robot_id
+            listen_to_moves(self, frame, self._worker, self._move_map, MAP_ALIGNMENT, *identity)
         self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
         topics = self._source.image_topics, self._source.info_topics
         waiting = config.pairing_tolerance, config.queue_size

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from infomap_ros.errors import MapFileError
+from infomap_ros.errors import InvalidInputError, MapFileError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
@@ -185,11 +185,19 @@ class MapKeeper:
         Raises:
             MapFileError: it cannot be written.
         """
-        try:
-            self._map.save(self._path)
-        except OSError as error:
-            raise MapFileError(f"cannot write {self._path}: {error.strerror}") from error
-        return f"saved {self._map.known_voxels} voxels to {self._path}"
+        return _save(self._map, self._path)
+
+    def save_team(self) -> str:
+        """Write the map of the whole team beside the map file; returns a sentence.
+
+        Raises:
+            InvalidInputError: there is no other robot.
+            MapFileError: it cannot be written.
+        """
+        if self.team.voxel_map is None:
+            raise InvalidInputError("team", "no other robot was heard")
+        path = self._path
+        return _save(self.team.voxel_map, path.with_name(f"{path.stem}_team{path.suffix}"))
 
     def load(self) -> str:
         """Replace the map by that of the map file; returns a sentence.
@@ -253,3 +261,16 @@ class MapKeeper:
                 "default_rotation_sigma stand in for it"
             )
         return self._node.config(AssumedPoseConfig).covariance()
+
+
+def _save(voxel_map: VoxelMap, path: Path) -> str:
+    """Write a map file; returns a sentence.
+
+    Raises:
+        MapFileError: it cannot be written.
+    """
+    try:
+        voxel_map.save(path)
+    except OSError as error:
+        raise MapFileError(f"cannot write {path}: {error.strerror}") from error
+    return f"saved {voxel_map.known_voxels} voxels to {path}"

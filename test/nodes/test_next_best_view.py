@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.exploration.records.choice_text import choice_from_text
+from infomap_ros.exploration.records.choice_text import choice_from_text, route_digest
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
@@ -255,6 +255,22 @@ def test_ways_to_known_places_are_planned(stage: Stage, name: str, place: str) -
     )
 
 
+def test_the_arm_is_planned_again_to_the_view_planned_last(stage: Stage) -> None:
+    said = stage.graph.collect(DiagnosticStatus, "route_status", qos.latched())
+    assert not stage.call("plan_arm").success
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    view = stage.plan()
+    assert view.route is not None
+    answer = stage.call("plan_arm")
+    assert answer.success, answer.message
+    again = choice_from_text(answer.message)
+    assert again.route is not None and not again.route.moves_base
+    wanted = {route_digest(choice.route) for choice in (view, again) if choice.route}
+    stage.graph.spin_until(lambda: len(said) >= len(wanted), "the state of both routes")
+    assert {status.values[0].value for status in said} == wanted
+    assert {status.level for status in said} == {DiagnosticStatus.OK}
+
+
 def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -> None:
     """Where the mission began is clear, not the place where the planner was started again."""
     stage = Stage(graph)
@@ -265,7 +281,7 @@ def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -
     stage.tell(stage.rover.updates, 0.0)
     stage.plan()
     assert stage.node._planner is not None
-    np.testing.assert_array_equal(stage.node._planner.planner._start.T_map_base, began)
+    np.testing.assert_array_equal(stage.node._planner.planner._motion._start.T_map_base, began)
 
 
 def rating_model(stage: Stage) -> str:

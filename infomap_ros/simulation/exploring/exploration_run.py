@@ -96,6 +96,12 @@ class _MapPlanner:
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         return self._planner.way_to(self._map, state, place)
 
+    def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
+        return self._planner.plan_arm(self._map, state, T_map_camera)
+
+    def route_problem(self, state: RobotState) -> str:
+        return self._planner.route_problem(self._map, state)
+
     def failed(self, view: FailedView) -> None:
         self._planner.failed(view)
 

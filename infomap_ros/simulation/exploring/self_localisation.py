@@ -105,8 +105,6 @@ class SelfLocalisation:
         last: what the last pair told.
     """
 
-    shares_errors = True
-
     def __init__(
         self,
         simulator: Simulator,

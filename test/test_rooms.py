@@ -6,8 +6,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).resolve().parent.parent / "infomap_ros"
 
 # In the order in which data flows; rooms of one rank do not import each other.
@@ -20,6 +18,7 @@ RANKS = (
     {"motion"},
     {"exploration"},
     {"messages"},
+    {"pipeline"},
     {"replay"},
     {"simulation"},
     {"studies"},
@@ -93,20 +92,15 @@ def own_imports(path: Path, only_at_import: bool = False) -> Iterator[tuple[str,
             yield name, line
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_imports_only_rooms_to_its_left(path: Path) -> None:
-    room = room_of(module_name(path))
-    if not room:
-        assert not {name for name, _ in own_imports(path) if room_of(name)}
-        return
-    wrong = [
-        f"{path.name}:{line} imports {name}"
+def test_rooms_import_only_rooms_to_their_left() -> None:
+    assert not [
+        f"{module}:{line} imports {name}"
+        for module, path in NAMES.items()
         for name, line in own_imports(path)
-        if (target := room_of(name)) != room
+        if (target := room_of(name)) != (room := room_of(module))
         and target in RANK_OF
-        and RANK_OF[target] >= RANK_OF[room]
+        and (not room or RANK_OF[target] >= RANK_OF[room])
     ]
-    assert not wrong
 
 
 def test_every_room_has_its_place_in_the_order() -> None:
@@ -114,23 +108,24 @@ def test_every_room_has_its_place_in_the_order() -> None:
     assert rooms <= set(RANK_OF)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_only_nodes_import_ros(path: Path) -> None:
-    if room_of(module_name(path)) == "nodes":
-        return
-    tops = {name.split(".")[0]: line for name, line, _ in imports_of(path, MODULES[path])}
-    assert not {
-        f"{path.name}:{line} imports {top}"
-        for top, line in tops.items()
-        if top in ROS_NAMES or top.endswith(ROS_ENDINGS)
-    }
+def test_only_nodes_import_ros() -> None:
+    assert not [
+        f"{module}:{line} imports {name}"
+        for module, path in NAMES.items()
+        if room_of(module) != "nodes"
+        for name, line, _ in imports_of(path, MODULES[path])
+        if (top := name.split(".")[0]) in ROS_NAMES or top.endswith(ROS_ENDINGS)
+    ]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_only_motion_imports_ompl(path: Path) -> None:
-    if room_of(module_name(path)) != "motion":
-        tops = {name.split(".")[0] for name, _, _ in imports_of(path, MODULES[path])}
-        assert "ompl" not in tops
+def test_only_motion_imports_ompl() -> None:
+    assert not [
+        f"{module}:{line}"
+        for module, path in NAMES.items()
+        if room_of(module) != "motion"
+        for name, line, _ in imports_of(path, MODULES[path])
+        if name.split(".")[0] == "ompl"
+    ]
 
 
 def test_no_module_imports_itself_through_others() -> None:

@@ -78,7 +78,7 @@ def test_the_pose_error_that_the_scans_of_a_view_share_counts_once(
         np.testing.assert_allclose(kept[stamp], 2 * covariance, rtol=1e-9)  # two scans per view
 
 
-def test_views_were_chosen_by_predicted_localisation_errors(explored: ExplorationRun) -> None:
+def test_views_were_chosen_by_predicted_localization_errors(explored: ExplorationRun) -> None:
     predictions = explored.audit.predictions
     assert len(predictions) == 2
     for prediction in predictions:

@@ -15,29 +15,17 @@ from infomap_ros.geometry import PoseRecord, TransformRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localisation import Localisation
 from infomap_ros.messages import TF, encode_pose, encode_transforms
+from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
 from infomap_ros.messages.keyframes import (
     KeyframePoses,
     encode_keyframe_covariances,
     encode_keyframe_poses,
 )
-from infomap_ros.messages.rows import encode_rows
+from infomap_ros.messages.pose_uncertainty import encode_pose_uncertainty
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
-
-FIDUCIAL_ROW = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("id", "<i4"),
-        ("sigma", "<f4"),
-        *((f"cov_{name}", "<f4") for name in ("xx", "xy", "xz", "yy", "yz", "zz")),
-    ]
-)
-"""A fiducial of the topic fiducials: position [m], id, largest standard deviation [m] and
-covariance [m^2], map frame."""
 
 _SIZE = 0.04  # of a marker [m]
 
@@ -53,6 +41,7 @@ class LocalizationOutputs:
 
     def __init__(self, node: MonitoredNode, map_frame: str, *, publish_tf: bool) -> None:
         self._types, self._map = RclpyMessageTypes(), map_frame
+        self._uncertainties = node.advertise(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
         self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
         self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
         self._covariances = node.advertise(PointCloud2, "keyframe_covariances", qos.stream())
@@ -71,11 +60,18 @@ class LocalizationOutputs:
         self._status.publish(status_message(result))
 
     def publish_pose(self, pose: PoseRecord) -> None:
-        """Publish the camera's pose in the map."""
+        """Publish the camera's pose in the map.
+
+        The parts of its covariance go first: who receives the pose has them at hand.
+        """
+        if pose.uncertainty is not None and self._uncertainties.get_subscription_count():
+            self._uncertainties.publish(
+                encode_pose_uncertainty(self._types, pose.stamp, pose.frame_id, pose.uncertainty)
+            )
         self._poses.publish(encode_pose(self._types, pose))
 
     def publish_frame(self, edge: TransformRecord) -> None:
-        """Publish a transform, where frames are published at all."""
+        """Publish a transform at its stamp, where frames are published at all."""
         if self._tf is not None:
             self._tf.publish(encode_transforms(self._types, [edge]))
 
@@ -99,11 +95,11 @@ class LocalizationOutputs:
 
     def publish_fiducials(self, stamp: int, fiducials: Fiducials) -> None:
         """Publish the scene's fiducials as they are known at `stamp` [ns]."""
-        rows = fiducial_rows(fiducials)
         if self._fiducials.get_subscription_count():
-            self._fiducials.publish(encode_rows(self._types, stamp, self._map, rows))
+            self._fiducials.publish(encode_fiducials(self._types, stamp, self._map, fiducials))
         if self._markers.get_subscription_count():
-            self._markers.publish(MarkerArray(markers=[self._marker(stamp, rows)]))
+            marker = self._marker(stamp, fiducial_rows(fiducials))
+            self._markers.publish(MarkerArray(markers=[marker]))
 
     def _marker(self, stamp: int, rows: NDArray[np.void]) -> Marker:
         """All fiducials as balls: green where they are known to a centimetre, red from 10 cm on."""
@@ -117,16 +113,3 @@ class LocalizationOutputs:
             marker.points.append(Point(x=float(row["x"]), y=float(row["y"]), z=float(row["z"])))
             marker.colors.append(ColorRGBA(r=share, g=1.0 - share, b=0.1, a=0.9))
         return marker
-
-
-def fiducial_rows(fiducials: Fiducials) -> NDArray[np.void]:
-    """Fiducials as rows of `FIDUCIAL_ROW`, shape (N,)."""
-    rows = np.zeros(len(fiducials.ids), FIDUCIAL_ROW)
-    rows["x"], rows["y"], rows["z"] = fiducials.positions.T
-    rows["id"] = fiducials.ids
-    if len(rows):
-        rows["sigma"] = np.sqrt(np.linalg.eigvalsh(fiducials.covariances)[:, -1])
-    names = ("xx", "xy", "xz", "yy", "yz", "zz")
-    for name, i, j in zip(names, *np.triu_indices(3), strict=True):
-        rows[f"cov_{name}"] = fiducials.covariances[:, i, j]
-    return rows

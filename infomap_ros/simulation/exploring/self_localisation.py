@@ -104,8 +104,6 @@ class SelfLocalisation:
         last: what the last pair told.
     """
 
-    shares_errors = True
-
     def __init__(
         self,
         simulator: Simulator,

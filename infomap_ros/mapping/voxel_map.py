@@ -19,7 +19,7 @@ from infomap_ros.mapping.scans import scan_input, traversal
 from infomap_ros.mapping.scans.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.voxels import queries
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
-from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, take_changes
+from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, put_offset, take_changes
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
 from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, storage_state
 from infomap_ros.mapping.voxels.storage import MapStorage
@@ -79,7 +79,7 @@ class VoxelMap:
         scan = scan_input.checked_scan(*given, config.default_sigma)
         report = self._integrator.integrate(self._storage, scan, correlation)
         if isinstance(pose_covariance, PoseUncertainty):
-            self._storage.offset = pose_covariance.offset_at_origin(scan.transform[:3, 3])
+            put_offset(self._storage, pose_covariance.offset_at_origin(scan.transform[:3, 3]))
         return report
 
     def pose_uncertainty(

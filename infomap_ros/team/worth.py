@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import inlined_kernel, kernel
+from infomap_ros.geometry.pose_uncertainty import point_covariances
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
+from infomap_ros.mapping.voxels.gaussians import added, inverse_symmetric
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, read_information
 from infomap_ros.team.code_table import find_row
 from infomap_ros.team.contribution import Contribution
+from infomap_ros.team.contribution_kernels import unpack_keys
 from infomap_ros.team.gaussian_code import code_tables
 
 _LIMIT = SHARED_LOG_ODDS_LIMIT
@@ -59,6 +62,8 @@ class _Comparison(NamedTuple):
         probabilities: by evidence.
         sigmas: by their codes, in voxels.
         scratch: memory for two records, shape (2, 12), float32.
+        shared: what the error of the map as a whole adds to the covariances of a block, as (xx, xy,
+            xz, yy, yz, zz) [m^2] at the centre of each block, shape (n, 6).
     """
 
     blocks: Any
@@ -70,6 +75,7 @@ class _Comparison(NamedTuple):
     probabilities: NDArray[np.float64]
     sigmas: NDArray[np.float64]
     scratch: NDArray[np.float32]
+    shared: NDArray[np.float64]
 
 
 _ODDS = np.arange(-_LIMIT, _LIMIT + 1) * LOG_ODDS_QUANTUM
@@ -105,7 +111,14 @@ def worth_of_changes(
     tables = _DIVERGENCES, _PROBABILITIES, code_tables()[0]
     scratch = np.empty((2, ROW_SIZE), np.float32)
     blocks, planes, codes = told.arrays
-    compared = _Comparison(storage.blocks, storage.gaussians, planes, codes, size, *tables, scratch)
+    shared = np.zeros((len(slots), 6))
+    if storage.offset.any():
+        corners = np.zeros((len(slots), 3), np.int32)
+        unpack_keys(storage.blocks.keys[slots], corners)
+        centres = (corners + 0.5) * BLOCK_SIDE * size
+        shared = point_covariances(storage.offset, centres)[:, *np.triu_indices(3)]
+    arrays = storage.blocks, storage.gaussians, planes, codes
+    compared = _Comparison(*arrays, size, *tables, scratch, shared)
     _weigh_changes(compared, blocks, slots, worth)
     return worth
 
@@ -155,10 +168,20 @@ def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
 
 
 @kernel
-def _surface_change(compared: Any, information: Any, other: int, local: int) -> tuple[float, bool]:
+def _with_shared(information: Any, shared: Any) -> Any:
+    """The covariance (xx, xy, xz, yy, yz, zz) of an information with what the map shares."""
+    i, s = information, shared
+    own = inverse_symmetric((i[0], i[1], i[2], i[3], i[4], i[5]))
+    return added(own, (s[0], s[1], s[2], s[3], s[4], s[5]))
+
+
+@kernel
+def _surface_change(
+    compared: Any, information: Any, shared: Any, other: int, local: int
+) -> tuple[float, bool]:
     """Bits by which a surface point is other than told, and whether it is new.
 
-    `other` is the block's slot in what was told, or -1.
+    `shared` is a row of `_Comparison.shared`, `other` the block's slot in what was told, or -1.
     """
     code, word = np.int64(-1), np.uint64(0)
     codes = compared.codes
@@ -167,15 +190,20 @@ def _surface_change(compared: Any, information: Any, other: int, local: int) -> 
     if code >= 0:
         word = codes.codes[code, 1]
     change = _log_determinant(information)
+    if shared[0] + shared[3] + shared[5] > 0.0:
+        change = -_log_determinant(_with_shared(information, shared))
     change -= _told_log_determinant(word, compared.size, compared.sigmas)
     return min(0.5 * abs(change), _MOST_BITS), word == np.uint64(0)
 
 
 @inlined_kernel
-def _voxel_worth(compared: Any, slot: int, other: int, local: int) -> tuple[float, bool, bool]:
+def _voxel_worth(
+    compared: Any, n: int, slot: int, other: int, local: int
+) -> tuple[float, bool, bool]:
     """Bits of a voxel, whether it is told with a surface, and whether it matters.
 
-    `slot` is the block's number in the map, `other` in what was told, or -1.
+    `n` is the block's place among those that are weighed, `slot` its number in the map, `other` in
+    what was told, or -1.
     """
     known, quanta = quanta_at(compared.blocks, slot, local)
     was = np.int64(NOT_OBSERVED)
@@ -196,13 +224,20 @@ def _voxel_worth(compared: Any, slot: int, other: int, local: int) -> tuple[floa
     half = 0.5 * compared.size
     if not read_information(compared.surface, slot, local, half, information, spare):
         return bits, False, matters
-    more, is_first = _surface_change(compared, information, other, local)
+    more, is_first = _surface_change(compared, information, compared.shared[n], other, local)
     return bits + more, True, matters or is_first or more >= _LEAST_BITS
 
 
 @inlined_kernel
 def _weigh_row(
-    compared: Any, slot: int, other: int, first: int, bits: Any, sizes: Any, matters: Any
+    compared: Any,
+    n: int,
+    slot: int,
+    other: int,
+    first: int,
+    bits: Any,
+    sizes: Any,
+    matters: Any,
 ) -> None:
     """Add the changes of eight voxels along x, from `first` on, to what their block tells."""
     word, free, empty = first >> 6, 0.0, np.uint64(0)
@@ -211,7 +246,7 @@ def _weigh_row(
         bit = np.uint64(1) << np.uint64(local & 63)
         if not compared.blocks.dirty[slot, word] & bit:
             continue
-        told, is_surface, does_matter = _voxel_worth(compared, slot, other, local)
+        told, is_surface, does_matter = _voxel_worth(compared, n, slot, other, local)
         if does_matter:
             matters[word] |= bit
         if is_surface:
@@ -237,4 +272,4 @@ def _weigh_changes(compared: Any, told_blocks: Any, slots: Any, worth: Any) -> N
         for first in range(0, BLOCK_VOXELS, 8):
             marked = blocks.dirty[slot, first >> 6] >> np.uint64(first & 63)
             if marked & np.uint64(0xFF) != np.uint64(0):
-                _weigh_row(compared, slot, other, first, bits, sizes, matters)
+                _weigh_row(compared, n, slot, other, first, bits, sizes, matters)

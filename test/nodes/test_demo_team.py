@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from infomap_ros.errors import ProcessError
-from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.live import demo_team
-from infomap_ros.nodes.live.demo_team import sum_of_maps
 from infomap_ros.nodes.live.kernels import STEPS, TEAM, compile_kernels
 from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.simulation.company.team_starts import TeamStart
@@ -33,26 +30,6 @@ def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> Non
     assert len({str(robot["map_fusion"]["map_file"]) for robot in nodes}) == 3
     reliable = "qos_overrides./rover2/camera_pose.subscription.reliability"
     assert nodes[1]["map_fusion"][reliable] == "reliable"
-
-
-def test_the_map_of_all_is_the_sum_of_what_each_saw(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    maps = []
-    for number, x in enumerate((1.0, 1.5)):
-        one = VoxelMap(VoxelMapConfig(voxel_size=0.1))
-        wall = rng.uniform((x, -0.5, -0.5), (x + 0.05, 0.5, 0.5), (500, 3))
-        one.integrate(wall, np.eye(4))
-        one.save(tmp_path / f"{number}.infomap")
-        maps.append(one)
-
-    shared = sum_of_maps([tmp_path / "0.infomap", tmp_path / "1.infomap"])
-
-    places = rng.uniform((0.0, -0.5, -0.5), (1.6, 0.5, 0.5), (2000, 3))
-    known = np.array([each.is_known(places) for each in maps])
-    np.testing.assert_array_equal(shared.is_known(places), known.any(axis=0))
-    sums = sum(np.where(k, m.log_odds(places), 0.0) for k, m in zip(known, maps, strict=True))
-    both = known.any(axis=0)
-    np.testing.assert_allclose(shared.log_odds(places)[both], sums[both], atol=0.1)
 
 
 @pytest.mark.parametrize("failing", ["", "map"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -112,24 +111,6 @@ def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph
         posture = stage.node._gate.postures.posture(stamp)
         found = edge.transform @ posture.T_odom_camera
         assert np.allclose(found, stage.poses[stamp].transform, atol=1e-9)
-
-
-def test_the_frame_of_odometry_is_told_again_until_there_is_a_newer_one(graph: Any) -> None:
-    """As tf needs it: at any time there is a transform that is not older than now."""
-    frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
-    stage = Stage(graph)
-    (stamp,) = stage.run(1)
-    graph.spin_until(lambda: frames, "the first frame")
-    begin = time.monotonic()
-    graph.spin_until(lambda: len(frames) > 20, "the same frame again")
-    seconds = time.monotonic() - begin
-    edges = [edge for message in frames for edge in decode_transforms(message)]
-    assert 0.7 < seconds < 10.0  # 20 Hz, on a loaded machine less
-    stamps = [edge.stamp for edge in edges]
-    assert sorted(set(stamps)) == stamps
-    assert stamps[0] == stamp + 500_000_000
-    assert abs(1e-9 * (stamps[-1] - stamps[0]) - seconds) < 0.5
-    assert all(np.array_equal(edge.transform, edges[0].transform) for edge in edges)
 
 
 def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:

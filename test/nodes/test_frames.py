@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
+from infomap_ros.nodes.locating.odom_frame import OdomFrameBroadcaster
 from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES
 
@@ -63,3 +65,43 @@ def test_frames_of_two_robots_do_not_meet(graph: Any) -> None:
         assert {"odom", "base_link", "left_camera_optical_frame"} <= set(children)
         (odom,) = [edge for edge in edges if edge.child_frame_id == "odom"]
         assert odom.transform[0, 3] == 1.0 + x
+
+
+def broadcast(graph: Any, **values: Any) -> tuple[OdomFrameBroadcaster, list[TransformRecord]]:
+    sent: list[TransformRecord] = []
+    node = graph.add(partial(MonitoredNode, "broadcaster"), **values)
+    return OdomFrameBroadcaster(node, sent.append, 0.5), sent
+
+
+def map_to_odom(stamp: int) -> TransformRecord:
+    return TransformRecord(stamp, "map", "odom", np.eye(4))
+
+
+def test_the_map_is_told_where_odometry_is_until_there_is_news(graph: Any) -> None:
+    """As tf needs it: at any time there is a transform that is not older than now."""
+    broadcaster, sent = broadcast(graph)
+    first = graph.tester.get_clock().now().nanoseconds - 200_000_000  # an image of 0.2 s ago
+    broadcaster.update(map_to_odom(first))
+    assert [edge.stamp for edge in sent] == [first + 500_000_000]
+
+    def is_covered() -> bool:
+        return sent[-1].stamp >= graph.tester.get_clock().now().nanoseconds
+
+    begin = time.monotonic()
+    graph.spin_until(lambda: len(sent) > 20, "the same transform again")
+    assert is_covered()
+    assert time.monotonic() - begin > 0.8  # 20 Hz, not more
+    stamps = [edge.stamp for edge in sent]
+    assert sorted(set(stamps)) == stamps  # tf wants each stamp once
+
+    news = graph.tester.get_clock().now().nanoseconds
+    broadcaster.update(map_to_odom(news))
+    assert sent[-1].stamp == news + 500_000_000
+
+
+def test_while_the_clock_stands_nothing_is_repeated(graph: Any) -> None:
+    broadcaster, sent = broadcast(graph, use_sim_time=True)
+    broadcaster.update(map_to_odom(7))
+    begin = time.monotonic()
+    graph.spin_until(lambda: time.monotonic() - begin > 0.4, "eight periods")
+    assert len(sent) == 1

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.pose_uncertainty import point_covariances
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxels import queries
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
@@ -18,6 +19,9 @@ from infomap_ros.mapping.voxels.storage import MapStorage
 @dataclass(frozen=True, eq=False)
 class VoxelChanges:
     """Voxels that changed since they were last asked for; absolute values, not differences.
+
+    Covariances hold all errors, also that which the whole map shares: that of another robot is
+    independent of it, so who merges maps of robots weighs them rightly.
 
     Attributes:
         indices: voxel indices, shape (K, 3), int32.
@@ -69,6 +73,8 @@ def take_changes(
         means,
         covariances,
     )
+    if storage.offset.any():
+        covariances[has_gaussian] += point_covariances(storage.offset, means[has_gaussian])
     return VoxelChanges(indices, quanta, has_gaussian, means, covariances)
 
 
@@ -89,6 +95,20 @@ def mark_changed(storage: MapStorage, first: int, blocks: int) -> int:
     end = min(first + blocks, count)
     storage.blocks.dirty[first:end] = np.uint64(0xFFFFFFFFFFFFFFFF)
     return count - end
+
+
+def put_offset(storage: MapStorage, offset: FloatArray) -> None:
+    """Replace the covariance of the error that the whole map shares, shape (6, 6).
+
+    All surface points count as changed when its variances are no more those with which they were
+    taken, by a quarter or more: their standard deviations may be other by an eighth.
+    """
+    storage.offset = offset
+    now, before = np.diag(offset), np.diag(storage.taken_offset)
+    if (np.abs(now - before) > 0.25 * np.maximum(now, before)).any():
+        storage.taken_offset = offset
+        if len(storage.blocks.dirty):
+            mark_changed(storage, 0, int(storage.blocks.counts[BLOCK_COUNT]))
 
 
 @njit(nogil=True, cache=True)

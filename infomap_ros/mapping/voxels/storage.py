@@ -111,12 +111,14 @@ class MapStorage:
         gone: bit set of the voxels that were known once and are not, if they were not observed
             since, uint64, shape (n, 8) for the first n blocks.
         offset: covariance of the error that the whole map shares, at its origin, shape (6, 6).
+        taken_offset: likewise, when all surface points last counted as changed because of it.
     """
 
     blocks: BlockArrays = field(default_factory=empty_blocks)
     gaussians: SurfaceArrays = field(default_factory=empty_surface)
     gone: NDArray[np.uint64] = field(default_factory=lambda: np.zeros((0, 8), np.uint64))
     offset: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    taken_offset: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""

@@ -28,7 +28,7 @@ from infomap_ros.nodes.fusion.map_outputs import MapOutputs
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.team.map_moves import describe_move
-from infomap_ros.nodes.team.team_map import TeamMap
+from infomap_ros.nodes.team.team_map import TeamMap, team_map_file
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.team.moving import moved_map
@@ -193,8 +193,7 @@ class MapKeeper:
         """
         if self.team.voxel_map is None:
             raise InvalidInputError("team", "no other robot was heard")
-        path = self._path
-        return _save(self.team.voxel_map, path.with_name(f"{path.stem}_team{path.suffix}"))
+        return _save(self.team.voxel_map, team_map_file(self._path))
 
     def load(self) -> str:
         """Replace the map by that of the map file; returns a sentence.

@@ -37,11 +37,11 @@ from infomap_ros.nodes.live.kernels import TEAM, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
+from infomap_ros.nodes.team.team_map import team_map_file
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.company.team_starts import team_starts
 from infomap_ros.simulation.exploring.truth import RunTruth
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
 _ROBOTS = 2
 _DOWN = 10.0  # [s] until the robot that was killed is started again
@@ -80,6 +80,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         console.print(f"all robots hold the same map: {agreed}", highlight=False)
         for name in run.names:
             run.call(f"/{name}/map_fusion/save")
+            run.call(f"/{name}/map_fusion/save_team")
         results = _results(run, options, agreed)
     results |= {"seconds to compile": round(ready, 1)}
     results["seconds"] = round(time.monotonic() - begin, 1)
@@ -148,9 +149,9 @@ def _write_results(
     options: argparse.Namespace,
     results: dict[str, object],
 ) -> RunTruth:
-    """Write .ply, summary and report from the robots' saved maps and logs; returns the truth."""
+    """Write .ply, summary and report from the saved map and the logs; returns the truth."""
     out: Path = options.out
-    shared = sum_of_maps([folder / MAP_FILE for folder in run.folders.values()])
+    shared = VoxelMap.load(team_map_file(run.folders[run.names[0]] / MAP_FILE))
     write_ply(shared, out / PLY_FILE)
     truth = compare_with_truth(world, shared, observed)
     results |= truth.figures()
@@ -163,29 +164,6 @@ def _write_results(
         results,
     )
     return truth
-
-
-def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
-    """The map of a team from what its robots saw, through the codec of the wire.
-
-    Args:
-        files: map files of the robots, each with its own contribution.
-
-    Raises:
-        MapFileError: a file cannot be used.
-    """
-    replica: MapReplica | None = None
-    for number, path in enumerate(files):
-        own = VoxelMap.from_state((saved := VoxelMap.load(path)).config, saved.state())
-        replica = replica or MapReplica(own.config)
-        own.track_changes(True)
-        own.mark_changed(0, own.known_voxels)
-        update = MapUpdate.of_changes(own.take_changes(), own.config.voxel_size, number, 1)
-        for rows in encode_update(update):
-            replica.apply(decode_update(rows))
-    if replica is None:
-        raise ValueError("no maps were given")
-    return replica.voxel_map
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,6 +10,7 @@ import json
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,3 +126,8 @@ class TeamMap:
         if self._member is not None:
             robots = len(self._member.replica.robots)
             self._node.health.note("robots in the map", str(robots))
+
+
+def team_map_file(map_file: Path) -> Path:
+    """The file of the map of the whole team, beside that of what one robot saw."""
+    return map_file.with_name(f"{map_file.stem}_team{map_file.suffix}")

@@ -67,8 +67,9 @@ class MappingLocalizer:
         self.seconds += time.process_time() - start
         if result.state == "tracking" and result.T_map_camera is not None:
             cloud = view.cloud()
-            points = cloud.points.copy()
-            points[body_mask(points, cloud.covariance_triangles, body)] = np.nan
+            points = cloud.organised_points
+            on_body = body_mask(points, cloud.covariance_triangles, body)
+            points = np.where(on_body[..., None], np.float32(np.nan), points)
             self.map.integrate(
                 points,
                 result.T_map_camera,

@@ -71,7 +71,7 @@ class FiducialLocalizationConfig:
         high=1.0,
     )
     use_map: bool = parameter(
-        True,
+        False,
         "Choose fiducials by their certainty in the shared map, f(P) of eq. (19), once map_updates "
         "have arrived; otherwise by the range's own sigma.",
     )

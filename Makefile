@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 READY := $(STAMPS)/package $(STAMPS)/tf2
 
-EXTRAS := ros tf2 security test bench dev
+EXTRAS := ros tf2 test bench dev
 
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'

@@ -92,7 +92,6 @@ setup(
             "colcon-core>=0.18",
             "colcon-python-setup-py>=0.2.7",
             "colcon-ros>=0.5",
-            "cryptography>=42",
             "example-robot-data>=5.0",
             "hello-robot-stretch-urdf>=0.1.2",
             "hypothesis>=6.98",
@@ -103,8 +102,6 @@ setup(
         ],
         # What the benchmarks are compared with.
         "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
-        # Messages of a team that only its robots can write (`team.authentication`).
-        "security": ["cryptography>=42"],
         # Not in requirements.lock: large, and only `exploration.rerun_recording` needs it.
         "rerun": ["rerun-sdk>=0.24"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],

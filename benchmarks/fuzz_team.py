@@ -3,8 +3,8 @@
     python benchmarks/fuzz_team.py --count 1000000
 
 Every message is a whole one of a real map with one to four changes: bytes of the rows, names,
-types, offsets and counts of fields, sizes, facts. Half of them go to a robot without, half to one
-with a team key, which has to refuse them all.
+types, offsets and counts of fields, sizes, facts, rows that are repeated. Half of them go to a
+robot without, half to one with a team key, which has to refuse them all.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.digest import CellDigest, Request
 
 TYPES = RosbagsMessageTypes()
 CONFIG = VoxelMapConfig(voxel_size=0.1)
 KEY = TeamKey(b"a key for the fuzzing of teams")
+VICTIM = 3
 
 
 def make_messages(key: TeamKey | None) -> list[Any]:
@@ -44,14 +46,38 @@ def make_messages(key: TeamKey | None) -> list[Any]:
     return [encode_rows(TYPES, 0, "map", part) for part in signed]
 
 
+def ask_for_blocks(key: TeamKey | None) -> list[Any]:
+    """What a robot that holds half of that tells and asks of it: the victim's own blocks, too."""
+    corners = np.array([[x, y, 0] for x in range(-4, 4) for y in range(-4, 4)], np.int32)
+    hashes = np.arange(1, 1 + len(corners), dtype=np.uint32)
+    rows = [
+        part
+        for robot in (VICTIM, 7)
+        for level in (0, 3)
+        for part in (
+            *CellDigest(7, 1, robot, 1000, 5, level, corners, hashes).encode(1400),
+            *Request(7, VICTIM, robot, "cells", level, 0, corners).encode(1400),
+            *Request(7, VICTIM, robot, "states", 0, level, corners).encode(1400),
+        )
+    ]
+    signed = [key.sign(part) if key else part for part in rows]
+    return [encode_rows(TYPES, 0, "map", part) for part in signed]
+
+
 def mutated(message: Any, rng: np.random.Generator) -> Any:
     """The message with one to four changes."""
     other = copy.copy(message)
     other.fields = [copy.copy(field) for field in message.fields]
     for _ in range(rng.integers(1, 5)):
         field = other.fields[rng.integers(len(other.fields))]
-        what = rng.integers(10)
-        if what < 4 and len(other.data):
+        what = rng.integers(11)
+        if what == 10 and len(other.data) >= 2 * other.point_step > 0:
+            data = np.array(other.data, np.uint8)  # a row a second time, in place of another
+            rows = data[: len(data) // other.point_step * other.point_step]
+            rows = rows.reshape(-1, other.point_step)
+            rows[rng.integers(len(rows))] = rows[rng.integers(len(rows))]
+            other.data = data
+        elif what < 4 and len(other.data):
             data = np.array(other.data, np.uint8)
             data[rng.integers(len(data))] ^= rng.integers(1, 256)
             other.data = data
@@ -71,12 +97,14 @@ def mutated(message: Any, rng: np.random.Generator) -> Any:
 
 
 def hear(member: TeamMember, key: TeamKey | None, message: Any) -> None:
-    """As a node does: a digest is a message with a digest's facts."""
+    """As a node does; what kind of message it is its facts say."""
     rows = decode_rows(message)[2]
     if key is not None:
         rows = key.verify(rows)
     if any("digest=" in name for name in rows.dtype.names or ()):
         member.hear_digest(rows, 1.0)
+    elif any("request=" in name for name in rows.dtype.names or ()):
+        member.hear_request(rows, 1.0)
     else:
         member.hear_update(rows, 1.0)
 
@@ -90,9 +118,9 @@ def identity(message: Any) -> tuple[bytes, str]:
 def fuzz(count: int, seed: int, key: TeamKey | None) -> Counter[str]:
     """Send mutated messages; returns what became of them."""
     rng = np.random.default_rng(seed)
-    messages, results = make_messages(key), Counter[str]()
+    messages, results = make_messages(key) + ask_for_blocks(key), Counter[str]()
     originals = {identity(message) for message in messages}
-    member = TeamMember(3, 2, 1000, CONFIG)
+    member = TeamMember(VICTIM, 2, 1000, CONFIG)
     for message in messages[: len(messages) // 2]:
         hear(member, key, message)
     before = member.replica.hash()

@@ -57,7 +57,7 @@ def print_table(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
         agreed = f"yes, {team['agreed_after']} s" if team["same_hash"] else "no"
         both = [
             [
-                f"{100 * run['coverage']:.1f} %",
+                f"{100 * run['true_coverage']:.1f} %",
                 f"{run['views_per_robot']:g}",
                 f"{run['distance_per_robot']:.1f} m",
                 f"{run['simulated_seconds']:.0f} s",
@@ -71,11 +71,11 @@ def print_table(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
 
 def summary(pairs: list[tuple[dict[str, Any], dict[str, Any]]], goal: float) -> dict[str, Any]:
     """Means over the worlds that both have covered, and what must hold in all."""
-    both = [pair for pair in pairs if min(run["coverage"] for run in pair) >= goal]
+    both = [pair for pair in pairs if min(run["true_coverage"] for run in pair) >= goal]
     figures: dict[str, Any] = {
         "worlds": len(pairs),
-        "covered_by_one": sum(one["coverage"] >= goal for one, _ in pairs),
-        "covered_by_team": sum(team["coverage"] >= goal for _, team in pairs),
+        "covered_by_one": sum(one["true_coverage"] >= goal for one, _ in pairs),
+        "covered_by_team": sum(team["true_coverage"] >= goal for _, team in pairs),
         "same_hash": sum(team["same_hash"] for _, team in pairs),
         "restarts": sum(team["kills"] for _, team in pairs),
         "contacts": sum(run["contacts"] for pair in pairs for run in pair),

@@ -11,7 +11,6 @@ from launch.substitutions import LaunchConfiguration
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
 from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
-from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
 
 TASK = TaskConfig()
@@ -99,7 +98,6 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             "resume": truth["resume"],
             "autosave_period": AUTOSAVE,
             "voxel_size": float(given["voxel_size"]),
-            "error_correlation": StereoConfig().error_correlation,
         },
         "fiducial_localization": {
             "rectify": truth["rectify"],

@@ -41,8 +41,6 @@ PYTHON_PACKAGES = {
 }
 # Loaded by name at run time, so that no import tells of it.
 NOT_IMPORTED = {"rmw_fastrtps_cpp"}
-# Imported where it is wanted, and said to be missing where it is not there: name and extra.
-OPTIONAL = {"cryptography": "security"}
 # Extras that the set-up leaves out.
 NOT_LOCKED = {"rerun"}
 
@@ -159,10 +157,7 @@ def test_every_import_is_a_dependency(manifest: Package, setup_script: Any) -> N
     keys = {dependency.name for dependency in manifest.exec_depends}
     required = {Requirement(text).name for text in setup_script.install_requires}
     for name in imported_by_the_package():
-        if name in OPTIONAL:
-            extra = setup_script.extras_require[OPTIONAL[name]]
-            assert name in {Requirement(text).name for text in extra}
-        elif name in PYTHON_PACKAGES:
+        if name in PYTHON_PACKAGES:
             package, key = PYTHON_PACKAGES[name]
             assert package in required
             assert key in keys

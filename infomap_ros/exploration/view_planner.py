@@ -287,4 +287,7 @@ def _choice_of(
     if chosen is not None and route is None:
         raise TypeError("a view was chosen without a route")
     pose = None if chosen is None else chosen.pose
-    return Choice(progress, pose, route, decision.reason, explain(decision, state))
+    reason = decision.reason
+    if route is not None and route.planned_by:
+        reason += f"; base path by {route.planned_by}"
+    return Choice(progress, pose, route, reason, explain(replace(decision, reason=reason), state))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from infomap_ros.geometry import PlacedSolid
+from infomap_ros.geometry import PlacedSolid, PoseUncertainty
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 
@@ -24,6 +24,7 @@ class Localisation:
             the target was not seen yet.
         T_map_camera: the pose, shape (4, 4); None when lost or searching.
         covariance: in the map frame, shape (6, 6); None likewise.
+        uncertainty: the covariance in its parts; None likewise.
         reason: why it is not tracking, or what happened; empty where there is nothing to say.
         tracked: number of fiducials that the pose rests on.
         is_keyframe: whether the pose was kept, see `Localizer.keyframes`.
@@ -40,6 +41,7 @@ class Localisation:
     is_keyframe: bool = False
     target_seen: bool = False
     contradicted: bool = False
+    uncertainty: PoseUncertainty | None = None
 
 
 @dataclass(frozen=True)

@@ -94,9 +94,8 @@ class Localizer(KnownMap):
             "was_placed": np.array(self._state != "searching"),
             "keyframe": self._keyframe,
         }
-        return (
-            own | self._scene.state() | {f"filter_{k}": v for k, v in self._filter.state().items()}
-        )
+        of_filter = {f"filter_{name}": array for name, array in self._filter.state().items()}
+        return own | self._scene.state() | of_filter
 
     def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on in the map of a localizer that was ended.
@@ -296,5 +295,6 @@ class Localizer(KnownMap):
         if is_keyframe:
             self._filter.keep_pose(view.stamp)
             self._keyframe = pose
+        parts = self._filter.divide_covariance(is_keyframe=is_keyframe)
         told = pose, covariance, reason, tracked, is_keyframe, target_seen
-        return Localisation(view.stamp, self._state, *told, self._contradicted > 0.0)
+        return Localisation(view.stamp, self._state, *told, self._contradicted > 0.0, parts)

@@ -282,7 +282,7 @@ class WholeBodyReach:
         if self._routes.why_not_folded:
             return ReachResult(reason)
         if path is None and len(places):
-            path = self.planner.plan(self._xyyaw, places, samples=0)
+            path = self.planner.plan(self._xyyaw, places)
         if path is None or len(path.poses) < 2 or not self._comes_nearer(view, path):
             return ReachResult(reason)
         q = self._routes.posture_like(view, path.T_map_base[-1])

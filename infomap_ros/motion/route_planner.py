@@ -80,7 +80,8 @@ class RoutePlanner:
             after = ArmPath.staying(self.whole.chain.joint_names, self.whole.driving)
         camera = end @ self.whole.chain.camera_pose(after.positions[-1])
         before, partial = self._folding, not path.complete
-        route = Route(before, path.poses, path.T_map_base, after, camera, partial)
+        method = path.method if len(path.poses) > 1 else ""
+        route = Route(before, path.poses, path.T_map_base, after, camera, partial, method)
         reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
         return ReachResult(reason, path.length, travel, route, partial, camera)

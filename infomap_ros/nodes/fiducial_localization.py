@@ -45,7 +45,7 @@ from infomap_ros.nodes.locating.view_inputs import ViewInputs
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_moves import (
-    MoveSeal,
+    MAP_ALIGNMENT,
     check_is_later,
     describe_move,
     listen_to_moves,
@@ -103,8 +103,8 @@ class FiducialLocalizationNode(MonitoredNode):
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
             who = self.config(TeamIdentityConfig)
-            seal = MoveSeal(who.read_key(), who.robot_id)
-            listen_to_moves(self, frame, self._worker, self._move_map, seal=seal)
+            identity = who.read_key(), who.robot_id
+            listen_to_moves(self, frame, self._worker, self._move_map, MAP_ALIGNMENT, *identity)
         self._inputs = ViewInputs(self, topics, self._on_view, self._on_clock_jump)
         offer_order(self, "~/reset", self._worker, self._reset)
         if self._path is not None:

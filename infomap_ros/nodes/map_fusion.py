@@ -120,8 +120,9 @@ class MapFusionNode(MonitoredNode):
         frame = self.config(ScanSynchronizerConfig).map_frame
         listen_to_moves(self, frame, self._worker, keeper.move, "~/move")
         self._inputs = ScanInputs(self, self._on_scan, self._on_clock_jump, self._on_arrival)
-        for name, order in (("save", keeper.save), ("load", keeper.load), ("reset", keeper.reset)):
-            offer_order(self, f"~/{name}", self._worker, partial(self._carry_out, order))
+        for order in (keeper.save, keeper.save_team, keeper.load, keeper.reset):
+            name = f"~/{order.__name__}"
+            offer_order(self, name, self._worker, partial(self._carry_out, order))
         offer_order(self, "~/team_hash", self._worker, keeper.team.account)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)

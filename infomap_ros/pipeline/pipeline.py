@@ -171,7 +171,8 @@ class Pipeline:
         if fusion is None or result.T_map_camera is None:
             return
         transform, frame = as_sent(result.T_map_camera), fusion.map_frame
-        fusion.scans.add_pose(PoseRecord(result.stamp, frame, transform, result.covariance))
+        told = result.stamp, frame, transform, result.covariance
+        fusion.scans.add_pose(PoseRecord(*told, uncertainty=result.uncertainty))
         yield from self._fuse()
         if (kept := localization.changes.after(result, located.kept)) is not None:
             sent = np.array([as_sent(pose) for pose in kept.transforms])

@@ -7,7 +7,7 @@ parallel loops can end the process when two threads of a node enter them at once
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 
 
@@ -26,8 +26,15 @@ class RowBands:
         self._pool = ThreadPoolExecutor(threads - 1, "stereo") if threads > 1 else None
 
     def run(self, work: Callable[[int, int], object]) -> None:
-        """Call ``work(first_row, end_row)`` for every band and wait for all of them."""
+        """Call ``work(first_row, end_row)`` for every band and wait for all of them.
+
+        An error of one band is raised when all have ended, so that no thread goes on with arrays
+        that the caller takes for its own again.
+        """
         others = [self._pool.submit(work, *band) for band in self._bands[1:]] if self._pool else []
-        work(*self._bands[0])
+        try:
+            work(*self._bands[0])
+        finally:
+            wait(others)
         for other in others:
             other.result()

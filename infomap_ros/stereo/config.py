@@ -142,7 +142,7 @@ class StereoConfig:
     )
     smoothing_window: int = parameter(
         5,
-        "Refined disparities are averaged over this window, odd; 1 for none.",
+        "Refined disparities are averaged over this window, odd, at most edge_window; 1 for none.",
         unit="px",
         low=1,
         high=15,
@@ -217,6 +217,9 @@ class StereoConfig:
         for name in ("block_size", "edge_window", "refinement_window", "smoothing_window"):
             if getattr(self, name) % 2 == 0:
                 raise ConfigError(name, getattr(self, name), "an odd number")
+        if self.smoothing_window > self.edge_window:  # would average over holes and depth edges
+            limit = f"at most edge_window, {self.edge_window}"
+            raise ConfigError("smoothing_window", self.smoothing_window, limit)
         if self.max_depth <= self.min_depth:
             raise ConfigError("max_depth", self.max_depth, f"more than min_depth {self.min_depth}")
         if self.smoothness_large <= self.smoothness_small:

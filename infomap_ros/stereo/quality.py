@@ -63,7 +63,8 @@ def refine(
         invalid: value of pixels without a match.
         window: side of the photometric window, odd [px].
         smoothing: side of the window over which refined disparities are averaged [px]. Right
-            where `filters.edge_free` holds for a window at least as large.
+            where `filters.edge_free` holds for a window at least as large, as `StereoConfig`
+            demands.
         bands: threads to work in.
     """
     planes = [np.empty(disparity.shape, np.float32) for _ in range(4)]

@@ -1,19 +1,26 @@
 """Messages that only those can write who know the team's key.
 
 A message carries a code over its rows and facts: HMAC with SHA-256 (RFC 2104,
-https://doi.org/10.17487/RFC2104), cut to 16 bytes. What is repeated by a stranger is authentic, but
-old: states that were told before change nothing.
+https://doi.org/10.17487/RFC2104), cut to its first 16 bytes. What is repeated by a stranger is
+authentic, but old: states that were told before change nothing.
+
+For a message of rows the code is made from the description of a row and the bytes of the rows. The
+description is JSON in ASCII without blanks: a list with one list for each field in the order of the
+message (its name, its type as in numpy's array interface, such as ``<f4``, its shape, its offset in
+the row [bytes]) and the length of a row [bytes]. For a text it is made from ``text``, a line feed
+and the text in UTF-8.
 """
 
 from __future__ import annotations
 
-from hmac import compare_digest
+import hmac
+import json
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.errors import InvalidInputError, MissingExtraError, UpdateRefusedError
+from infomap_ros.errors import InvalidInputError, UpdateRefusedError
 from infomap_ros.team.facts import layout_of, with_more_facts, without_last_fact
 
 NOT_AUTHENTIC = "not authentic"
@@ -29,17 +36,12 @@ class TeamKey:
 
     Raises:
         InvalidInputError: it is shorter.
-        MissingExtraError: the package cryptography is not installed.
     """
 
     def __init__(self, secret: bytes) -> None:
         if len(secret) < _SHORTEST_KEY:
             raise InvalidInputError("team key", f"has {len(secret)} bytes, expected at least 16")
-        try:
-            from cryptography.hazmat.primitives import hashes, hmac
-        except ImportError as error:
-            raise MissingExtraError("security", "cryptography") from error
-        self._start = hmac.HMAC(secret, hashes.SHA256())
+        self._start = hmac.new(secret, digestmod="sha256")
 
     @classmethod
     def read(cls, path: str | Path) -> TeamKey:
@@ -64,7 +66,7 @@ class TeamKey:
 
     def sign(self, rows: Rows) -> Rows:
         """The message with its code."""
-        return with_more_facts(rows, {"code": self._code(rows).hex()})
+        return with_more_facts(rows, {"code": self._code(rows)})
 
     def verify(self, rows: Rows) -> Rows:
         """The message without its code.
@@ -73,25 +75,30 @@ class TeamKey:
             UpdateRefusedError: it has none, or not the right one.
         """
         plain, code = without_last_fact(rows, "code")
-        if plain is None or self._code(plain).hex() != code:
+        if plain is None or not _is_same(self._code(plain), code):
             raise UpdateRefusedError("the message is not of this team", NOT_AUTHENTIC)
         return plain
 
     def code_of_text(self, text: str) -> str:
         """The code of a message that is a text, as hexadecimal digits."""
-        summed = self._start.copy()
-        summed.update(b"text\n" + text.encode("utf-8", "surrogatepass"))
-        return bytes(summed.finalize()[:_CODE_BYTES]).hex()
+        return self._code_of(b"text\n", text.encode("utf-8", "surrogatepass"))
 
     def is_code_of_text(self, text: str, code: str) -> bool:
         """Whether a code is that of a text; takes as long for a wrong one as for the right one."""
-        return compare_digest(
-            self.code_of_text(text).encode(), code.encode("utf-8", "surrogatepass")
-        )
+        return _is_same(self.code_of_text(text), code)
 
-    def _code(self, rows: Rows) -> bytes:
+    def _code(self, rows: Rows) -> str:
+        fields = [(name, kind.base.str, kind.shape, at) for name, kind, at in layout_of(rows)]
+        layout = json.dumps([fields, rows.dtype.itemsize], separators=(",", ":"))
+        return self._code_of(layout.encode("ascii"), np.ascontiguousarray(rows).tobytes())
+
+    def _code_of(self, *parts: bytes) -> str:
         summed = self._start.copy()
-        layout = [(name, repr(kind), at) for name, kind, at in layout_of(rows)]
-        summed.update(repr((layout, rows.dtype.itemsize)).encode())
-        summed.update(np.ascontiguousarray(rows).tobytes())
-        return bytes(summed.finalize()[:_CODE_BYTES])
+        for part in parts:
+            summed.update(part)
+        return summed.digest()[:_CODE_BYTES].hex()
+
+
+def _is_same(code: str, other: str) -> bool:
+    """Whether two codes are the same, in a time that does not depend on where they differ."""
+    return hmac.compare_digest(code.encode(), other.encode("utf-8", "surrogatepass"))

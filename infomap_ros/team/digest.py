@@ -193,4 +193,7 @@ def _checked_corners(table: NDArray[np.void], what: str) -> NDArray[np.int32]:
     corners = table["corner"].copy()
     if ((corners < -_CORNER_LIMIT) | (corners >= _CORNER_LIMIT)).any():
         raise InvalidInputError(what, "a cell lies outside the coordinate limits")
+    x, y, z = corners.astype(np.int64).T + _CORNER_LIMIT
+    if len(np.unique((x * 2 * _CORNER_LIMIT + y) * 2 * _CORNER_LIMIT + z)) < len(corners):
+        raise InvalidInputError(what, "a cell is repeated")
     return np.asarray(corners, np.int32)

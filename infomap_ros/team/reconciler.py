@@ -8,6 +8,7 @@ all, so that one answer serves everybody who has missed the same.
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ _DEEP_PERIOD = 1.0  # [s] between two comparisons of a whole contribution
 _OWN_PERIOD = 5.0  # [s] of the own contribution, which others may hold from an earlier start
 _LATE, _GIVEN_UP = 6.0, 8.0  # patiences from which blocks are asked for, and messages are not
 _REPEATS = 3  # digests that tell of a block that was told
+_MOST_HELD = 1 << 16  # blocks held otherwise that are kept, as in a message of 1 MB; the oldest go
 _EVERYTHING: Corners = np.empty((0, 3), np.int32)
 
 
@@ -90,7 +92,7 @@ class Reconciler:
         self.recovering_until = np.inf
         self._heard: dict[int, float] = {}
         self._behind: dict[tuple[int, int], float] = {}
-        self._held: dict[int, dict[tuple[int, ...], int]] = {}
+        self._held: dict[tuple[int, ...], int] = {}
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
         self._missed: dict[int, _Missed] = {}
@@ -155,22 +157,32 @@ class Reconciler:
         cells = Cells(digest.level, digest.corners, digest.hashes)
         other = cells.hashes != 0 if part is None else part.compare(cells)
         if digest.level == 0:
-            other &= self._is_held_still(digest) | self._is_new_here(part, digest, now)
+            still = self._is_held_still(digest, other)
+            other &= still | self._is_new_here(part, digest, now)
         corners = self._not_yet_asked(digest.robot, cells.corners[other], digest.level, now)
         if len(corners):
             wants = "cells" if digest.level else "states"
             self._ask(digest.sender, digest.robot, wants, 0, digest.level, corners)
 
-    def _is_held_still(self, digest: CellDigest) -> NDArray[np.bool_]:
-        """Which blocks of the own contribution another robot held like that before, too.
+    def _is_held_still(self, digest: CellDigest, other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which blocks of the own contribution another robot held like that before, too, (n,).
 
         Others lag behind; what they go on holding may be from before this robot started.
+
+        Args:
+            digest: what is held.
+            other: where that differs from what is held here, shape (n,); only this is kept.
         """
-        before = self._held.get(digest.sender, {})
-        corners = [tuple(corner) for corner in digest.corners.tolist()]
-        now = dict(zip(corners, digest.hashes.tolist(), strict=True))
-        self._held[digest.sender] = before | now
-        return np.array([before.get(corner) == value for corner, value in now.items()], np.bool_)
+        held, still = self._held, np.zeros(len(other), np.bool_)
+        blocks = zip(digest.corners.tolist(), digest.hashes.tolist(), other.tolist(), strict=True)
+        for row, (corner, value, differs) in enumerate(blocks):
+            block = digest.sender, *corner
+            still[row] = held.pop(block, None) == value
+            if differs:
+                held[block] = value
+        for block in list(islice(held, max(0, len(held) - _MOST_HELD))):
+            del held[block]
+        return still
 
     def _is_new_here(
         self, part: Contribution | None, digest: CellDigest, now: float

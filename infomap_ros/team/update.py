@@ -116,13 +116,9 @@ class MapUpdate:
         )
 
     def as_told_by(self, session: int, sender: int | None, version: int | None) -> MapUpdate:
-        """The same states in another session, from another sender, at one version if one is given.
-
-        The states' versions are set in place.
-        """
-        if version is not None:
-            self.versions[:] = version
-        states = self.versions, self.indices, self.log_odds, self.codes
+        """The same states in another session, from another sender, at a version if one is given."""
+        versions = self.versions if version is None else np.full_like(self.versions, version)
+        states = versions, self.indices, self.log_odds, self.codes
         return MapUpdate(self.voxel_size, self.robot, *states, session, sender)
 
     def check_states(self) -> None:

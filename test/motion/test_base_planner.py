@@ -11,6 +11,7 @@ import pytest
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
 from infomap_ros.motion.base.drive_arcs import arc_points
+from infomap_ros.motion.base.drive_space import TURN_STEP
 from infomap_ros.motion.base.stance import STANDS
 
 from .drive_oracle import DriveOracle
@@ -47,7 +48,7 @@ def is_drivable(path: BasePath, planner: BasePlanner) -> None:
     step, turn = np.diff(path.poses[:, :2], axis=0), np.diff(path.poses[:, 2])
     length = np.hypot(*step.T)
     assert length.max(initial=0.0) <= CELL + 1e-9
-    assert np.abs(turn).max(initial=0.0) <= 2.0 * math.pi / planner.config.headings + 1e-9
+    assert np.abs(turn).max(initial=0.0) <= TURN_STEP + 1e-9
     moving = length > 1e-6
     assert (np.abs(turn[moving]) < 1e-6).all()
     heading = path.poses[:-1, 2][moving]
@@ -74,9 +75,9 @@ def test_reached_cells_are_those_of_the_exhaustive_search(searched, vehicle):
     assert 0.05 < reached.mean() < 0.8
 
 
-@pytest.mark.parametrize("samples", [0, 8000])
+@pytest.mark.parametrize("samples", [0, 2000])
 def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, samples):
-    """With sampling and without; those without one end as near to the goal as can be."""
+    """With OMPL and without; those without one end as near to the goal as can be."""
     terrain, oracle, node = searched
     costs, start = oracle.costs_from(node), oracle.place_of(node)
     reached = np.argwhere(np.isfinite(costs).any(axis=2))
@@ -102,13 +103,56 @@ def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, sampl
     assert any(outcomes)
 
 
-def test_sampling_ends_with_its_samples(vehicle):
-    """A way through a gap takes more than one sample; complete search follows."""
-    planner = BasePlanner(walled(0.8), vehicle)
+def test_ompl_makes_the_zigzag_of_the_lattice_straight(vehicle):
+    """In an open field the shortest path is known: turn, drive straight, turn."""
+    planner = BasePlanner(ground(plane(0.05, 0.0), HALF + 0.6), vehicle)
+    start, goal = np.array([-1.4, -1.0, 0.3]), np.array([1.37, 0.21, 0.0])
+    zigzag, path = planner.plan(start, goal, 0), planner.plan(start, goal)
+    assert (zigzag.method, path.method) == ("lattice", "ompl")
+    is_drivable(path, planner)
+    assert path.length < zigzag.length - 0.02
+    assert path.turning < zigzag.turning
+    straight = math.dist(start[:2], goal[:2])
+    assert path.length == pytest.approx(straight, rel=0.01)
+
+
+def test_paths_of_ompl_cost_no_more_and_stay_valid(searched, vehicle, rng):
+    """Among posts: never dearer than the lattice's, and `Vehicle` accepts each stance."""
+    terrain, oracle, node = searched
+    reached = np.argwhere(np.isfinite(oracle.costs_from(node)))
+    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    start, turn_cost, methods = oracle.place_of(node), planner.config.turn_cost, set()
+    for goal in reached[rng.integers(0, len(reached), 8)]:
+        target = oracle.place_of(tuple(goal))
+        before, path = planner.plan(start, target, 0), planner.plan(start, target)
+        is_drivable(path, planner)
+        cost = path.length + turn_cost * path.turning
+        assert cost <= before.length + turn_cost * before.turning + 1e-6
+        assert (path.method == "lattice") == np.array_equal(path.poses, before.poses)
+        np.testing.assert_allclose(path.poses[[0, -1], :2], before.poses[[0, -1], :2], atol=1e-9)
+        methods.add(path.method)
+    assert "ompl" in methods
+
+
+def test_the_same_question_has_the_same_answer(vehicle):
+    """Whatever was planned in between, in this planner or another."""
     start, goal = (0.9, 0.0, 0.0), (-0.9, 1.3, 0.0)
-    assert planner.plan(start, goal, samples=1).method == "search"
-    found = BasePlanner(walled(0.8), vehicle).plan(start, goal, samples=8000)
-    assert found.method == "sampling"
+    planner = BasePlanner(walled(0.8), vehicle)
+    first = planner.plan(start, goal)
+    assert first.method == "ompl"
+    planner.plan(start, (-1.2, -0.7, 2.0))
+    again, elsewhere = planner.plan(start, goal), BasePlanner(walled(0.8), vehicle)
+    np.testing.assert_array_equal(again.poses, first.poses)
+    np.testing.assert_array_equal(elsewhere.plan(start, goal).poses, first.poses)
+
+
+def test_where_ompl_finds_nothing_better_the_path_of_the_lattice_is_driven(vehicle):
+    """A straight drive through a narrow gap cannot be made shorter."""
+    planner = BasePlanner(walled(0.8), vehicle)
+    path = planner.plan((0.025, 0.025, math.pi / 2), (0.025, 1.325, math.pi / 2))
+    assert path.complete
+    assert path.method == "lattice"
+    assert path.length == pytest.approx(1.3)
 
 
 def test_costs_of_the_search_are_the_smallest(searched, vehicle):
@@ -138,7 +182,6 @@ def walled(gap: float | None):
 def test_passage_is_found_and_a_closed_wall_gives_the_farthest_approach(vehicle):
     through = BasePlanner(walled(0.8), vehicle).plan((0, 0, 0), (0.0, 1.3, 0.0))
     assert through.complete
-    assert through.method == "sampling"
     stopped = BasePlanner(walled(None), vehicle).plan((0, 0, 0), (0.0, 1.3, 0.0))
     assert not stopped.complete
     assert stopped.reason.startswith("no way to the goal over ground that is known and safe")
@@ -169,7 +212,7 @@ def test_without_reverse_it_only_drives_forwards(vehicle):
     config = BasePlannerConfig(reverse=False)
     planner = BasePlanner(cluttered(1), vehicle, config)
     for goal in ((-1.2, 0.0, 0.0), (0.0, -1.2, 1.0)):
-        for samples in (0, 8000):
+        for samples in (0, 2000):
             path = planner.plan((0.0, 0.0, 0.0), goal, samples)
             step, yaw = np.diff(path.poses[:, :2], axis=0), path.poses[:-1, 2]
             assert (step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)).min() > -1e-9

@@ -121,6 +121,33 @@ def test_a_defect_in_the_worker_ends_the_node(graph: Any, monkeypatch: pytest.Mo
         graph.spin_until(lambda: False, "the end", timeout=10.0)
 
 
+def test_a_defect_that_a_message_of_a_peer_meets_is_one_counted_drop(graph: Any) -> None:
+    node = graph.add(EchoNode)
+    worker = node.start_worker(1)
+    heard: list[str] = []
+
+    def hear(message: String) -> None:
+        heard.append(message.data)
+        ([] if message.data == "bad" else [message.data])[0]
+
+    def hear_later(message: String) -> None:
+        worker.submit_always(lambda: node.guard_peer("later", lambda: hear(message)))
+
+    node.listen(String, "now", hear, qos.stream(), required=False, from_peer=True)
+    node.listen(String, "later", hear_later, qos.stream(), required=False, from_peer=True)
+    publishers = [graph.publisher(String, topic) for topic in ("now", "later")]
+    graph.connect(*publishers)
+
+    for publisher in publishers:
+        for word in ("bad", "good"):
+            publisher.publish(String(data=word))
+
+    graph.spin_until(lambda: heard.count("good") == 2, "what came after the bad words")
+    assert node.health.drops() == {"failed: IndexError": 2}
+    assert "test_base.py, line" in node.health.values()["last drop: failed: IndexError"]
+    assert worker.alive
+
+
 def test_quality_of_service_can_be_overridden(graph: Any) -> None:
     topic = f"{graph.namespace}/silence"
     graph.add(EchoNode, **{f"qos_overrides.{topic}.subscription.reliability": "reliable"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ConfigError, MapFileError
-from infomap_ros.geometry import ImageRecord, invert_transform
+from infomap_ros.geometry import ImageRecord, TransformRecord, invert_transform
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.messages import TF, decode_transforms, encode_image
 from infomap_ros.messages.keyframes import decode_keyframe_poses
+from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
@@ -94,16 +96,38 @@ def test_images_alone_are_enough(graph: Any) -> None:
 
 def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph: Any) -> None:
     frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
-    stage = Stage(graph)
+    stage = Stage(graph, transform_tolerance=0.3)
     stamps = stage.run(3)
-    graph.spin_until(lambda: len(frames) >= 3, "frames")
-    edges = {edge.stamp: edge for message in frames for edge in decode_transforms(message)}
+    ahead = 300_000_000
+
+    def edges() -> dict[int, TransformRecord]:
+        return {edge.stamp: edge for message in frames for edge in decode_transforms(message)}
+
+    graph.spin_until(lambda: {stamp + ahead for stamp in stamps} <= edges().keys(), "frames")
     for stamp in stamps:
-        edge = edges[stamp]
+        edge = edges()[stamp + ahead]
         assert (edge.frame_id, edge.child_frame_id) == ("map", "odom")
         posture = stage.node._gate.postures.posture(stamp)
         found = edge.transform @ posture.T_odom_camera
         assert np.allclose(found, stage.poses[stamp].transform, atol=1e-9)
+
+
+def test_the_frame_of_odometry_is_told_again_until_there_is_a_newer_one(graph: Any) -> None:
+    """As tf needs it: at any time there is a transform that is not older than now."""
+    frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
+    stage = Stage(graph)
+    (stamp,) = stage.run(1)
+    graph.spin_until(lambda: frames, "the first frame")
+    begin = time.monotonic()
+    graph.spin_until(lambda: len(frames) > 20, "the same frame again")
+    seconds = time.monotonic() - begin
+    edges = [edge for message in frames for edge in decode_transforms(message)]
+    assert 0.7 < seconds < 10.0  # 20 Hz, on a loaded machine less
+    stamps = [edge.stamp for edge in edges]
+    assert sorted(set(stamps)) == stamps
+    assert stamps[0] == stamp + 500_000_000
+    assert abs(1e-9 * (stamps[-1] - stamps[0]) - seconds) < 0.5
+    assert all(np.array_equal(edge.transform, edges[0].transform) for edge in edges)
 
 
 def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:
@@ -134,6 +158,19 @@ def test_keyframes_and_fiducials_are_told(graph: Any) -> None:
     place = stage.poses[stamp].transform[:3, 3]
     distances = np.linalg.norm(np.stack([rows["x"], rows["y"], rows["z"]], -1) - place, axis=1)
     assert np.median(distances) < 10.0
+
+
+def test_the_parts_of_a_covariance_come_with_its_pose(graph: Any) -> None:
+    messages = graph.collect(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
+    stage = Stage(graph)
+    stamps = stage.run(4)
+    graph.spin_until(lambda: len(messages) >= 2, "uncertainties")
+    clocks = []
+    for stamp, frame, parts in map(decode_pose_uncertainty, messages):
+        assert stamp in stamps and frame == "map"
+        np.testing.assert_allclose(parts.covariance, stage.poses[stamp].covariance, atol=1e-12)
+        clocks.append(parts.clock)
+    assert clocks == sorted(clocks)
 
 
 def test_odometry_is_used_where_it_is_offered(graph: Any) -> None:

@@ -230,7 +230,7 @@ def test_a_member_of_a_team_shares_the_topics_of_the_team(
     assert (settings["robot_id"], settings["team"], settings["team_key"]) == (2, [1, 2], "key")
 
 
-def test_a_robot_alone_keeps_its_topics(exploration: ModuleType) -> None:
+def test_a_robot_alone_keeps_its_topics_and_has_frames_of_its_own(exploration: ModuleType) -> None:
     for node in nodes_of(exploration, namespace="robot2").values():
-        assert not getattr(node, "remappings", [])
+        assert dict(node.remappings) == {"/tf": "tf", "/tf_static": "tf_static"}
         assert "robot_id" not in settings_of(node)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import UpdateRefusedError
@@ -23,19 +25,21 @@ from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.robot_tags import tag_pose
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
-from infomap_ros.messages import encode_pose
+from infomap_ros.messages import decode_pose_with_covariance, encode_pose
 from infomap_ros.messages.agents import encode_agent
+from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.team.map_moves import MoveSeal
+from infomap_ros.nodes.team.map_moves import alignment_message, listen_to_moves, read_signed
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.alignment_rows import encode_alignment
+from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from test.localization.tag_scenes import BoardView, pose_error, seen_from
 from test.nodes.test_fiducial_localization import Stage
 
@@ -79,7 +83,10 @@ class Meeting:
         self.graph, self.rng, self.key = graph, rng, TeamKey.of_team(key_file)
         self.node = graph.add(SightNode, robot_id=robot_id, team_key=key_file, **TAGS)
         self.agents = graph.publisher(MarkerArray, "team/agents")
-        self.told = graph.collect(PoseWithCovarianceStamped, "/rover2/map_alignment", qos.stream())
+        kind, topic = PoseWithCovarianceStamped, "/rover2/map_alignment"
+        if self.key is not None:
+            kind, topic = PointCloud2, "/rover2/map_alignment_signed"
+        self.told = graph.collect(kind, topic, qos.stream())
         graph.connect(self.agents)
         self.version = self.said = 0
         self.base = np.eye(4)
@@ -138,7 +145,9 @@ def test_the_other_one_tells_its_teammate(
     for number in range(3):
         meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
     graph.spin_until(lambda: meeting.told, "the message")
-    move = MoveSeal(meeting.key, 2).open(meeting.told[0])
+    message, key = meeting.told[0], meeting.key
+    assert message.header.frame_id == "map"
+    move = decode_pose_with_covariance(message) if key is None else read_signed(message, key, 2)
     assert (move.frame_id, move.stamp) == ("map", 12 * SECOND)
     assert move.covariance is not None
     check(move.transform, move.covariance, invert_transform(T_THEIRS_MINE))
@@ -169,31 +178,64 @@ def alignment(stamp: int) -> PoseWithCovarianceStamped:
     return encode_pose(TYPES, pose)
 
 
-def changed(message: PoseWithCovarianceStamped) -> PoseWithCovarianceStamped:
-    message.pose.covariance[0] *= 0.5
+def signed(key: TeamKey, robot: int = 2, stamp: int = SECOND) -> PointCloud2:
+    pose = PoseRecord(stamp, "map", T_THEIRS_MINE, 1e-4 * np.eye(6))
+    return alignment_message(TYPES, pose, robot, key)
+
+
+def changed(message: PointCloud2) -> PointCloud2:
+    message.data[8] ^= 1
+    return message
+
+
+def in_other_frame(message: PointCloud2) -> PointCloud2:
+    for field in message.fields:
+        field.name = field.name.replace("frame=map", "frame=world")
     return message
 
 
 def test_only_the_team_moves_a_map_that_has_a_key() -> None:
     ours, others = TeamKey(b"secret of this team"), TeamKey(b"secret of another one")
-    seal = MoveSeal(ours, 2)
-    wrong = {
-        "unsigned": alignment(SECOND),
-        "of strangers": MoveSeal(others, 2).sign(alignment(SECOND)),
-        "for another robot": MoveSeal(ours, 3).sign(alignment(SECOND)),
-        "changed": changed(seal.sign(alignment(SECOND))),
-        "good at any time": seal.sign(alignment(0)),
-    }
-    for message in wrong.values():
-        with pytest.raises(UpdateRefusedError, match="not of this team"):
-            seal.open(message)
-    for opened in (
-        seal.open(seal.sign(alignment(SECOND))),
-        MoveSeal(None, 2).open(seal.sign(alignment(SECOND))),
-        MoveSeal(None, 2).open(alignment(0)),
+    for message in (
+        signed(others),
+        signed(ours, robot=3),
+        changed(signed(ours)),
+        in_other_frame(signed(ours)),
+        signed(ours, stamp=0),  # good at any time
+        encode_rows(TYPES, SECOND, "map", encode_alignment(read_signed(signed(ours), ours, 2), 2)),
     ):
-        assert opened.frame_id == "map"
-        np.testing.assert_allclose(opened.transform, T_THEIRS_MINE, atol=1e-12)
+        with pytest.raises(UpdateRefusedError) as error:
+            read_signed(message, ours, 2)
+        assert error.value.reason == NOT_AUTHENTIC
+    message = signed(ours)
+    assert message.header.frame_id == "map"
+    opened = read_signed(message, ours, 2)
+    assert (opened.frame_id, opened.stamp) == ("map", SECOND)
+    np.testing.assert_array_equal(opened.transform, T_THEIRS_MINE)
+    np.testing.assert_array_equal(opened.covariance, 1e-4 * np.eye(6))
+
+
+class MovedNode(MonitoredNode):
+    """A node whose map is moved by the team."""
+
+    def __init__(self, key: TeamKey, **arguments: Any) -> None:
+        super().__init__("moved", **arguments)
+        self.moves: list[PoseRecord] = []
+        worker = self.start_worker(10)
+        listen_to_moves(self, "map", worker, self.moves.append, key=key, robot=2)
+
+
+def test_with_a_key_only_what_is_signed_is_heard(graph: Any) -> None:
+    key = TeamKey(b"secret of this team")
+    node = graph.add(partial(MovedNode, key))
+    plain = graph.publisher(PoseWithCovarianceStamped, "map_alignment")
+    secret = graph.publisher(PointCloud2, "map_alignment_signed")
+    graph.connect(plain, secret)
+    plain.publish(alignment(SECOND))
+    graph.spin_until(lambda: node.health.drops() == {NOT_AUTHENTIC: 1}, "the refusal")
+    secret.publish(signed(key))
+    graph.spin_until(lambda: node.moves, "the move")
+    assert node.moves[0].frame_id == "map" and len(node.moves) == 1
 
 
 def aligned(stage: Stage, stamp: int = 0) -> None:

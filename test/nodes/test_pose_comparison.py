@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 
 from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
 from infomap_ros.messages import encode_pose
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.live.live_truth import LiveTruth
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
 
 
@@ -19,11 +22,11 @@ class FakeRun:
     def __init__(self) -> None:
         self.topics: dict[str, Any] = {}
 
-    def subscribe(self, kind: type, topic: str, receive: Any) -> None:
+    def subscribe(self, kind: type, topic: str, receive: Any, profile: Any = None) -> None:
         self.topics[topic] = receive
 
-    def tell(self, topic: str, stamp: int, transform: np.ndarray) -> None:
-        record = PoseRecord(stamp, "map", transform, 1e-6 * np.eye(6))
+    def tell(self, topic: str, stamp: int, transform: np.ndarray, sigma: float = 1e-3) -> None:
+        record = PoseRecord(stamp, "map", transform, sigma**2 * np.eye(6))
         self.topics[topic](encode_pose(RclpyMessageTypes(), record))
 
 
@@ -49,3 +52,27 @@ def test_without_truth_there_is_only_their_number() -> None:
     comparison = PoseComparison(run)  # type: ignore[arg-type]
     run.tell("camera_pose", 1, np.eye(4))
     assert comparison.figures() == {"poses": 1}
+
+
+def test_published_poses_are_held_against_the_truth_in_the_frame_of_the_map() -> None:
+    run = FakeRun()
+    truth = LiveTruth(run, "/rover2/")  # type: ignore[arg-type]
+    T_world_map = perturb_transform(np.eye(4), [3.0, -1.0, 0.5, 0.2, 0.1, 1.5])
+    error, sigma = np.array([0.02, -0.01, 0.005, 0.003, -0.002, 0.01]), 0.02
+    for stamp in range(4):
+        believed = make_transform(np.eye(3), [0.5 * stamp, 0.0, 0.0])
+        true = T_world_map @ perturb_transform(believed, error)
+        run.tell("/rover2/ground_truth/camera_pose", stamp * 10**9, true)
+        if stamp != 2:
+            run.tell("/rover2/camera_pose", stamp * 10**9, believed, sigma)
+    for count in (2, 5, 4):  # restarted, it counts on from what it wrote last
+        message = String(data=json.dumps({"count": count}))
+        run.topics["/rover2/ground_truth/contacts"](message)
+
+    poses = truth.poses(T_world_map)
+
+    assert [pose.stamp for pose in poses] == [0, 10**9, 3 * 10**9]
+    for pose in poses:
+        np.testing.assert_allclose(pose.error, error, atol=1e-9)
+        assert pose.nees == pytest.approx(error @ error / sigma**2)
+    assert (truth.contacts, truth.simulated_seconds) == (5, 3.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.exploring.pose_audit import PoseAudit, position_sigma
+from infomap_ros.simulation.exploring.pose_audit import PoseAudit, mean_nees, position_sigma
 from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
 from infomap_ros.simulation.exploring.visible_surface import map_errors, surface_coverage
 from infomap_ros.simulation.simulator import Simulator
@@ -47,13 +47,14 @@ def test_errors_are_those_of_the_pose_in_the_map() -> None:
 def test_normalised_error_counts_standard_deviations() -> None:
     (pose,) = audited(np.diag((0.5 * ERROR) ** 2)).poses
     assert abs(pose.nees - 6 * 4.0) < 1e-9
+    assert mean_nees([pose, pose]) == 4.0
+    assert mean_nees([]) is None
 
 
 def test_figures_are_in_metres_and_radians() -> None:
     figures = audited(np.diag(ERROR**2)).figures()
     assert figures["pose_error_end"] == figures["pose_error_rms"] == 0.02291
     assert figures["pose_turn_rms"] == 0.01063
-    assert figures["pose_nees"] == 6.0
 
 
 def test_a_prediction_is_compared_with_the_first_scan_after_it() -> None:

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError, SimulationError
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import (
+    invert_transform,
+    make_transform,
+    perturb_transform,
+    transform_points,
+)
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.simulation.exploring.pose_audit import audit_pose
+from infomap_ros.simulation.exploring.pose_source import CameraPose
 from infomap_ros.simulation.exploring.reachable_views import (
     ReachableViewsConfig,
     reachable_cameras,
     standable_places,
 )
+from infomap_ros.simulation.exploring.truth import TrueSurface
 from infomap_ros.simulation.exploring.visible_surface import (
     VisibleSurfaceConfig,
     covered,
@@ -153,6 +163,46 @@ def test_map_errors_are_in_sigmas(yard: World, rng: np.random.Generator) -> None
     np.testing.assert_allclose(errors.normalised, errors.distances / errors.sigmas)
     assert errors.share_within(1.0) < errors.share_within(3.0) == 1.0
     assert errors.root_mean_square == pytest.approx(np.median(errors.normalised), rel=0.1)
+
+
+def test_a_run_is_compared_in_the_frame_of_its_map(yard: World) -> None:
+    """One point for each voxel of half the ground, thirds of it 0.5, 1.5 and 2.5 sigmas off."""
+    sigma, T_world_map = 0.006, make_transform(np.diag([-1.0, -1.0, 1.0]), (0.3, 0.2, -0.025))
+    grid = np.arange(-2.575, 2.6, 0.05)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid[grid < 0.0], indexing="ij"))
+    offsets = sigma * np.array((0.5, 1.5, 2.5))[3 * np.arange(len(x)) // len(x)]
+    ground = np.column_stack([x, y, offsets])
+    points = transform_points(invert_transform(T_world_map), ground)
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05, max_range=10.0))
+    spread = np.broadcast_to(sigma**2 * np.eye(3), (len(points), 3, 3))
+    voxel_map.integrate(points, np.eye(4), spread)
+    believed, error = CameraPose(np.eye(4), 0.5**2 * np.eye(6)), [1.0, -1.0, 1.0, 0.3, 0.2, -0.1]
+    poses = [audit_pose(7, believed, perturb_transform(np.eye(4), error))]
+
+    truth = TrueSurface(yard, T_world_map, 4.0).compare(voxel_map, poses, 3)
+
+    visible = visible_surface(yard, 4.0).points
+    expected = ((np.abs(visible[:, 2]) < 0.04) & (visible[:, 1] < 0.0)).mean()
+    assert truth.true_coverage == pytest.approx(expected, abs=0.02)
+    within = (truth.within_1_sigma, truth.within_2_sigma, truth.within_3_sigma)
+    np.testing.assert_allclose(within, (1 / 3, 2 / 3, 1.0), atol=0.02)
+    assert truth.pose_nees == pytest.approx(4.0 * (3.0 + 0.14) / 6.0, abs=1e-3)
+    assert truth.contacts == 3
+    assert truth.figures()["map_error_median"] == pytest.approx(1.5 * sigma, abs=5e-4)
+
+
+def test_an_empty_map_has_no_share_within_its_sigma(yard: World) -> None:
+    truth = TrueSurface(yard, np.eye(4), 4.0).compare(VoxelMap(VoxelMapConfig()), [], 0)
+    assert (truth.true_coverage, truth.within_1_sigma, truth.pose_nees) == (0.0, None, None)
+    assert "coverage 0.0 %" in str(truth)
+
+
+def test_of_many_points_some_are_kept_by_chance(yard: World) -> None:
+    everything = visible_surface(yard, 4.0, VISIBLE, REACH)
+    some = visible_surface(yard, 4.0, dataclasses.replace(VISIBLE, max_points=1500), REACH)
+    assert 1000 < len(some.points) < 1500 < len(everything.points)
+    on_ground = [(surface.points[:, 2] < 0.01).mean() for surface in (everything, some)]
+    assert on_ground[0] == pytest.approx(on_ground[1], abs=0.05)
 
 
 def test_a_world_without_bounds_is_refused(world: World) -> None:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 
+import cv2
 import numpy as np
 import pytest
 
-from infomap_ros.stereo import StereoConfig
+from infomap_ros.errors import ConfigError
+from infomap_ros.stereo import StereoConfig, StereoRangeSensor
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
+from test.stereo.conftest import make_rig
 
 INVALID = -16
 
@@ -113,3 +117,44 @@ def test_kernels_run_uncompiled_with_the_same_result(rng, tmp_path):
         results.append(list(np.load(out).values()))
     for compiled, plain in zip(*results, strict=True):
         np.testing.assert_allclose(compiled, plain, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize(("edge", "smoothing"), [(1, 3), (3, 5), (5, 15)])
+def test_smoothing_over_holes_and_edges_is_refused(edge, smoothing):
+    with pytest.raises(ConfigError, match="at most edge_window"):
+        StereoConfig(edge_window=edge, smoothing_window=smoothing)
+
+
+@pytest.mark.parametrize(("edge", "smoothing"), [(1, 1), (3, 3), (5, 5), (7, 5)])
+def test_a_hole_does_not_change_the_disparities_beside_it(rng, edge, smoothing):
+    """A perfect pair with one hole: whoever is kept beside it is right."""
+    shift, rig = 16, make_rig(120, 60)
+    right = cv2.GaussianBlur(rng.integers(0, 256, (60, 120)).astype(np.uint8), (0, 0), 1.0)
+    left = np.roll(right, shift, axis=1)
+    disparity = np.full(left.shape, 16 * shift, np.int16)
+    config = StereoConfig(edge_window=edge, smoothing_window=smoothing, speckle_size=0)
+    sensor = StereoRangeSensor(rig, config)
+    disparity[30:33, 70:73] = sensor._matcher.invalid
+    keep, quality = sensor.assess(left, right, disparity)
+
+    beside = keep[24:39, 64:79]
+    assert beside.sum() > 15 * 15 - (2 + edge) ** 2 - 1
+    assert np.abs(quality.disparity[keep] - shift).max() < 0.01
+
+
+def test_bands_end_together_when_one_fails():
+    """Otherwise a thread would go on with arrays that its caller uses again."""
+    begun, done = threading.Event(), []
+
+    def work(first: int, end: int) -> None:
+        if first == 0:
+            begun.wait(10.0)
+            raise ValueError("first band")
+        begun.set()
+        for _ in range(200):
+            np.linalg.svd(np.ones((40, 40)))
+        done.append(end)
+
+    with pytest.raises(ValueError, match="first band"):
+        RowBands(10, 2).run(work)
+    assert done == [10]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
-from infomap_ros.team.digest import decode_request
+from infomap_ros.team.digest import CellDigest, decode_request
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=2000, silence=1.0, recovery=2.0)
@@ -186,3 +187,42 @@ def test_a_starting_robot_does_not_ask_for_what_others_only_lag_behind_in() -> N
         asked = [decode_request(rows) for rows in robot[0].requests(now + 0.1)]
         wanted.append([one.wants for one in asked if one.robot == 0 and one.wants == "states"])
     assert wanted == [[], ["states"]]
+
+
+def block_digest(corners: list[list[int]], hashes: list[int], sender: int = 1) -> CellDigest:
+    """What another robot holds of robot 0."""
+    places = np.array(corners, np.int32).reshape(-1, 3)
+    return CellDigest(sender, 1, 0, 100, 5, 0, places, np.array(hashes, np.uint32))
+
+
+@pytest.mark.parametrize("corners", [[[0, 0, 0]] * 2, [[0, 0, 0], [1, 2, 3], [0, 0, 0]]])
+def test_a_digest_with_a_repeated_block_is_refused(corners: list[list[int]]) -> None:
+    digest = block_digest(corners, list(range(1, 1 + len(corners))))
+    robot = member(0)
+    with pytest.raises(InvalidInputError, match="repeated"):
+        robot.hear_digest(digest.encode(2000)[0], 0.0)
+    assert robot.requests(0.1) == []
+
+
+def test_each_row_of_a_digest_has_its_own_answer() -> None:
+    """A block that another robot held like that before is asked for, its neighbours are not."""
+    robot = member(0)
+    robot.digests(0.0)  # starts
+    now = 10.0  # nothing is recovered any more
+    for hashes, wanted in (([1, 2, 3], []), ([9, 2, 8], [[1, 0, 0]])):
+        digest = block_digest([[0, 0, 0], [1, 0, 0], [2, 0, 0]], hashes)
+        robot.hear_digest(digest.encode(2000)[0], now)
+        asked = [decode_request(rows) for rows in robot.requests(now)]
+        found = [one.corners.tolist() for one in asked if one.wants == "states"]
+        assert found == ([wanted] if wanted else [])
+
+
+def test_what_others_say_of_blocks_does_not_grow_without_limit() -> None:
+    robot, held = member(0), 0
+    for part in range(5):
+        corners = np.indices((32, 32, 32)).reshape(3, -1).T + np.array([0, 0, 32 * part])
+        digest = block_digest(corners.tolist(), [1] * len(corners), sender=1 + part)
+        for rows in digest.encode(1_000_000):
+            robot.hear_digest(rows, 10.0)
+        held = len(robot._reconciler._held)
+    assert held == 1 << 16

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import struct
+
 import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError, UpdateRefusedError
 from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
+from infomap_ros.team.facts import dtype_with_facts
 from infomap_ros.team.membership import (
     AHEAD,
     BACKWARDS,
@@ -135,3 +139,29 @@ def test_rows_without_facts_are_refused() -> None:
 def test_short_keys_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="15 bytes"):
         TeamKey(b"123456789012345")
+
+
+def test_the_code_is_the_hmac_of_what_its_description_says() -> None:
+    """Made again from the specification in `authentication`, with RFC 2104 written out."""
+    secret = b"sixteen bytes or more"
+    dtype = dtype_with_facts(np.dtype([("index", "u1", (3,)), ("value", "<f4")]), {"robot": 3})
+    rows = np.zeros(2, dtype)
+    rows["index"], rows["value"] = [[1, 2, 3], [4, 5, 6]], [0.5, -1.0]
+    text = (
+        b'[[["index","|u1",[3],0],["value","<f4",[],3],["infomap robot=3","|u1",[],0]],7]'
+        + bytes([1, 2, 3]) + struct.pack("<f", 0.5) + bytes([4, 5, 6]) + struct.pack("<f", -1.0)
+    )  # fmt: skip
+
+    padded = secret.ljust(64, b"\0")
+    inner = hashlib.sha256(bytes(b ^ 0x36 for b in padded) + text).digest()
+    code = hashlib.sha256(bytes(b ^ 0x5C for b in padded) + inner).digest()[:16].hex()
+
+    (name,) = [name for name in TeamKey(secret).sign(rows).dtype.names if "code=" in name]
+    assert name == f"infomap robot=3 code={code}"
+
+
+def test_states_that_are_passed_on_leave_the_update_as_it_was() -> None:
+    told = update(3, 7)
+    later = told.as_told_by(1, None, 9)
+    assert (later.versions == 9).all()
+    assert (told.versions == 7).all()

@@ -17,14 +17,14 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty, check_covariance, check_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.history import FiducialHistory
 from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
 from infomap_ros.localization.filter.invariant_state import InvariantState
-from infomap_ros.localization.filter.lie import skews
+from infomap_ros.localization.filter.known_values import known_fiducials, known_poses
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.moved_state import move_state
 from infomap_ros.localization.filter.pose_errors import (
@@ -36,6 +36,7 @@ from infomap_ros.localization.filter.pose_errors import (
 )
 from infomap_ros.localization.filter.pose_hypothesis import Hypothesis
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
+from infomap_ros.localization.filter.shared_errors import CLONES, SharedErrors
 from infomap_ros.localization.filter.sight import Measured
 
 _REST = MotionPrior(np.eye(4), np.zeros((6, 6)))
@@ -56,6 +57,7 @@ class FiducialFilter:
         self.camera = camera
         self.config = config or FiducialFilterConfig()
         self._pose_limit = float(chdtri(6, 1.0 - self.config.joint_gate))
+        self._shared = SharedErrors(InvariantState(np.eye(4), np.zeros((6, 6)), self._capacity))
         self.start(np.eye(4), np.zeros((6, 6)))
 
     def start(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> None:
@@ -72,12 +74,13 @@ class FiducialFilter:
         over = invariant_from_pose(pose[None])[0]
         errors = over @ check_covariance(covariance, 6) @ over.T
         self._state = InvariantState(pose, errors, self._capacity)
+        self._shared = self._shared.following(self._state)
         self._motion = _REST
         self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
 
     @property
     def _capacity(self) -> int:
-        return 2 + self.config.max_fiducials + 2 * (self.config.max_kept_poses + 1)
+        return self.config.max_fiducials + 2 * (1 + self.config.max_kept_poses + 1 + CLONES)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that it knows, as arrays that can be written to a file."""
@@ -85,7 +88,7 @@ class FiducialFilter:
             "motion": self._motion.T_before_after,
             "motion_covariance": self._motion.covariance,
         }
-        return self._state.arrays() | self._history.state() | motion
+        return self._state.arrays() | self._history.state() | self._shared.state() | motion
 
     def resume(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on where another filter of the same sizes stood.
@@ -100,15 +103,22 @@ class FiducialFilter:
         self._motion = MotionPrior(state["motion"], state["motion_covariance"])
         self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
         self._history.resume(state)
+        self._shared.resume(state)
 
     @property
     def pose(self) -> tuple[FloatArray, FloatArray]:
         """``T_map_camera``, shape (4, 4), and its covariance in the map frame, shape (6, 6)."""
-        state = self._state
-        pose = state.T_map_camera @ self._motion.T_before_after
-        noise = state.motion_noise(pose, state.T_map_camera[:3, :3])[:6]
-        P = state.P[:6, :6] + noise @ self._motion.covariance @ noise.T
+        pose, pending = self._state.expected(self._motion)
+        P = self._state.P[:6, :6] + pending
         return pose, pose_covariances(pose[None], P[None])[0]
+
+    def divide_covariance(self, *, is_keyframe: bool) -> PoseUncertainty:
+        """The parts of the present pose's covariance; once for each image.
+
+        Args:
+            is_keyframe: whether later poses are compared with this one.
+        """
+        return self._shared.divide(self._state, self._motion, is_keyframe=is_keyframe)
 
     def predict(self, prior: MotionPrior) -> None:
         """Take that the camera has moved; several motions add up."""
@@ -193,6 +203,7 @@ class FiducialFilter:
         white = solve_triangular(factor, P[:6], lower=True)
         state.add_to_covariance(-white.T, white)
         state.correct(white.T @ pull)
+        self._shared.is_corrected = True
         return True
 
     def keep_pose(self, stamp: int) -> NDArray[np.int64]:
@@ -223,11 +234,7 @@ class FiducialFilter:
 
     def kept_poses(self) -> KeptPoses:
         """The kept poses as they are known now."""
-        state = self._state
-        rows = state.kept_rows()
-        errors = state.P[rows[:, :, None], rows[:, None, :]]
-        covariances = pose_covariances(state.kept, errors)
-        return KeptPoses(state.stamps.copy(), state.kept.copy(), covariances)
+        return known_poses(self._state)
 
     def forget_poses(self, stamps: ArrayLike) -> None:
         """Keep the poses of these stamps no longer; others are ignored."""
@@ -239,15 +246,7 @@ class FiducialFilter:
 
     def fiducials(self) -> Fiducials:
         """The fiducials as they are known now."""
-        state = self._state
-        rows = state.fiducial_rows(slice(None))
-        over = np.zeros((len(rows), 3, 6))
-        over[:, :, :3] = np.eye(3)
-        over[:, :, 3:] = -skews(state.positions)
-        rows = np.hstack([rows, np.broadcast_to(np.arange(3, 6), rows.shape)])
-        errors = state.P[rows[:, :, None], rows[:, None, :]]
-        covariances = over @ errors @ over.transpose(0, 2, 1)
-        return Fiducials(state.ids.copy(), state.positions.copy(), covariances)
+        return known_fiducials(self._state)
 
     def remove(self, ids: ArrayLike) -> None:
         """Forget fiducials; ids that are not held are ignored."""
@@ -297,4 +296,4 @@ class FiducialFilter:
         state.add_to_covariance(np.hstack([root, -white.T]), np.vstack([root.T, white]))
         state.T_map_camera = expectation.T_map_camera
         state.correct(expectation.noise @ expectation.shift + white.T @ pull)
-        self._motion = _REST
+        self._motion, self._shared.is_corrected = _REST, True

@@ -8,7 +8,8 @@ Errors are right-invariant: with the rotation error theta and the position error
 for the camera (R, p) and every fiducial f. A fiducial seen from the camera depends on xi_f - xi_p
 alone, so the filter cannot take a rotation or shift of everything for something that it has seen,
 whatever the estimate: that makes it consistent where the usual filter becomes too sure of itself.
-A kept pose has its own theta and xi.
+A kept pose has its own theta and xi. A clone is the error of an earlier pose without its value, so
+that what later errors have in common with it can be read from the covariance.
 
 A. Barrau, S. Bonnabel, "An EKF-SLAM algorithm with consistency properties", arXiv:1510.06263;
 T. Zhang et al., IEEE RA-L 2(2), 2017, doi:10.1109/LRA.2017.2651376.
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.lie import exponential, left_jacobian, renormalised, skews
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 
 IntArray = NDArray[np.int64]
 
@@ -38,7 +40,7 @@ class InvariantState:
     """The state of the filter: values, and the covariance of their invariant errors.
 
     The covariance consists of blocks of three: camera xi and theta first, then the fiducials' xi
-    and the kept poses' xi and theta in any order.
+    and the kept poses' and clones' xi and theta in any order.
 
     Args:
         T_map_camera: shape (4, 4).
@@ -54,6 +56,7 @@ class InvariantState:
         self.kept: FloatArray = np.zeros((0, 4, 4))
         self._fiducial_blocks: IntArray = np.zeros(0, np.int64)
         self._kept_blocks: IntArray = np.zeros((0, 2), np.int64)
+        self._clone_blocks: IntArray = np.zeros((0, 2), np.int64)
         self._buffer = np.zeros((_BLOCK * capacity, _BLOCK * capacity))
         self._blocks = 2
         self.P[:] = covariance
@@ -72,6 +75,10 @@ class InvariantState:
         """Rows of kept poses' errors (xi, theta), shape (K, 6)."""
         return _rows(self._kept_blocks).reshape(-1, 2 * _BLOCK)
 
+    def clone_rows(self) -> IntArray:
+        """Rows of clones' errors (xi, theta), shape (C, 6)."""
+        return _rows(self._clone_blocks).reshape(-1, 2 * _BLOCK)
+
     def motion_noise(self, T_map_camera: FloatArray, turn: FloatArray) -> FloatArray:
         """How the error of a motion enters all errors, shape (n, 6).
 
@@ -87,6 +94,12 @@ class InvariantState:
             -1, 3
         )
         return noise
+
+    def expected(self, motion: MotionPrior) -> tuple[FloatArray, FloatArray]:
+        """The pose after a motion, shape (4, 4), and what that adds to its error, shape (6, 6)."""
+        pose = self.T_map_camera @ motion.T_before_after
+        noise = self.motion_noise(pose, self.T_map_camera[:3, :3])[:6]
+        return pose, noise @ motion.covariance @ noise.T
 
     def add_to_covariance(self, left: FloatArray, right: FloatArray) -> None:
         """Add the symmetric product ``left @ right``, shapes (n, k) and (k, n), in place."""
@@ -139,6 +152,19 @@ class InvariantState:
         self.kept = np.concatenate([self.kept, self.T_map_camera[None]])
         self._kept_blocks = np.vstack([self._kept_blocks, [[first, first + 1]]])
 
+    def add_clone(self) -> None:
+        """Add a clone of the camera's present error."""
+        first = self._blocks
+        self._copy_blocks(np.array([CAMERA_XI, CAMERA_THETA]))
+        self._clone_blocks = np.vstack([self._clone_blocks, [[first, first + 1]]])
+
+    def replace_clone(self, index: int, source: int | None = None) -> None:
+        """Put another clone's error, or the camera's present one, in the place of a clone's."""
+        clones, P = self.clone_rows(), self.P
+        rows = np.arange(2 * _BLOCK) if source is None else clones[source]
+        P[clones[index]] = P[rows]
+        P[:, clones[index]] = P[:, rows]
+
     def remove_fiducials(self, chosen: NDArray[np.bool_]) -> None:
         """Remove the fiducials of a mask, shape (N,)."""
         self._free_blocks(self._fiducial_blocks[chosen])
@@ -161,6 +187,7 @@ class InvariantState:
             "kept": self.kept.copy(),
             "fiducial_blocks": self._fiducial_blocks.copy(),
             "kept_blocks": self._kept_blocks.copy(),
+            "clone_blocks": self._clone_blocks.copy(),
             "covariance": self.P.copy(),
         }
 
@@ -179,6 +206,7 @@ class InvariantState:
         state.stamps, state.kept = arrays["stamps"].copy(), arrays["kept"].copy()
         state._fiducial_blocks = arrays["fiducial_blocks"].copy()
         state._kept_blocks = arrays["kept_blocks"].copy()
+        state._clone_blocks = arrays["clone_blocks"].copy()
         state._blocks = blocks
         state.P[:] = arrays["covariance"]
         return state
@@ -202,7 +230,7 @@ class InvariantState:
         P = self.P
         P[target] = P[source]
         P[:, target] = P[:, source]
-        for table in (self._fiducial_blocks, self._kept_blocks):
+        for table in (self._fiducial_blocks, self._kept_blocks, self._clone_blocks):
             moved = np.searchsorted(tail, table)
             moved[moved == len(tail)] = 0
             is_moved = np.isin(table, tail)

@@ -42,12 +42,11 @@ def _moved_errors(state: InvariantState, T_new_old: FloatArray, errors: FloatArr
     turn, lever = T_new_old[:3, :3], skews(T_new_old[:3, 3])
     blocks = errors.reshape(-1, 3, errors.shape[1])
     moved = np.asarray((turn @ blocks).reshape(errors.shape))
-    kept = state.kept_rows()
     theta = moved[3:6].copy()
     moved[:3] += lever @ theta
     for rows in state.fiducial_rows(slice(None)):
         moved[rows] += lever @ theta
-    for rows in kept:
+    for rows in np.vstack([state.kept_rows(), state.clone_rows()]):
         moved[rows[:3]] += lever @ moved[rows[3:]]
     return moved
 
@@ -57,5 +56,6 @@ def _sharing(state: InvariantState) -> FloatArray:
     over = np.zeros((len(state.P), 6))
     over[:6] = np.eye(6)
     over[state.fiducial_rows(slice(None)).ravel(), :3] = np.tile(np.eye(3), (len(state.ids), 1))
-    over[state.kept_rows().ravel()] = np.tile(np.eye(6), (len(state.stamps), 1))
+    for poses in (state.kept_rows(), state.clone_rows()):
+        over[poses.ravel()] = np.tile(np.eye(6), (len(poses), 1))
     return over

@@ -19,16 +19,13 @@ class BasePlannerConfig:
     """
 
     samples: int = parameter(
-        8000, "Random places after which sampling gives way to complete search.", low=0, high=10**9
-    )
-    headings: int = parameter(
-        32,
-        "Headings of the cells that sampling asks; no turn goes farther unasked.",
-        low=8,
-        high=256,
+        2000,
+        "Random places that OMPL tries for a path better than the lattice's; 0 to drive that.",
+        low=0,
+        high=10**9,
     )
     reach: float = parameter(
-        1.0, "Longest motion by which a sampled tree grows.", unit="m", low=0.05, high=100.0
+        1.0, "Longest motion by which OMPL's trees grow.", unit="m", low=0.05, high=100.0
     )
     reverse: bool = parameter(True, "Whether the robot may drive backwards.")
     turning_radius: float = parameter(
@@ -57,14 +54,14 @@ class BasePath:
 
     Attributes:
         poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than a cell of the
-            terrain or one of the planner's headings apart, yaw continuous; empty where the robot
+            terrain or `drive_space.TURN_STEP` apart, yaw continuous; empty where the robot
             cannot move at all.
         T_map_base: how it stands at each, shape (K, 4, 4).
         length: [m].
         complete: whether it leads to a goal; else it is the farthest safe approach.
         reason: why it is not complete, in words; empty where it is.
         goal: index of the goal that it leads or comes nearest to; -1 for none.
-        method: what found it: sampling, search, or nothing.
+        method: what found it: ompl, lattice, or nothing.
     """
 
     poses: FloatArray

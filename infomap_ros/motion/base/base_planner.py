@@ -13,9 +13,10 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
 from infomap_ros.motion.base.drive_kernels import legs_of
+from infomap_ros.motion.base.drive_links import links_for
 from infomap_ros.motion.base.drive_reach import DriveReach
-from infomap_ros.motion.base.drive_sampling import sample_way
 from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base.driven_path import DrivenPath
 from infomap_ros.motion.base.standing_ground import standing_pose, with_standing_ground
 from infomap_ros.motion.base.vehicle import Vehicle
 
@@ -60,11 +61,15 @@ class BasePlanner:
     def plan(self, start: ArrayLike, goals: ArrayLike, samples: int | None = None) -> BasePath:
         """Find a way to one of the goals, or as near to one as is safe.
 
+        The lattice says which goal is nearest and how it is reached; OMPL plans the path there
+        anew and shortens it (`driven_path`). The lattice's path is kept where OMPL finds none
+        that costs less.
+
         Args:
             start: x, y [m] and yaw [rad] of the base in the map, shape (3,).
             goals: likewise, shape (3,) or (G, 3); yaw NaN for any heading.
-            samples: random places that are tried; None for the configuration's. Complete search
-                follows; where that was done from this start already, it answers at once.
+            samples: random places that OMPL may try; None for the configuration's, 0 for the
+                lattice's path as it is.
 
         Raises:
             InvalidInputError: shapes do not fit, or values are not finite.
@@ -72,14 +77,14 @@ class BasePlanner:
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
         self._stand_at(here)
         places, owners, reasons = self._space.standable_goals(targets)
-        if self._reach is None or not self._reach.starts_at(here):
-            way = self._sampled(here, places, self.config.samples if samples is None else samples)
-            if way is not None:
-                return self._arrived(way, places, owners, targets, "sampling")
         found = self._reached_from(here).way_to_any(places)
         if found is None:
-            return self._approach(targets, reasons)
-        return self._arrived(self._shorter(found[0]), places, owners, targets, "search")
+            return self._approach(targets, reasons, samples)
+        way, method = self._driven(found[0], samples)
+        goal = _owner(way[-1], places, owners)
+        if np.isnan(targets[goal, 2]):
+            way = self._free_arrival(way)
+        return self._space.finished(way, goal, method)
 
     def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Cells of the terrain in whose middle the base can stand and to which it can drive.
@@ -101,56 +106,21 @@ class BasePlanner:
             raise InvalidInputError("start", "is not known yet: give it or plan first")
         return self._reach.cells()
 
+    @property
+    def _ompl(self) -> DrivenPath:
+        return DrivenPath(self._space, links_for(self.config, float(self._space.grid[2])))
+
     def _reached_from(self, start: FloatArray) -> DriveReach:
         """All ground that can be reached from a start, remembered for the last one."""
         if self._reach is None or not self._reach.starts_at(start):
             self._reach = DriveReach(self._space, start)
         return self._reach
 
-    def _sampled(self, start: FloatArray, goals: FloatArray, samples: int) -> FloatArray | None:
-        """A way found by sampling, made shorter, every stance on it asked itself; or None."""
-        space, config = self._space, self.config
-        if config.turning_radius > 0.0 or not len(goals) or not space.stands(start):
-            return None
-        left = iter(range(samples))
-        while samples > 0:
-            space.trust(np.concatenate([start[None], goals]))
-            way = sample_way(
-                space.lattice, space.grid, start, goals, config.reverse, config.reach, left,
-                space.ground,
-            )  # fmt: skip
-            if way is None:
-                return None
-            checked = self._checked(space.shortened(way), way)
-            if checked is not None:
-                return checked
-            space.distrust(way)
-        return None
-
-    def _checked(self, *ways: FloatArray) -> FloatArray | None:
-        """The first of several ways on which every stance is good."""
-        return next((way for way in ways if self._space.fault_on(way) is None), None)
-
-    def _shorter(self, way: FloatArray) -> FloatArray:
-        """A way of the graph, shortened where that holds; one of curves is left as it is."""
-        if self.config.turning_radius > 0.0:
-            return way
-        shorter = self._checked(self._space.shortened(way))
-        return way if shorter is None else shorter
-
-    def _arrived(
-        self,
-        way: FloatArray,
-        places: FloatArray,
-        owners: NDArray[np.int64],
-        targets: FloatArray,
-        method: str,
-    ) -> BasePath:
-        """A way that leads to one of the places, as the caller gets it."""
-        goal = _owner(way[-1], places, owners)
-        if np.isnan(targets[goal, 2]):
-            way = self._free_arrival(way)
-        return self._space.finished(way, goal, method)
+    def _driven(self, way: FloatArray, samples: int | None) -> tuple[FloatArray, str]:
+        """OMPL's path or else the lattice's, and which it is."""
+        most = self.config.samples if samples is None else samples
+        path = self._ompl.better_than(way, most) if most > 0 else None
+        return (way, "lattice") if path is None else (path, "ompl")
 
     def _free_arrival(self, way: FloatArray) -> FloatArray:
         """A way to a goal of any heading without its last turn, where that may be left out."""
@@ -160,10 +130,9 @@ class BasePlanner:
         first, length, _ = legs_of(*a, *b, self.config.reverse)
         arrival = way.copy()
         arrival[-1, 2] = a[2] + first if length > 0.0 else a[2]
-        arrived = self._checked(arrival[-2:])
-        return way if arrived is None else arrival
+        return way if self._space.fault_on(arrival[-2:]) is not None else arrival
 
-    def _approach(self, targets: FloatArray, reasons: list[str]) -> BasePath:
+    def _approach(self, targets: FloatArray, reasons: list[str], samples: int | None) -> BasePath:
         """The farthest safe approach, or no way at all, and why."""
         assert self._reach is not None
         nearest = self._reach.nearest_to(targets)
@@ -173,7 +142,8 @@ class BasePlanner:
         way, goal, left = nearest
         reason = reasons[goal] or "no way to the goal over ground that is known and safe"
         reason += f"; the farthest safe approach ends {left:.2f} m from it"
-        return self._space.finished(self._shorter(way), goal, "search", reason)
+        way, method = self._driven(way, samples)
+        return self._space.finished(way, goal, method, reason)
 
     def _why_stuck(self, reach: DriveReach) -> str:
         x, y, yaw = (float(value) for value in reach.start)

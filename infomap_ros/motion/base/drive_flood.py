@@ -9,14 +9,16 @@ import numpy as np
 from numba import njit
 
 from infomap_ros.motion.base.drive_graph import (
+    BLOCKED,
     HEADINGS,
     MOVES,
+    UNASKED,
     UNITS,
     ask_move,
     ask_node,
     ask_turn,
 )
-from infomap_ros.motion.base.drive_kernels import BLOCKED, UNASKED, wrapped
+from infomap_ros.motion.base.drive_kernels import wrapped
 
 NOTHING, TURNS, RIGHTS, FORWARDS = 0, 1, 2, 3
 """Tables of the graph that remember what lies between nodes."""
@@ -39,7 +41,7 @@ def flood(
         arcs: displacements of turns, `IN_PLACE` or of `arc_moves`.
         reverse: whether driving backwards is allowed.
         turn_cost: of a turn, in cells per radian.
-        grid: x, y of the corner of cell (0, 0) and edge of a cell [m, map], step of headings [rad].
+        grid: x, y of the corner of cell (0, 0) and edge of a cell [m, map], step of a turn [rad].
         ground: a `Ground`.
 
     Returns:

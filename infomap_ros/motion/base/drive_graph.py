@@ -3,7 +3,7 @@
 16 headings point exactly at neighbouring cells, up to a knight's move away, so that every way in
 the graph can be driven as it is: one move forwards or backwards, or a turn to the next heading, in
 place or on an arc that leads to another cell's middle. Stances in between are asked too, one per
-edge of a cell and per heading of the lattice.
+edge of a cell and per step of a turn.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.motion.base.drive_arcs import arc_points
-from infomap_ros.motion.base.drive_kernels import BLOCKED, CLEAR, UNASKED, empty_lattice, wrapped
+from infomap_ros.motion.base.drive_kernels import wrapped
 from infomap_ros.motion.base.quick_stance import is_good
+
+UNASKED, CLEAR, BLOCKED = 0, 1, 2
+"""States of a node, a turn or a move."""
 
 MOVES = np.array(
     [
@@ -81,7 +84,8 @@ class DriveGraph(NamedTuple):
 def empty_graph(easy: NDArray[np.bool_], in_place: bool = True) -> DriveGraph:
     """A graph of which nothing was asked yet but the cells that are easy, shape (nx, ny)."""
     full = (*easy.shape, len(MOVES))
-    nodes, turns, moves = (empty_lattice(easy, len(MOVES)) for _ in range(3))
+    states = np.where(easy, np.uint8(CLEAR), np.uint8(UNASKED))
+    nodes, turns, moves = (np.repeat(states[:, :, None], len(MOVES), axis=2) for _ in range(3))
     rights = np.zeros((1, 1, 1) if in_place else full, np.uint8)
     if not in_place:
         turns[:] = UNASKED

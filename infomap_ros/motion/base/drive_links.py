@@ -12,7 +12,7 @@ from ompl import base as ob
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.base_path import BasePlannerConfig
 from infomap_ros.motion.base.drive_arcs import arc_points
-from infomap_ros.motion.base.drive_shortcut import drive_cost
+from infomap_ros.motion.base.drive_points import drive_cost
 
 
 class Links(Protocol):
@@ -30,6 +30,12 @@ class Links(Protocol):
 
     def chain(self, places: FloatArray) -> FloatArray:
         """The way through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
+
+    def state_space(self) -> Any:
+        """OMPL's space of these ways, without bounds."""
+
+
+_IN_PLACE = 1e-3  # [m]; radius at which the curves of Reeds and Shepp are turns in place
 
 
 class Turns:
@@ -51,6 +57,10 @@ class Turns:
         """See `Links`."""
         return places
 
+    def state_space(self) -> Any:
+        """See `Links`: as their radius vanishes, curves become turn, drive straight, turn."""
+        return _curves(_IN_PLACE, self._config.reverse)
+
 
 class Curves:
     """A vehicle with a smallest radius: the curves of Reeds and Shepp, or of Dubins forwards.
@@ -60,8 +70,8 @@ class Curves:
 
     def __init__(self, config: BasePlannerConfig, edge: float) -> None:
         self._spacing, self._turn_cost = edge, config.turn_cost / config.turning_radius
-        kind = ob.ReedsSheppStateSpace if config.reverse else ob.DubinsStateSpace
-        self._space = kind(config.turning_radius)
+        self._radius, self._reverse = config.turning_radius, config.reverse
+        self._space = self.state_space()
         bounds = ob.RealVectorBounds(2)
         bounds.setLow(-1e6)
         bounds.setHigh(1e6)
@@ -88,11 +98,25 @@ class Curves:
         parts = [arc_points(a, b, self._spacing)[1:] for a, b in pairwise(places)]
         return np.concatenate([places[:1], *parts])
 
+    def state_space(self) -> Any:
+        """See `Links`."""
+        return _curves(self._radius, self._reverse)
+
     def _state(self, place: FloatArray) -> Any:
-        state = self._space.allocState()
-        state.setXY(float(place[0]), float(place[1]))
-        state.setYaw(float((place[2] + np.pi) % (2.0 * np.pi) - np.pi))
-        return state
+        return state_of(self._space, place)
+
+
+def _curves(radius: float, reverse: bool) -> Any:
+    """OMPL's space of the shortest curves of a radius [m]."""
+    return (ob.ReedsSheppStateSpace if reverse else ob.DubinsStateSpace)(radius)
+
+
+def state_of(space: Any, place: FloatArray) -> Any:
+    """OMPL's state of x, y, yaw, shape (3,), in a space."""
+    state = space.allocState()
+    state.setXY(float(place[0]), float(place[1]))
+    state.setYaw(float((place[2] + np.pi) % (2.0 * np.pi) - np.pi))
+    return state
 
 
 def links_for(config: BasePlannerConfig, edge: float) -> Links:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion.base import drive_kernels, drive_shortcut
+from infomap_ros.motion.base import drive_kernels, drive_points
 from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
 from infomap_ros.motion.base.drive_graph import HEADINGS, IN_PLACE, arc_moves, empty_graph
 from infomap_ros.motion.base.drive_memory import carry_over
@@ -15,8 +15,8 @@ from infomap_ros.motion.base.easy_ground import easy_cells
 from infomap_ros.motion.base.quick_stance import ground_of
 from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
 
-_SHORTEN_PASSES = 2
-_SHORTEN_SPACING = 0.5  # of the places between which a way is cut short [m]
+TURN_STEP = 2.0 * np.pi / 32.0
+"""No turn goes farther without a stance being asked [rad]: half the step of the lattice."""
 
 
 class DriveSpace:
@@ -37,11 +37,9 @@ class DriveSpace:
         known: DriveSpace | None = None,
     ) -> None:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
-        step = 2.0 * np.pi / config.headings
-        self.grid = np.array([*terrain.origin, terrain.resolution, step])
+        self.grid = np.array([*terrain.origin, terrain.resolution, TURN_STEP])
         arrays = terrain_arrays(terrain, vehicle.config)
         self.easy = easy_cells(arrays, vehicle.arrays)
-        self.lattice = drive_kernels.empty_lattice(self.easy, config.headings)
         self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
         in_place = config.turning_radius == 0.0
         self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
@@ -57,28 +55,18 @@ class DriveSpace:
         """Whether the robot may stand at x, y, yaw."""
         return self.fault_on(place[None]) is None
 
-    def fault_on(self, places: FloatArray) -> FloatArray | None:
-        """Place of the first stance on a way that is not good, shape (3,); None if all are."""
-        fault = np.empty(3)
+    def fault_on(self, places: FloatArray, steps: int = 1) -> FloatArray | None:
+        """Place of the first stance on a way that is not good, shape (3,); None if all are.
+
+        Args:
+            places: the way, shape (K, 3).
+            steps: stances to a cell's length, and to a step of the headings.
+        """
+        fault, spacing, angle = np.empty(3), self.grid[2] / steps, self.grid[3] / steps
         good = drive_kernels.drives_well(
-            places, self.config.reverse, self.grid[2], self.grid[3], self.ground, fault
+            places, self.config.reverse, spacing, angle, self.ground, fault
         )
         return None if good else fault
-
-    def trust(self, places: FloatArray) -> None:
-        """Take the cells of places that are good themselves for good, whatever their middles."""
-        for x, y, yaw in places:
-            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, x, y, yaw)
-            if i >= 0:
-                self.lattice[i, j, k] = drive_kernels.CLEAR
-
-    def distrust(self, way: FloatArray) -> None:
-        """Take the cells of the first stance on a way that is not good for not good."""
-        fault = self.fault_on(way)
-        if fault is not None:
-            i, j, k = drive_kernels.cell_of(self.lattice.shape, self.grid, *fault)
-            if i >= 0:
-                self.lattice[i, j, k] = drive_kernels.BLOCKED
 
     def standable_goals(self, goals: FloatArray) -> tuple[FloatArray, NDArray[np.int64], list[str]]:
         """Goals at which the robot may stand, NaN headings replaced by each heading that is good.
@@ -104,23 +92,12 @@ class DriveSpace:
     def _reason_at(self, place: FloatArray) -> str:
         return self.vehicle.stance(self.terrain, *(float(value) for value in place)).reason
 
-    def shortened(self, way: FloatArray) -> FloatArray:
-        """The way with detours and needless turns cut, as far as the lattice's cells allow."""
-        config = self.config
-        common = (self.lattice, self.grid, config.reverse)
-        for _ in range(_SHORTEN_PASSES):
-            way = drive_shortcut.points_along(way, config.reverse, _SHORTEN_SPACING, np.pi)
-            kept = drive_shortcut.best_subset(way, *common, config.turn_cost, self.ground)
-            way = np.ascontiguousarray(way[kept])
-            drive_shortcut.straighten_headings(way, *common, self.ground)
-        return way
-
     def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
         """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
         config = self.config
         poses = np.array(way)
         if config.turning_radius == 0.0:
-            poses = drive_shortcut.points_along(poses, config.reverse, self.grid[2], self.grid[3])
+            poses = drive_points.points_along(poses, config.reverse, self.grid[2], self.grid[3])
         poses[:, 2] = np.unwrap(poses[:, 2])
         length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
         stances = standing_on(poses, self.vehicle.stances(self.terrain, poses).T_map_base)

@@ -2,12 +2,14 @@
 
 Errors of the library are translated here, once: the data are dropped, the drop is counted with its
 reason, and a throttled warning says what was wrong. Any other exception is a defect and ends the
-process.
+process, unless a message of another robot caused it: that is one dropped message.
 """
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -92,6 +94,7 @@ class MonitoredNode(Node):
         profile: QoSProfile,
         *,
         required: bool = True,
+        from_peer: bool = False,
     ) -> None:
         """Subscribe; arrivals are counted, errors of the library become counted drops.
 
@@ -101,18 +104,20 @@ class MonitoredNode(Node):
             handle: called with each message.
             profile: quality of service, overridable by parameters.
             required: whether its absence is worth a warning.
+            from_peer: whether other robots publish it; then see `guard_peer`.
         """
         name = self.resolve_topic_name(topic)
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
         radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
+        guard = self.guard_peer if from_peer else self.guard
 
         def receive(message: Any) -> None:
             if loses(radio, topic):
                 self.drop("simulated loss")
                 return
             self.health.arrived(name)
-            self.guard(name, lambda: handle(message))
+            guard(name, lambda: handle(message))
 
         self.create_subscription(
             message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
@@ -161,6 +166,20 @@ class MonitoredNode(Node):
             self.drop(reason, f"{origin}: {error}")
             return False
         return True
+
+    def guard_peer(self, origin: str, action: Callable[[], object]) -> bool:
+        """As `guard`, for a message of another robot: any error is one counted drop.
+
+        What others send must not end this node, also where it meets a defect of this program; the
+        drop names the exception and the line.
+        """
+        try:
+            return self.guard(origin, action)
+        except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{Path(place.filename).name}, line {place.lineno}"
+            self.drop(f"failed: {type(error).__name__}", f"{origin}: {error} ({where})")
+            return False
 
     def drop(self, reason: str, detail: str = "") -> None:
         """Count data that were not used, and say so at most every five seconds per reason."""

@@ -2,8 +2,9 @@
 
 Kernels and OpenCV release the GIL while they work, so callbacks keep being served. The queue is
 bounded: when jobs come faster than they are done, the oldest waiting one gives way to the newest
-and is reported. Errors of the library are for the job to translate; any other exception ends the
-thread, which its owner notices by `alive` and must not survive.
+and is reported. Errors of the library, and any error that a message of another robot causes, are
+for the job to translate; any other exception ends the thread, which its owner notices by `alive`
+and must not survive.
 """
 
 from __future__ import annotations

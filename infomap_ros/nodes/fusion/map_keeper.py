@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.errors import MapFileError
+from infomap_ros.errors import InvalidInputError, MapFileError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
@@ -182,11 +182,19 @@ class MapKeeper:
         """
         while self._builder.is_correcting:
             self.correct_more()
-        try:
-            self._map.save(self._path)
-        except OSError as error:
-            raise MapFileError(f"cannot write {self._path}: {error.strerror}") from error
-        return f"saved {self._map.known_voxels} voxels to {self._path}"
+        return _save(self._map, self._path)
+
+    def save_team(self) -> str:
+        """Write the map of the whole team beside the map file; returns a sentence.
+
+        Raises:
+            InvalidInputError: there is no other robot.
+            MapFileError: it cannot be written.
+        """
+        if self.team.voxel_map is None:
+            raise InvalidInputError("team", "no other robot was heard")
+        path = self._path
+        return _save(self.team.voxel_map, path.with_name(f"{path.stem}_team{path.suffix}"))
 
     def load(self) -> str:
         """Replace the map by that of the map file; returns a sentence.
@@ -237,3 +245,16 @@ def _tracked(voxel_map: VoxelMap) -> VoxelMap:
     """The map, whose changes are to be told."""
     voxel_map.track_changes(True)
     return voxel_map
+
+
+def _save(voxel_map: VoxelMap, path: Path) -> str:
+    """Write a map file; returns a sentence.
+
+    Raises:
+        MapFileError: it cannot be written.
+    """
+    try:
+        voxel_map.save(path)
+    except OSError as error:
+        raise MapFileError(f"cannot write {path}: {error.strerror}") from error
+    return f"saved {voxel_map.known_voxels} voxels to {path}"

@@ -1,15 +1,16 @@
 """``make demo``: a simulated rover explores a rough world, six processes over DDS.
 
 Leaves the map file, the map as .ply, a picture, the log of the run, summary.json and a
-self-contained report.html in the output folder, and the logs of the nodes below ``log/``. Exits
-with 1 and one clear line when it could not.
+self-contained report.html in the output folder, and the logs of the nodes below ``log/``. At its
+end map and poses are compared with what only the simulator knows. Exits with 1 and one clear line
+when it could not.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -23,6 +24,7 @@ from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
     check_not_failed,
+    demo_world,
     drop_results,
     empty_folder,
     exploration_parser,
@@ -32,48 +34,92 @@ from infomap_ros.nodes.live.demo_exploration import (
     write_summary,
 )
 from infomap_ros.nodes.live.live_exploration import LiveExploration
-from infomap_ros.nodes.live.pose_comparison import PoseComparison
+from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth, live_map_frame
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
-from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.exploring.pose_audit import pose_errors
+from infomap_ros.simulation.worlds.builder import World
 
-_TIMEOUT = 3600.0  # [s]
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """What is explored, and how far.
+
+    Attributes:
+        world: mars, office or cave.
+        seed: of the world.
+        size: of the world [m]; 0 for its usual size.
+        max_views: after which the exploration ends.
+        known_fraction: of the reachable surface, as the robot knows it, that is enough.
+        voxel_size: [m].
+        strategy: that chooses views.
+        timeout: [s].
+    """
+
+    world: str = "mars"
+    seed: int = 1
+    size: float = 0.0
+    max_views: int = 60
+    known_fraction: float = 0.9
+    voxel_size: float = 0.05
+    strategy: str = "largest_information"
+    timeout: float = 3600.0
 
 
-def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]:
-    """Explore and write everything; returns figures of the run, flat.
+def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, object]:
+    """Explore, compare with the truth and write everything.
+
+    Args:
+        config: what is explored.
+        out: folder for the results; what was in it is gone.
+        console: for the progress.
+
+    Returns:
+        Figures of the run, flat.
 
     Raises:
         InfomapError: it could not be done; says why.
     """
-    out: Path = options.out
     empty_folder(out)
-    world = make_world(options.world, options.seed)
-    limits = {"max_views": options.max_views, "known_fraction": options.known_fraction}
-    task = task_parameters(world, limits)
-    parameters = {
-        "simulator": {"world": options.world, "world_seed": options.seed},
-        "map_fusion": {"voxel_size": options.voxel_size},
-        "next_best_view": {"strategy": options.strategy, **task},
-        "explorer": task,
-    }
+    world = demo_world(config.world, config.seed, config.size)
     start = time.monotonic()
     status = Status(status_line({}), console=console)
-    with LiveExploration(out, parameters) as run, status:
-        poses = PoseComparison(run)
-        run.start()
-        run.follow(lambda: status.update(status_line(run.figures)), _TIMEOUT)
-        console.print(run.call("map_fusion/save"), highlight=False)
-        results: dict[str, object] = {"world": options.world, "seed": options.seed}
-        results |= robot_results(run.figures) | poses.figures() | drop_results(run.state)
-    results["seconds"] = round(time.monotonic() - start, 1)
-    write_results(out, results)
-    check_not_failed(results, out)
+    with status:
+        with LiveExploration(out, _parameters(config, world)) as run:
+            observed = LiveTruth(run)
+            run.start()
+            run.follow(lambda: status.update(status_line(run.figures)), config.timeout)
+            console.print(run.call("map_fusion/save"), highlight=False)
+            results: dict[str, object] = {"world": config.world, "seed": config.seed}
+            results |= robot_results(run.figures) | drop_results(run.state)
+        results["simulated_seconds"] = round(observed.simulated_seconds, 1)
+        results["seconds"] = round(time.monotonic() - start, 1)
+        status.update("comparing map and poses with the truth")
+        voxel_map = VoxelMap.load(out / MAP_FILE)
+        poses = observed.poses(live_map_frame(world))
+        truth = compare_with_truth(world, voxel_map, [observed])
+        results |= {"poses": len(poses), **pose_errors(poses), **truth.figures()}
+        write_results(out, voxel_map, results)
+    console.print(truth, highlight=False)
     return results
 
 
-def write_results(out: Path, results: dict[str, object]) -> None:
-    """Write .ply, picture, summary and report from the saved map and the log of the run."""
-    voxel_map = VoxelMap.load(out / MAP_FILE)
+def _parameters(config: DemoConfig, world: World) -> dict[str, dict[str, object]]:
+    limits = {"max_views": config.max_views, "known_fraction": config.known_fraction}
+    task = task_parameters(world, limits)
+    return {
+        "simulator": {
+            "world": config.world,
+            "world_seed": config.seed,
+            "world_size": config.size,
+        },
+        "map_fusion": {"voxel_size": config.voxel_size},
+        "next_best_view": {"strategy": config.strategy, **task},
+        "explorer": task,
+    }
+
+
+def write_results(out: Path, voxel_map: VoxelMap, results: dict[str, object]) -> None:
+    """Write .ply, picture, summary and report from the map and the log of the run."""
     write_ply(voxel_map, out / PLY_FILE)
     draw_map_views(voxel_map, out / "map.png")
     results |= {
@@ -95,11 +141,21 @@ def write_results(out: Path, results: dict[str, object]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
-    about = __doc__.split("\n")[0]
-    parser = exploration_parser("demo", about, "out/demo", max_views=60, voxel_size=0.05)
-    parser.add_argument("--strategy", default="largest_information", help="that chooses views")
-    options = parser.parse_args(arguments)
-    return run_demo_command("demo", options.out, lambda console: run_demo(options, console))
+    about, usual = __doc__.split("\n")[0], DemoConfig()
+    parser = exploration_parser(
+        "demo", about, "out/demo", usual.max_views, usual.voxel_size, usual.size
+    )
+    parser.add_argument("--strategy", default=usual.strategy, help="that chooses views")
+    parser.add_argument("--timeout", type=float, default=usual.timeout, help="[s]")
+    options = vars(parser.parse_args(arguments))
+    out = options.pop("out")
+
+    def run(console: Console) -> dict[str, object]:
+        results = run_demo(DemoConfig(**options), out, console)
+        check_not_failed(results, out)
+        return results
+
+    return run_demo_command("demo", out, run)
 
 
 if __name__ == "__main__":

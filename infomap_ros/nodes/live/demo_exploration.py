@@ -14,13 +14,14 @@ from infomap_ros.nodes.live.run_state import RunState
 from infomap_ros.replay.mapping.map_files import SUMMARY_FILE
 from infomap_ros.simulation.exploring.exploration_run import task_in
 from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import make_world
 
 REPORT_FILE = "report.html"
 _STARTING = "starting the nodes; kernels are compiled the first time"
 
 
 def exploration_parser(
-    name: str, description: str, out: str, max_views: int, voxel_size: float
+    name: str, description: str, out: str, max_views: int, voxel_size: float, size: float
 ) -> argparse.ArgumentParser:
     """The command line that both demos have, with the defaults of one of them."""
     parser = argparse.ArgumentParser(
@@ -31,12 +32,24 @@ def exploration_parser(
     parser.add_argument("--out", type=Path, default=Path(out), help="folder for the results")
     parser.add_argument("--world", default="mars", help="mars, office or cave")
     parser.add_argument("--seed", type=int, default=1, help="of the world")
+    parser.add_argument(
+        "--size", type=float, default=size, help="of the world [m]; 0 for its usual size"
+    )
     parser.add_argument("--max-views", type=int, default=max_views, help="of each rover")
     parser.add_argument(
         "--known-fraction", type=float, default=0.9, help="of the reachable surface, is enough"
     )
     parser.add_argument("--voxel-size", type=float, default=voxel_size, help="[m]")
     return parser
+
+
+def demo_world(name: str, seed: int, size: float) -> World:
+    """A world as the node simulator makes it; size 0 for its usual one [m].
+
+    Raises:
+        InvalidInputError: there is no such world.
+    """
+    return make_world(name, seed, size=size) if size else make_world(name, seed)
 
 
 def empty_folder(out: Path) -> None:

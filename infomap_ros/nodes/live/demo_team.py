@@ -13,19 +13,18 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.status import Status
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.reports.team_report import write_team_report
-from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.nodes.live.demo_command import run_demo_command
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
     check_not_failed,
+    demo_world,
     drop_results,
     empty_folder,
     exploration_parser,
@@ -37,11 +36,11 @@ from infomap_ros.nodes.live.demo_exploration import (
 from infomap_ros.nodes.live.kernels import compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
+from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.company.team_starts import team_starts
-from infomap_ros.simulation.exploring.visible_surface import surface_coverage, visible_surface
+from infomap_ros.simulation.exploring.truth import RunTruth
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
 _ROBOTS = 2
@@ -57,7 +56,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     """
     out: Path = options.out
     empty_folder(out)
-    world = make_world(options.world, options.seed, size=options.size)
+    world = demo_world(options.world, options.seed, options.size)
     begin = time.monotonic()
     status = Status("compiling kernels", console=console)
     run = LiveTeam(out, team_starts(world, _ROBOTS), _parameters(options, world), loss=options.loss)
@@ -71,6 +70,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         )
         ready = time.monotonic() - begin
         console.print(f"kernels are ready after {ready:.0f} s; starting twelve nodes")
+        observed = [LiveTruth(run, f"/{name}/") for name in run.names]
         run.start()
         if options.kill_after:
             _kill_and_restart(run, options, console, show)
@@ -83,7 +83,8 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         results = _results(run, options, agreed)
     results |= {"seconds to compile": round(ready, 1)}
     results["seconds"] = round(time.monotonic() - begin, 1)
-    _write_results(run, world, options, results)
+    truth = _write_results(run, world, observed, options, results)
+    console.print(truth, highlight=False)
     for name, folder in run.folders.items():
         check_not_failed(results, folder, name)
     return results
@@ -134,7 +135,6 @@ def _results(run: LiveTeam, options: argparse.Namespace, agreed: str) -> dict[st
         "seed": options.seed,
         "map hash": agreed,
         "lost on purpose": options.loss,
-        "contacts": sum(run.contacts.values()),
     }
     for name, figures in run.figures.items():
         results |= robot_results(figures, name)
@@ -142,19 +142,18 @@ def _results(run: LiveTeam, options: argparse.Namespace, agreed: str) -> dict[st
 
 
 def _write_results(
-    run: LiveTeam, world: World, options: argparse.Namespace, results: dict[str, object]
-) -> None:
-    """Write .ply, summary and report from the robots' saved maps and logs."""
+    run: LiveTeam,
+    world: World,
+    observed: Sequence[LiveTruth],
+    options: argparse.Namespace,
+    results: dict[str, object],
+) -> RunTruth:
+    """Write .ply, summary and report from the robots' saved maps and logs; returns the truth."""
     out: Path = options.out
     shared = sum_of_maps([folder / MAP_FILE for folder in run.folders.values()])
     write_ply(shared, out / PLY_FILE)
-    visible = visible_surface(world, 4.0).points
-    T_map_world = np.eye(4)
-    if world.T_world_target is not None:
-        T_map_world = invert_transform(world.T_world_target)
-    results["true coverage"] = round(
-        surface_coverage(shared, transform_points(T_map_world, visible)), 4
-    )
+    truth = compare_with_truth(world, shared, observed)
+    results |= truth.figures()
     write_summary(out, results)
     write_team_report(
         out / REPORT_FILE,
@@ -163,6 +162,7 @@ def _write_results(
         f"{len(run.names)} rovers explore {options.world}, seed {options.seed}",
         results,
     )
+    return truth
 
 
 def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
@@ -191,8 +191,9 @@ def sum_of_maps(files: Sequence[Path]) -> VoxelMap:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the demo."""
     about = __doc__.split("\n")[0]
-    parser = exploration_parser("demo-team", about, "out/demo-team", max_views=12, voxel_size=0.06)
-    parser.add_argument("--size", type=float, default=5.0, help="of the world [m]")
+    parser = exploration_parser(
+        "demo-team", about, "out/demo-team", max_views=12, voxel_size=0.06, size=5.0
+    )
     parser.add_argument("--width", type=int, default=320, help="of the images [px]")
     parser.add_argument("--loss", type=float, default=0.2, help="share of the team's messages")
     parser.add_argument(

@@ -10,7 +10,7 @@ from typing import Any
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.environment import additions, reliable_inputs
-from infomap_ros.nodes.team.team_topics import SHARED
+from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
 
 ROBOT_ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
@@ -59,7 +59,7 @@ class RobotLaunch:
             executable=executable,
             namespace=given["namespace"],
             parameters=[str(find_share(f"config/{executable}.yaml")), settings, *own],
-            remappings=list(SHARED.items()) if self._is_member else [],
+            remappings=[*OWN_FRAMES.items(), *(SHARED.items() if self._is_member else ())],
             additional_env=additions(),
             output="screen",
         )
@@ -76,6 +76,7 @@ class RobotLaunch:
             executable="rviz2",
             namespace=self._given["namespace"],
             arguments=["-d", str(find_share("config/infomap.rviz"))],
+            remappings=list(OWN_FRAMES.items()),
             parameters=[{"use_sim_time": self._simulated}],
             additional_env=additions(),
             condition=IfCondition(LaunchConfiguration("rviz")),

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import TracebackType
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import String
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -42,7 +41,6 @@ class LiveTeam(LiveGraph):
     Attributes:
         names: of the robots.
         figures: what exploration_status says, by robot and name.
-        contacts: forbidden contacts of each robot, as far as they were told.
         folders: of the robots' files.
     """
 
@@ -56,7 +54,6 @@ class LiveTeam(LiveGraph):
         super().__init__(out)
         self.names = tuple(f"rover{number}" for number in range(1, len(starts) + 1))
         self.figures: dict[str, dict[str, str]] = {name: {} for name in self.names}
-        self.contacts = dict.fromkeys(self.names, 0)
         self.folders = {name: out.absolute() / name for name in self.names}
         self._team = {
             name: NodeProcesses(folder / "log", f"/{name}", self._environment)
@@ -104,8 +101,6 @@ class LiveTeam(LiveGraph):
                 partial(self._on_status, name),
                 qos.latched(),
             )
-            contacts = f"/{name}/ground_truth/contacts"
-            self.subscribe(String, contacts, partial(self._on_contacts, name), qos.latched())
             self.start_robot(name)
 
     def start_robot(self, name: str) -> None:
@@ -188,9 +183,6 @@ class LiveTeam(LiveGraph):
 
     def _on_status(self, name: str, message: DiagnosticStatus) -> None:
         self.figures[name] = {pair.key: pair.value for pair in message.values}
-
-    def _on_contacts(self, name: str, message: String) -> None:
-        self.contacts[name] = max(self.contacts[name], int(json.loads(message.data)["count"]))
 
 
 def _hash_service(name: str) -> str:

@@ -18,14 +18,27 @@ class PoseComparison:
 
     Args:
         run: the graph.
+        namespace: of the robot, with a slash at its end where there is one.
     """
 
-    def __init__(self, run: LiveGraph) -> None:
+    def __init__(self, run: LiveGraph, namespace: str = "") -> None:
         self._found: dict[int, PoseRecord] = {}
         self._true: dict[int, PoseRecord] = {}
-        run.subscribe(PoseWithCovarianceStamped, "camera_pose", self._keeper(self._found))
-        truth = "ground_truth/camera_pose"
-        run.subscribe(PoseWithCovarianceStamped, truth, self._keeper(self._true))
+        for topic, kept in (
+            ("camera_pose", self._found),
+            ("ground_truth/camera_pose", self._true),
+        ):
+            run.subscribe(PoseWithCovarianceStamped, namespace + topic, self._keeper(kept))
+
+    @property
+    def last_true_stamp(self) -> int:
+        """Stamp of the last true pose [ns]; 0 before the first."""
+        return max(self._true, default=0)
+
+    def pairs(self) -> list[tuple[PoseRecord, PoseRecord]]:
+        """Poses and what they truly were, of all stamps that have both, in their order."""
+        shared = sorted(self._found.keys() & self._true.keys())
+        return [(self._found[stamp], self._true[stamp]) for stamp in shared]
 
     def _keeper(self, kept: dict[int, PoseRecord]) -> Any:
         def keep(message: PoseWithCovarianceStamped) -> None:
@@ -39,13 +52,11 @@ class PoseComparison:
 
         Motion since the first pose is compared, as the two may be in maps of their own.
         """
-        shared = sorted(self._found.keys() & self._true.keys())
+        pairs = self.pairs()
         figures: dict[str, object] = {"poses": len(self._found)}
-        if len(shared) < 2:
+        if len(pairs) < 2:
             return figures
-        found, true = (
-            _since_first([kept[s] for s in shared]) for kept in (self._found, self._true)
-        )
+        found, true = (_since_first(list(poses)) for poses in zip(*pairs, strict=True))
         errors = np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
         way = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()
         return figures | {

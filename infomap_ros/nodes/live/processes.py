@@ -13,6 +13,7 @@ from types import TracebackType
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes.common.environment import process_environment
+from infomap_ros.nodes.team.team_topics import OWN_FRAMES
 
 _TAIL_LINES = 15
 
@@ -51,7 +52,7 @@ class NodeProcesses:
             name: of the process and, where not given otherwise, of its module in
                 `infomap_ros.nodes`.
             parameters: ROS parameters: bool, numbers, strings, lists of these.
-            remaps: topic names, from -> to.
+            remaps: topic names, from -> to, besides `OWN_FRAMES`.
             module: full module name.
 
         Returns:
@@ -60,7 +61,7 @@ class NodeProcesses:
         command = [sys.executable, "-m", module or f"infomap_ros.nodes.{name}", "--ros-args"]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={_as_yaml(value)}"]
-        for source, target in (remaps or {}).items():
+        for source, target in (OWN_FRAMES | dict(remaps or {})).items():
             command += ["-r", f"{source}:={target}"]
         command += ["-r", f"__ns:={self._namespace}"]
         with self._log(name).open("ab" if name in self._processes else "wb") as log:

@@ -54,6 +54,14 @@ class FiducialLocalizationConfig:
         True,
         "Publish /tf: map to the frame of odometry, or where there is no odometry to the camera.",
     )
+    transform_tolerance: float = parameter(
+        0.5,
+        "The transform from map to odometry, published at 20 Hz, is stamped so far ahead of its "
+        "image: longer than from an image to its pose, so that users of tf need not wait.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
     least_correction: float = parameter(
         0.002,
         "Keyframe poses are told again when one of them has moved by more than this, or turned by "
@@ -68,7 +76,7 @@ class FiducialLocalizationConfig:
     follow_alignment: bool = parameter(
         False,
         "Move the map where map_alignment says: teammates that see this robot's tags, or a user. "
-        "With team_key, only what is signed with it is heard.",
+        "With team_key, only what is signed with it on map_alignment_signed is heard.",
     )
     state_file: str = parameter(
         "",

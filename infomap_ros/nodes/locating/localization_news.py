@@ -12,6 +12,7 @@ from infomap_ros.localization.localizer import Localisation
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
+from infomap_ros.nodes.locating.odom_frame import OdomFrameBroadcaster
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
@@ -30,6 +31,8 @@ class LocalizationNews:
         self._config = node.config(FiducialLocalizationConfig)
         self._map = node.config(RobotTrackerConfig).map_frame
         self._outputs = LocalizationOutputs(node, self._map, publish_tf=self._config.publish_tf)
+        tolerance = self._config.transform_tolerance
+        self._odom_frame = OdomFrameBroadcaster(node, self._outputs.publish_frame, tolerance)
         self._state = ""
         self._changes = KeyframeChanges(self._config.least_correction)
         self._told_fiducials = -1e9
@@ -54,9 +57,8 @@ class LocalizationNews:
         self._outputs.publish_status(result)
         if result.T_map_camera is None:
             return
-        pose = PoseRecord(
-            result.stamp, self._map, result.T_map_camera, result.covariance, camera_frame
-        )
+        told = result.T_map_camera, result.covariance, camera_frame
+        pose = PoseRecord(result.stamp, self._map, *told, uncertainty=result.uncertainty)
         self._outputs.publish_pose(pose)
         self._tell_frame(pose, posture, odom_frame)
         self._tell_keyframes(result)
@@ -68,7 +70,7 @@ class LocalizationNews:
         if posture is not None:
             T_map_odom = pose.transform @ invert_transform(posture.T_odom_camera)
             edge = TransformRecord(pose.stamp, self._map, odom_frame, T_map_odom)
-            self._outputs.publish_frame(edge)
+            self._odom_frame.update(edge)
         elif not odom_frame:
             edge = TransformRecord(pose.stamp, self._map, pose.child_frame_id, pose.transform)
             self._outputs.publish_frame(edge)

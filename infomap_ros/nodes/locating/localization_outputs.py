@@ -20,6 +20,7 @@ from infomap_ros.messages.keyframes import (
     encode_keyframe_covariances,
     encode_keyframe_poses,
 )
+from infomap_ros.messages.pose_uncertainty import encode_pose_uncertainty
 from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -53,6 +54,7 @@ class LocalizationOutputs:
 
     def __init__(self, node: MonitoredNode, map_frame: str, *, publish_tf: bool) -> None:
         self._types, self._map = RclpyMessageTypes(), map_frame
+        self._uncertainties = node.advertise(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
         self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
         self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
         self._covariances = node.advertise(PointCloud2, "keyframe_covariances", qos.stream())
@@ -71,11 +73,18 @@ class LocalizationOutputs:
         self._status.publish(status_message(result))
 
     def publish_pose(self, pose: PoseRecord) -> None:
-        """Publish the camera's pose in the map."""
+        """Publish the camera's pose in the map.
+
+        The parts of its covariance go first: who receives the pose has them at hand.
+        """
+        if pose.uncertainty is not None and self._uncertainties.get_subscription_count():
+            self._uncertainties.publish(
+                encode_pose_uncertainty(self._types, pose.stamp, pose.frame_id, pose.uncertainty)
+            )
         self._poses.publish(encode_pose(self._types, pose))
 
     def publish_frame(self, edge: TransformRecord) -> None:
-        """Publish a transform, where frames are published at all."""
+        """Publish a transform at its stamp, where frames are published at all."""
         if self._tf is not None:
             self._tf.publish(encode_transforms(self._types, [edge]))
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.publisher import Publisher
 
 from infomap_ros.errors import PoseUnavailableError
@@ -26,14 +25,16 @@ from infomap_ros.localization.localisation import Localisation
 from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
 from infomap_ros.localization.target.robot_tags import RobotTagFinder
 from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
-from infomap_ros.messages import encode_pose
-from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.map_moves import MAP_ALIGNMENT, MoveSeal, describe_move
+from infomap_ros.nodes.team.map_moves import (
+    advertise_alignment,
+    alignment_message,
+    describe_move,
+)
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
 from infomap_ros.team.agent_board import AgentBoard
@@ -178,14 +179,12 @@ class TeammateSight:
             self._node.drop("alignment", f"robot {robot} does not say how its topics are called")
             return
         record = PoseRecord(stamp, self._frame, back.T_a_b, back.covariance)
-        message = encode_pose(self._types, record)
-        mate.tell.publish(MoveSeal(self._key, robot).sign(message))
+        mate.tell.publish(alignment_message(self._types, record, robot, self._key))
         self._node.get_logger().info(f"told robot {robot} to move {describe_move(back.T_a_b)}")
 
     def _publisher(self, namespace: str) -> Publisher:
-        """Of map_alignment of the robot in a namespace."""
+        """By which the robot in a namespace is told to move its map."""
         if namespace not in self._publishers:
-            topic = f"{namespace}/{MAP_ALIGNMENT}"
-            publisher = self._node.advertise(PoseWithCovarianceStamped, topic, qos.stream())
+            publisher = advertise_alignment(self._node, namespace, self._key)
             self._publishers[namespace] = publisher
         return self._publishers[namespace]

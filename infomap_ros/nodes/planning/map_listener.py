@@ -70,7 +70,8 @@ class MapListener:
         for topic in ("map_updates", UPDATES):
 
             def receive(message: PointCloud2, topic: str = topic) -> None:
-                worker.submit_always(lambda: node.guard(topic, partial(self._apply, message)))
+                apply = partial(self._apply, message)
+                worker.submit_always(lambda: node.guard_peer(topic, apply))
 
             required = topic == "map_updates"
             node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=required)

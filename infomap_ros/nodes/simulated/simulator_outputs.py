@@ -212,16 +212,16 @@ class SimulatorOutputs:
             self._node.health.produced()
 
     def _publish_contacts(self) -> None:
-        """Tell every new forbidden contact, as JSON."""
-        events = self._simulator.contact_events
-        if len(events) == self._contacts:
+        """Tell every new forbidden contact, as JSON; those before a restart count as well."""
+        count, events = self._simulator.contacts, self._simulator.contact_events
+        if count == self._contacts:
             return
-        self._contacts = len(events)
-        content: dict[str, Any] = {"count": len(events)}
+        self._contacts = count
+        content: dict[str, Any] = {"count": count}
         if events:
             content["last"] = asdict(events[-1])
             self._node.get_logger().warning(f"contact: {events[-1].link} and {events[-1].other}")
-        self._node.health.note("forbidden contacts", str(len(events)))
+        self._node.health.note("forbidden contacts", str(count))
         self._publish_text("ground_truth/contacts", json.dumps(content))
 
     def _publish_text(self, topic: str, text: str) -> None:

@@ -19,7 +19,7 @@ def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None
     Args:
         node: that listens; what is refused is counted there.
         frame: of the map.
-        hear: called with each text; its errors of the library are counted drops.
+        hear: called with each text; its errors are counted drops.
     """
 
     def receive(message: MarkerArray) -> None:
@@ -28,4 +28,5 @@ def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None
                 raise FrameError(f"robot told in frame '{told_in}', the map is '{frame}'")
             hear(text)
 
-    node.listen(MarkerArray, AGENTS, receive, qos.stream(depth=50), required=False)
+    profile = qos.stream(depth=50)
+    node.listen(MarkerArray, AGENTS, receive, profile, required=False, from_peer=True)

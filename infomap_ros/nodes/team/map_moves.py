@@ -3,72 +3,77 @@
 A geometry_msgs/PoseWithCovarianceStamped: its pose is ``T_new_old``, the frame of the map as it is
 in that which it should be. Its stamp is that of the image by which this was found; zero for now.
 
-Where the team has a key, the name of the frame is followed by a blank and the message's code, made
-from the robot that is told, stamp and numbers; who has no key does not look at it. A message
-without an image's stamp is then not heard, as it could be repeated at any time.
+Where the team has a key, teammates tell the same on map_alignment_signed, as rows with the team's
+code (`infomap_ros.team.alignment_rows`), and map_alignment is refused. A message without an image's
+stamp is then not heard, as it could be repeated at any time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError, InvalidInputError, UpdateRefusedError
 from infomap_ros.geometry import PoseRecord
-from infomap_ros.messages import decode_pose_with_covariance
+from infomap_ros.messages import decode_pose_with_covariance, encode_pose
+from infomap_ros.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages.types import MessageTypes
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.team.alignment_rows import decode_alignment, encode_alignment
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 
-MAP_ALIGNMENT = "map_alignment"
+MAP_ALIGNMENT, MAP_ALIGNMENT_SIGNED = "map_alignment", "map_alignment_signed"
 
 
-class MoveSeal:
-    """Says of an alignment that it is the team's, and for which robot.
+def advertise_alignment(node: MonitoredNode, namespace: str, key: TeamKey | None) -> Publisher:
+    """The publisher by which the robot in a namespace is told to move its map."""
+    if key is None:
+        topic = f"{namespace}/{MAP_ALIGNMENT}"
+        return node.advertise(PoseWithCovarianceStamped, topic, qos.stream())
+    return node.advertise(PointCloud2, f"{namespace}/{MAP_ALIGNMENT_SIGNED}", qos.stream())
+
+
+def alignment_message(
+    types: MessageTypes, alignment: PoseRecord, robot: int, key: TeamKey | None
+) -> Any:
+    """What that publisher sends.
 
     Args:
-        key: of the team; without one every message is taken for genuine.
-        robot: id of the robot that is told to move its map.
+        types: who makes the message.
+        alignment: ``T_new_old``, in the frame of the map.
+        robot: id of the robot that is told.
+        key: of the team, None without one.
     """
-
-    def __init__(self, key: TeamKey | None, robot: int) -> None:
-        self._key, self._robot = key, robot
-
-    def sign(self, message: PoseWithCovarianceStamped) -> PoseWithCovarianceStamped:
-        """The message, with its code if there is a key."""
-        if self._key is not None:
-            frame = message.header.frame_id
-            message.header.frame_id = f"{frame} {self._key.code_of_text(self._text(message))}"
-        return message
-
-    def open(self, message: PoseWithCovarianceStamped) -> PoseRecord:
-        """What the message says, in its frame.
-
-        Raises:
-            InvalidInputError: it is malformed.
-            UpdateRefusedError: there is a key, and it was not signed with it, or without a stamp.
-        """
-        frame, _, code = message.header.frame_id.partition(" ")
-        message.header.frame_id = frame
-        told = decode_pose_with_covariance(message)
-        key = self._key
-        if key is not None and not (told.stamp and key.is_code_of_text(self._text(message), code)):
-            raise UpdateRefusedError(f"{MAP_ALIGNMENT} is not of this team", NOT_AUTHENTIC)
-        return told
-
-    def _text(self, message: PoseWithCovarianceStamped) -> str:
-        place, turn = message.pose.pose.position, message.pose.pose.orientation
-        numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
-        numbers += message.pose.covariance.tolist()
-        stamp, frame = message.header.stamp, message.header.frame_id
-        whole = MAP_ALIGNMENT, self._robot, frame, stamp.sec, stamp.nanosec
-        return " ".join([*map(str, whole), *(float(number).hex() for number in numbers)])
+    if key is None:
+        return encode_pose(types, alignment)
+    rows = key.sign(encode_alignment(alignment, robot))
+    return encode_rows(types, alignment.stamp, alignment.frame_id, rows)
 
 
-_OPEN = MoveSeal(None, 0)
+def read_signed(message: PointCloud2, key: TeamKey, robot: int) -> PoseRecord:
+    """The alignment in a signed message.
+
+    Args:
+        message: as it was heard.
+        key: of the team.
+        robot: id of this robot.
+
+    Raises:
+        InfomapError: it is malformed.
+        UpdateRefusedError: it is not signed with the key, not for this robot, or without a stamp.
+    """
+    told, alignment = decode_alignment(key.verify(decode_rows(message)[2]))
+    if told != robot or not alignment.stamp:
+        what = f"{MAP_ALIGNMENT_SIGNED} for robot {told}, stamp {alignment.stamp} ns"
+        raise UpdateRefusedError(f"{what}: not for this robot and its images", NOT_AUTHENTIC)
+    return alignment
 
 
 def listen_to_moves(
@@ -77,26 +82,40 @@ def listen_to_moves(
     worker: Worker,
     move: Callable[[PoseRecord], object],
     topic: str = MAP_ALIGNMENT,
-    seal: MoveSeal = _OPEN,
+    key: TeamKey | None = None,
+    robot: int = 0,
 ) -> None:
     """Have a worker move a map when it is told to.
 
     Args:
-        node: that listens; errors of the library are counted drops.
+        node: that listens; what is refused are counted drops.
         frame: of the map.
         worker: whose thread owns the map.
         move: does it.
         topic: relative name.
-        seal: that a message must have.
+        key: of the team; with one, only what is signed is heard.
+        robot: id of this robot.
     """
 
-    def receive(message: PoseWithCovarianceStamped) -> None:
-        told = seal.open(message)
-        if told.frame_id != frame:
-            raise FrameError(f"{topic} in frame '{told.frame_id}', the map is '{frame}'")
-        worker.submit_always(lambda: node.guard(topic, lambda: move(told)))
+    def pass_on(alignment: PoseRecord) -> None:
+        if alignment.frame_id != frame:
+            raise FrameError(f"{topic} in frame '{alignment.frame_id}', the map is '{frame}'")
+        worker.submit_always(lambda: node.guard_peer(topic, lambda: move(alignment)))
 
-    node.listen(PoseWithCovarianceStamped, topic, receive, qos.stream(), required=False)
+    def receive(message: PoseWithCovarianceStamped) -> None:
+        if key is not None:
+            raise UpdateRefusedError(f"{topic} is not signed", NOT_AUTHENTIC)
+        pass_on(decode_pose_with_covariance(message))
+
+    common: dict[str, Any] = {"profile": qos.stream(), "required": False, "from_peer": True}
+    node.listen(PoseWithCovarianceStamped, topic, receive, **common)
+    if key is not None:
+        team_key = key
+
+        def receive_signed(message: PointCloud2) -> None:
+            pass_on(read_signed(message, team_key, robot))
+
+        node.listen(PointCloud2, MAP_ALIGNMENT_SIGNED, receive_signed, **common)
 
 
 def describe_move(T_new_old: np.ndarray) -> str:

@@ -116,7 +116,8 @@ class TeamBodyListener:
             return
         self._topics[agent.robot] = topic
         receive = partial(self._on_description, agent.robot, agent.base_frame)
-        self._node.listen(String, topic, receive, qos.latched(), required=False)
+        profile = qos.latched()
+        self._node.listen(String, topic, receive, profile, required=False, from_peer=True)
 
     def _on_description(self, robot: int, base_frame: str, message: String) -> None:
         model = self._reading.read(decode_text(message).text, base_frame=base_frame)

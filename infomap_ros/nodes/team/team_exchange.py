@@ -58,7 +58,7 @@ class TeamExchange:
 
     def _receive(self, topic: str, message: PointCloud2) -> None:
         hear = partial(self._hear, topic, message)
-        self._worker.submit_always(lambda: self._node.guard(topic, hear))
+        self._worker.submit_always(lambda: self._node.guard_peer(topic, hear))
 
     def _hear(self, topic: str, message: PointCloud2) -> None:
         _, frame, rows = decode_rows(message)

@@ -54,7 +54,7 @@ class TeamMap:
 
         def receive(message: PointCloud2) -> None:
             apply = partial(self._apply, message)
-            worker.submit_always(lambda: self._node.guard(UPDATES, apply))
+            worker.submit_always(lambda: self._node.guard_peer(UPDATES, apply))
 
         profile = qos.stream(depth=200)
         self._node.listen(PointCloud2, UPDATES, receive, profile, required=False)

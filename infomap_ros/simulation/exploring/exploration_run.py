@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import json
 import time
@@ -35,6 +36,7 @@ from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig, SimulatedRobot
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.self_localisation import SelfLocalisation
+from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
@@ -194,7 +196,6 @@ class ExplorationRun:
             "distance": round(mission.distance, 2),
             "known_fraction": round(known, 4),
             "mean_sigma": sigma,
-            "contacts": self.simulator.contacts,
             "simulated_seconds": round(self.simulator.time, 1),
             "seconds": round(time.monotonic() - self._begin, 1),
             "known_voxels": self.map.known_voxels,
@@ -203,7 +204,15 @@ class ExplorationRun:
             "voxel_size": self.map.config.voxel_size,
             "pose_source": self.options.robot.pose_source,
             **self.audit.figures(),
+            **self.truth.figures(),
         }
+
+    @functools.cached_property
+    def truth(self) -> RunTruth:
+        """How map, poses and contacts compare with the truth; to be asked for at the end."""
+        world, max_range = self.simulator.world, self.options.planner.max_range
+        surface = TrueSurface(world, self.T_world_map, max_range)
+        return surface.compare(self.map, self.audit.poses, self.simulator.contacts)
 
     def close(self) -> None:
         """Free what drawing needs."""

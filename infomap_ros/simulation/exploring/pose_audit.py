@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,25 +91,44 @@ class PoseAudit:
 
     def audit(self, stamp: int, pose: CameraPose) -> AuditedPose:
         """Compare a pose that the robot believes now with the truth."""
-        truth = self._T_map_world @ self._simulator.true_camera_pose()
-        turn = Rotation.from_matrix(truth[:3, :3] @ pose.transform[:3, :3].T).as_rotvec()
-        error = np.concatenate([truth[:3, 3] - pose.transform[:3, 3], turn])
-        return AuditedPose(stamp, pose, error)
+        return audit_pose(stamp, pose, self._T_map_world @ self._simulator.true_camera_pose())
 
     def figures(self) -> dict[str, float]:
-        """Errors of the poses of all scans, flat: rms [m, rad], at the end, and mean NEES."""
-        if not self.poses:
-            return {}
-        errors = np.stack([pose.error for pose in self.poses])
-        distances = np.linalg.norm(errors[:, :3], axis=1)
-        angles = np.linalg.norm(errors[:, 3:], axis=1)
-        return {
-            "pose_error_rms": round(float(np.sqrt(np.mean(distances**2))), 5),
-            "pose_error_end": round(float(distances[-1]), 5),
-            "pose_error_largest": round(float(distances.max()), 5),
-            "pose_turn_rms": round(float(np.sqrt(np.mean(angles**2))), 5),
-            "pose_nees": round(float(np.mean([pose.nees for pose in self.poses])), 2),
-        }
+        """Errors of the poses of all scans; see `pose_errors`."""
+        return pose_errors(self.poses)
+
+
+def audit_pose(stamp: int, pose: CameraPose, T_map_camera: FloatArray) -> AuditedPose:
+    """Compare a pose with the truth.
+
+    Args:
+        stamp: [ns].
+        pose: as the robot believed it.
+        T_map_camera: as it truly was, shape (4, 4).
+    """
+    turn = Rotation.from_matrix(T_map_camera[:3, :3] @ pose.transform[:3, :3].T).as_rotvec()
+    error = np.concatenate([T_map_camera[:3, 3] - pose.transform[:3, 3], turn])
+    return AuditedPose(stamp, pose, error)
+
+
+def mean_nees(poses: Sequence[AuditedPose]) -> float | None:
+    """Mean NEES over its expectation of 6: 1 where covariances are true; None without poses."""
+    return round(float(np.mean([pose.nees for pose in poses])) / 6.0, 3) if poses else None
+
+
+def pose_errors(poses: Sequence[AuditedPose]) -> dict[str, float]:
+    """Errors of poses, flat: root mean squares [m, rad], at the end and the largest [m]."""
+    if not poses:
+        return {}
+    errors = np.stack([pose.error for pose in poses])
+    distances = np.linalg.norm(errors[:, :3], axis=1)
+    angles = np.linalg.norm(errors[:, 3:], axis=1)
+    return {
+        "pose_error_rms": round(float(np.sqrt(np.mean(distances**2))), 5),
+        "pose_error_end": round(float(distances[-1]), 5),
+        "pose_error_largest": round(float(distances.max()), 5),
+        "pose_turn_rms": round(float(np.sqrt(np.mean(angles**2))), 5),
+    }
 
 
 def position_sigma(covariance: FloatArray) -> float:

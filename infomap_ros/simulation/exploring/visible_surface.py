@@ -50,7 +50,10 @@ class VisibleSurfaceConfig:
     tries: int = parameter(
         120, "...of so many, by chance, that are within range.", low=1, high=100000
     )
-    seed: int = parameter(1, "Seed of the points' places.", low=0)
+    max_points: int = parameter(
+        1_000_000, "Of more points that may be visible so many are kept, by chance.", low=1
+    )
+    seed: int = parameter(1, "Seed of the points' places and of that chance.", low=0)
 
     def __post_init__(self) -> None:
         """Validate all fields."""
@@ -97,7 +100,8 @@ def visible_surface(
     points, normals = world.surface.samples(config.spacing, rng)
     inside = ((points >= world.region[0]) & (points <= world.region[1])).all(axis=1)
     inside[inside] = _near_hits(world, cameras, max_range, points[inside], rng)
-    points, normals = points[inside], normals[inside]
+    kept = rng.permutation(np.flatnonzero(inside))[: config.max_points]
+    points, normals = points[np.sort(kept)], normals[np.sort(kept)]
     limits = (
         config.nearest,
         max_range,

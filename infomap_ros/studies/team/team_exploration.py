@@ -19,7 +19,6 @@ import numpy as np
 from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.loop import Ending, EndReason
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.body.robot import read_description
@@ -28,11 +27,7 @@ from infomap_ros.simulation.company.team_world import TeamWorld
 from infomap_ros.simulation.company.turns import SwitchedOff
 from infomap_ros.simulation.exploring.exploration_run import map_frame, task_in
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
-from infomap_ros.simulation.exploring.visible_surface import (
-    map_errors,
-    surface_coverage,
-    visible_surface,
-)
+from infomap_ros.simulation.exploring.truth import TrueSurface
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 from infomap_ros.studies.team.team_robot import RobotOutfit, TeamRobot
@@ -90,8 +85,7 @@ class TeamExploration:
         count = options.team.robots
         self.world = TeamWorld(scene, description, settings, count, self._exchange)
         self.T_world_map = map_frame(scene, options.robot)
-        visible = visible_surface(scene, options.planner.max_range).points
-        self._visible = transform_points(invert_transform(self.T_world_map), visible)
+        self._surface = TrueSurface(scene, self.T_world_map, options.planner.max_range)
         self.audits = [PoseAudit(robot, self.T_world_map) for robot in self.world.simulators]
         self._rng = np.random.default_rng(world.seed)
         self._channel = Channel(count, Radio(options.team.rate * 1e6, options.team.loss), self._rng)
@@ -131,13 +125,11 @@ class TeamExploration:
         return {
             "world": f"{self.options.world.name} {self.options.world.seed}",
             "robots": len(self.robots),
-            "coverage": round(max(look.coverage for look in self.looks), 4),
             "views": last.views,
             "views_per_robot": round(last.views / len(self.robots), 2),
             "distance": round(last.distance, 2),
             "distance_per_robot": round(last.distance / len(self.robots), 2),
             "simulated_seconds": round(max(look.seconds for look in self.looks), 1),
-            "contacts": self.world.contacts,
             "touched": [list(map(dataclasses.astuple, s.contact_events)) for s in simulators],
             "kills": self.kills,
             "same_hash": agreed is not None,
@@ -150,15 +142,13 @@ class TeamExploration:
         }
 
     def _errors(self) -> dict[str, Any]:
-        """How wrong the robots' poses and their common map are."""
+        """How the robots' poses and their common map compare with the truth."""
         shared = next(robot.member.replica.voxel_map for robot in self.robots if robot)
-        errors = map_errors(shared, self.world.simulators[0].world, self.T_world_map)
-        poses = [audit.figures() for audit in self.audits]
-        names = ("pose_error_rms", "pose_error_end", "pose_nees")
-        return {name: [each.get(name) for each in poses] for name in names} | {
-            "map_error_median": round(float(np.median(errors.distances)), 5),
-            "map_within_sigma": [round(errors.share_within(n), 4) for n in (1.0, 2.0, 3.0)],
-        }
+        poses = [pose for audit in self.audits for pose in audit.poses]
+        truth = self._surface.compare(shared, poses, self.world.contacts)
+        errors = [audit.figures() for audit in self.audits]
+        names = ("pose_error_rms", "pose_error_end")
+        return {name: [each.get(name) for each in errors] for name in names} | truth.figures()
 
     def _start(self, number: int) -> TeamRobot:
         session = int(self._rng.integers(1, 2**32))
@@ -216,7 +206,7 @@ class TeamExploration:
     def _on_view(self, robot: TeamRobot) -> None:
         """Measure what a view brought; see whether it is enough, or time for a mishap."""
         task, number = self.options.team, robot.outfit.number
-        coverage = surface_coverage(robot.member.replica.voxel_map, self._visible)
+        coverage = self._surface.coverage(robot.member.replica.voxel_map)
         views = sum(mission.views for mission in self._missions.values())
         way = sum(mission.distance for mission in self._missions.values())
         now = self.world.simulators[number].time

@@ -1,0 +1,69 @@
+"""The transform from the map to the frame of odometry, as those who drive by tf need it (REP-105).
+
+tf refuses a transform that is newer than the newest that it has heard. An image is old when its
+pose is known, and the next pose comes a period later; so the transform is stamped ahead by a
+tolerance and told again, with a later stamp, until there is a newer one. It is nearly constant:
+odometry does the moving in between.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+from rclpy.clock import Clock, ClockType
+
+from infomap_ros.geometry import TransformRecord
+from infomap_ros.nodes.common.base import MonitoredNode
+
+PERIOD = 0.05
+"""Between two publications [s]: controllers and costmaps of Nav2 look up at 5 to 20 Hz."""
+
+
+class OdomFrameBroadcaster:
+    """Publishes the newest transform again and again. May be used by any thread.
+
+    Between poses, time goes on by the node's clock; where that stands (a simulator or bag that is
+    paused) or jumps back, nothing is repeated.
+
+    Args:
+        node: whose clock and timer are used.
+        publish: sends one transform.
+        tolerance: how far a stamp is ahead of its time [s].
+    """
+
+    def __init__(
+        self, node: MonitoredNode, publish: Callable[[TransformRecord], None], tolerance: float
+    ) -> None:
+        self._node, self._publish, self._ahead = node, publish, round(1e9 * tolerance)
+        self._lock = threading.Lock()
+        self._edge: TransformRecord | None = None
+        self._begin = self._told = 0  # [ns]
+        node.create_timer(PERIOD, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def update(self, edge: TransformRecord) -> None:
+        """Publish a transform, and from now on this one.
+
+        Args:
+            edge: the map to odometry, at the stamp of its image.
+        """
+        with self._lock:
+            self._edge, self._begin = edge, self._now()
+            self._send(edge.stamp + self._ahead)
+
+    def _repeat(self) -> None:
+        with self._lock:
+            if self._edge is None:
+                return
+            stamp = self._edge.stamp + self._ahead + self._now() - self._begin
+            if stamp > self._told:
+                self._send(stamp)
+
+    def _send(self, stamp: int) -> None:
+        if self._edge is not None:
+            self._told = stamp
+            self._publish(replace(self._edge, stamp=stamp))
+
+    def _now(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)

@@ -1,0 +1,116 @@
+"""What only the simulator knows of how well an exploration went; for evaluation, never for a robot.
+
+Whatever compares a run with its truth (the demos, ``infomap explore``, the benchmarks) takes its
+figures from here; ``docs/exploration_worlds.md`` says what they mean.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.simulation.exploring.pose_audit import AuditedPose, mean_nees
+from infomap_ros.simulation.exploring.visible_surface import (
+    VisibleSurfaceConfig,
+    map_errors,
+    surface_coverage,
+    visible_surface,
+)
+from infomap_ros.simulation.worlds.builder import World
+
+# A share of 95 % of the 15,000 points or more that are visible among these has a standard error of
+# 0.2 %, and counting takes 4 to 10 s of a core in place of 6 to 40 s.
+_SURFACE = VisibleSurfaceConfig(max_points=30_000)
+
+
+@dataclass(frozen=True)
+class RunTruth:
+    """How an exploration compares with the truth.
+
+    Attributes:
+        true_coverage: share of the visible true surface with a surface voxel within one voxel.
+        within_1_sigma: share of the surface voxels whose distance to the true surface, along its
+            normal, is at most one standard deviation that the map claims there; None where the
+            map has no surface.
+        within_2_sigma: likewise, two.
+        within_3_sigma: likewise, three.
+        map_error_median: of these distances [m].
+        pose_nees: mean normalized estimation error squared of the poses over its expectation of 6;
+            None without poses.
+        contacts: forbidden ones, as the simulator counts them.
+    """
+
+    true_coverage: float
+    within_1_sigma: float | None
+    within_2_sigma: float | None
+    within_3_sigma: float | None
+    map_error_median: float | None
+    pose_nees: float | None
+    contacts: int
+
+    def figures(self) -> dict[str, float | int | None]:
+        """All of them by name."""
+        return dataclasses.asdict(self)
+
+    def __str__(self) -> str:
+        """The figures in a line, as a person reads them."""
+        shares = (self.within_1_sigma, self.within_2_sigma, self.within_3_sigma)
+        within = " / ".join("-" if share is None else f"{100.0 * share:.1f}" for share in shares)
+        nees = "-" if self.pose_nees is None else f"{self.pose_nees:.2f}"
+        return (
+            f"true coverage {100.0 * self.true_coverage:.1f} %, "
+            f"within 1 / 2 / 3 sigma {within} %, "
+            f"pose NEES / 6 {nees}, contacts {self.contacts}"
+        )
+
+
+class TrueSurface:
+    """The true surface of a world in the frame of a map, to compare maps with.
+
+    Args:
+        world: the true world.
+        T_world_map: where the map's frame truly is, shape (4, 4).
+        max_range: range of the camera [m].
+
+    Raises:
+        SimulationError: the world has no bounded region, or its start is not free.
+    """
+
+    def __init__(self, world: World, T_world_map: FloatArray, max_range: float) -> None:
+        self._world, self._T_world_map = world, T_world_map
+        visible = visible_surface(world, max_range, _SURFACE).points
+        self._visible = transform_points(invert_transform(T_world_map), visible)
+
+    def coverage(self, voxel_map: VoxelMap) -> float:
+        """Share of the visible surface that is mapped."""
+        return surface_coverage(voxel_map, self._visible)
+
+    def compare(self, voxel_map: VoxelMap, poses: Sequence[AuditedPose], contacts: int) -> RunTruth:
+        """How a map and the poses of its robots compare with the truth.
+
+        Args:
+            voxel_map: the map.
+            poses: that the robots believed.
+            contacts: forbidden ones that the simulator has counted.
+        """
+        errors = map_errors(voxel_map, self._world, self._T_world_map)
+        within: dict[int, float | None] = {1: None, 2: None, 3: None}
+        median = None
+        if len(errors.distances):
+            within = {sigmas: round(errors.share_within(sigmas), 4) for sigmas in within}
+            median = round(float(np.median(errors.distances)), 5)
+        return RunTruth(
+            true_coverage=round(self.coverage(voxel_map), 4),
+            within_1_sigma=within[1],
+            within_2_sigma=within[2],
+            within_3_sigma=within[3],
+            map_error_median=median,
+            pose_nees=mean_nees(poses),
+            contacts=contacts,
+        )

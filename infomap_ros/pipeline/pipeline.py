@@ -134,8 +134,8 @@ class Pipeline:
         if isinstance(seen, FramedView) and localization is not None:
             localization.views.add(seen)
         if isinstance(seen, FramedView | RangeMeasurement):
-            if fusion is not None:
-                cloud = seen.measurement if isinstance(seen, FramedView) else seen
+            cloud = seen.measurement if isinstance(seen, FramedView) else seen
+            if fusion is not None and cloud is not None:
                 fusion.scans.add_cloud(seen.stamp, seen.frame_id, cloud)
             return
         if fusion is not None and isinstance(seen, JointStateRecord):

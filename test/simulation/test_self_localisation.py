@@ -72,7 +72,7 @@ def test_the_pose_error_that_the_scans_of_a_view_share_counts_once(
     explored: ExplorationRun,
 ) -> None:
     told = {pose.stamp: pose.pose.covariance for pose in explored.audit.poses}
-    kept = {scan.stamp: scan.covariance for scan in explored._robot._map.store}
+    kept = {scan.stamp: scan.covariance for scan in explored._robot._builder.scans}
     assert kept.keys() == told.keys()
     for stamp, covariance in told.items():
         np.testing.assert_allclose(kept[stamp], 2 * covariance, rtol=1e-9)  # two scans per view

@@ -12,7 +12,7 @@ from infomap_ros.geometry import StereoRig, skew
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.stereo import RangeCloud, StereoConfig, StereoRangeSensor, StereoRectifier
 
@@ -92,7 +92,7 @@ class PoseSource(Protocol):
     def watch(self, voxel_map: VoxelMap) -> str:
         """Called again and again on the way; empty, or why the robot should not go on."""
 
-    def correct(self, correctable: CorrectableMap) -> None:
+    def correct(self, builder: MapBuilder) -> None:
         """Let the scans of a map follow what became known of their poses since."""
 
     def save(self, path: Path) -> None:
@@ -145,7 +145,7 @@ class MeasuredPoses:
         """Nothing can go wrong."""
         return ""
 
-    def correct(self, correctable: CorrectableMap) -> None:
+    def correct(self, builder: MapBuilder) -> None:
         """Poses stay as they are."""
 
     def save(self, path: Path) -> None:

@@ -151,7 +151,7 @@ def measure(voxel_size: float, figure: Path | None) -> dict[str, float | int]:
     fresh = VoxelMap(config)
     start = time.perf_counter()
     for scan in store:
-        integrate_record(fresh, scan.record, scan.transform, scan.covariance)
+        integrate_record(fresh, scan.record, scan.transform, scan.uncertainty)
     anew = time.perf_counter() - start
     ghosts_before, ghosts_after = share_of_ghosts(before, scene), share_of_ghosts(voxel_map, scene)
     if figure is not None:

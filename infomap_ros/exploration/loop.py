@@ -1,18 +1,27 @@
-"""The loop of Fig. 3 of Sujan and Dubowsky 2005: look, choose, move, until it is enough."""
+"""The loop of Fig. 3 of Sujan and Dubowsky 2005: look, fuse, rate, choose, move.
+
+What ends the loop, what it does instead of the next view, and what breaks a motion off are rules
+(`infomap_ros.exploration.rules`), listed in `Exploration.__init__` in the order in which they
+count.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from enum import Enum
+from dataclasses import asdict
 
 from infomap_ros.errors import InfomapError, TeammatesBusyError
+from infomap_ros.exploration.camera_mover import CameraMover
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.drift_guard import DriftGuard
-from infomap_ros.exploration.last_views import LastViews
+from infomap_ros.exploration.fallbacks import (
+    PlanOnly,
+    ReturnToLastView,
+    UserRequests,
+    WaitForTeammates,
+)
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.planar import way_length
+from infomap_ros.exploration.motion_monitors import DriftMonitor, MotionWatch, RouteMonitor
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import (
@@ -20,41 +29,26 @@ from infomap_ros.exploration.robot import (
     FailedView,
     Interrupted,
     KnownPlace,
-    Motion,
     Planner,
     Robot,
 )
+from infomap_ros.exploration.rules import (
+    STOPPED,
+    BudgetSpent,
+    Ending,
+    EndReason,
+    Fallback,
+    NoViewLeft,
+    StopRequested,
+    StopRule,
+    TaskIsMet,
+    TooManyFailures,
+)
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.way_back import WayBack
+from infomap_ros.exploration.unproductive_views import UnproductiveViews
 from infomap_ros.motion.route import Route
 
-
-class EndReason(Enum):
-    """Why an exploration has ended."""
-
-    DONE = "done"
-    NOTHING_LEFT = "nothing left worth its cost"
-    BUDGET_SPENT = "budget spent"
-    STOPPED = "stopped"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True)
-class Ending:
-    """The end of an exploration.
-
-    Attributes:
-        reason: in one of five kinds.
-        detail: in words and numbers.
-    """
-
-    reason: EndReason
-    detail: str
-
-
-_STOPPED = Ending(EndReason.STOPPED, "asked to")
-_DRIFTED = "where the robot is has become too uncertain"
-_PAUSE = 1.0  # while others move [s]
+__all__ = ["EndReason", "Ending", "Exploration"]
 
 
 class Exploration:
@@ -95,9 +89,23 @@ class Exploration:
         self.state, self.last_reason = "starting", ""
         self.progress: MapProgress | None = None
         self._robot, self._planner, self._log = robot, planner, log
-        self._plan_only, self._on_step, self._clock = plan_only, on_step, clock
-        self._failures, self._marked = 0, clock()
-        self._last_views, self._back = LastViews(task), WayBack(self.mission)
+        self._on_step, self._clock, self._marked = on_step, clock, clock()
+        self._mover = CameraMover(robot, planner, task, self.mission, log, self._step)
+        self._failures, self._teammates = TooManyFailures(task.max_failures), WaitForTeammates()
+        self._unproductive, self._return = UnproductiveViews(task), ReturnToLastView(self.mission)
+        self._rules: list[StopRule | Fallback] = [
+            self._failures,
+            TaskIsMet(task),
+            StopRequested(self.control),
+            UserRequests(self.control),
+            *(() if plan_only else (self._return,)),
+            self._teammates,
+            NoViewLeft(),
+            BudgetSpent(task, self.mission),
+            PlanOnly() if plan_only else self._unproductive,
+        ]
+        self._route_monitor = RouteMonitor(robot, planner)
+        self._monitors = [DriftMonitor(robot, task.most_drift), self._route_monitor]
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -108,191 +116,127 @@ class Exploration:
             ending = self._explore()
         except InfomapError as error:
             stopped = self.control.request is Request.STOP  # and what was asked broken off
-            ending = _STOPPED if stopped else Ending(EndReason.FAILED, str(error))
+            ending = STOPPED if stopped else Ending(EndReason.FAILED, str(error))
         return self.end(ending)
 
     def end(self, ending: Ending) -> Ending:
         """Say that it has ended, and why: `run` does so, and who finds that it cannot begin."""
-        self._enter(f"ended: {ending.reason.value}", ending.detail)
+        self.say(f"ended: {ending.reason.value}", ending.detail)
         self._log.write("end", reason=ending.reason.value, detail=ending.detail)
         return ending
 
-    def say(self, state: str, reason: str) -> None:
-        """Tell what is done before it begins, and why."""
-        self._enter(state, reason)
+    def say(self, state: str, reason: str | None = None) -> None:
+        """State what is done before it begins, and why."""
+        self.state = state
+        self.last_reason = self.last_reason if reason is None else reason
+        self._step()
 
     def _explore(self) -> Ending:
+        """Look and fuse; rate and choose; move; and again, as far as no rule says otherwise."""
         if not self.mission.home.is_known:
             self.mission.note_home(self._robot.state())
-        ending = self._look()
-        while ending is None:
-            ending = self._obey() or self._take_next_view()
-        return ending
+        self.look()
+        while True:
+            choice = None
+            rule = self._first_rule(None)
+            if rule is None:
+                choice = self._choose()
+                rule = self._first_rule(choice)
+            if isinstance(rule, Ending):
+                return rule
+            if rule is not None:
+                rule.act(self)
+            elif choice is not None:
+                self._move_and_look(choice)
 
-    def _take_next_view(self) -> Ending | None:
-        """Select a camera configuration, move there, acquire and merge what it sees."""
-        if self._back.is_due and not self._plan_only:
-            return self._go_back()
-        try:
-            choice = self._choose()
-        except TeammatesBusyError as busy:
-            self._wait_for_teammates(str(busy))
-            return None
-        state = _state_of(choice.progress)
-        if self.task.is_met(choice.progress.known_fraction, choice.progress.mean_sigma):
-            return Ending(EndReason.DONE, state)
-        if self.control.interrupted():
-            return None
-        if choice.pose is None or choice.route is None:
-            return Ending(EndReason.NOTHING_LEFT, choice.reason)
-        if spent := self._spent():
-            return Ending(EndReason.BUDGET_SPENT, f"{spent} used; {state}")
-        if self._plan_only:
-            return self._wait()
-        if in_vain := self._last_views.in_vain():
-            return Ending(EndReason.NOTHING_LEFT, in_vain)
-        guard = DriftGuard(self._robot, self.task.most_drift, self.control.interrupted)
-        problem = self.follow(choice.route, guard)
-        if guard.drifted and not self.control.interrupted():
-            self._log.write("message", text=f"{problem}: {_DRIFTED}", level="info")
-            return self._look()
-        if problem and not self.control.interrupted():
-            self._planner.failed(FailedView(choice.pose, problem))
-            return self._fail(problem)
-        ending = None if problem else self._look()
-        if self._back.is_due:
-            self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
-        return ending
+    def _first_rule(self, choice: Choice | None) -> Ending | Fallback | None:
+        """The first rule that applies: the end, or what to do instead of the next step."""
+        for rule in self._rules:
+            if isinstance(rule, Fallback):
+                if rule.applies(choice):
+                    return rule
+            elif (ending := rule.ending(choice)) is not None:
+                return ending
+        return None
 
-    def _look(self) -> Ending | None:
+    def look(self) -> None:
         """Acquire a view and have it fused."""
-        self._enter("looking")
+        self.say("looking")
         problem = self._robot.look(self.control.interrupted)
         self._log.write("motion", action="look", outcome=problem, path=[])
         if self.control.interrupted():
-            return None
+            return
         if problem:
-            self._back.failed()
-            return self._fail(f"look: {problem}")
-        self._back.looked(self._robot.state())
+            self._return.failed()
+            self._fail(f"look: {problem}")
+            return
+        self._return.looked(self._robot.state())
+        self._failures.reset()
         self.mission.views += 1
-        self._failures = 0
-        return None
 
-    def _choose(self) -> Choice:
-        """Select the next view, and write down what there is to know about the choice."""
-        self._enter("choosing")
+    def _choose(self) -> Choice | None:
+        """Rate the candidates and choose the next view; None where teammates are at all of them."""
+        self.say("choosing")
         state = self._robot.state()
         self.mission.note_look(state.T_map_camera)
-        choice = self._planner.choose(state)
+        try:
+            choice = self._planner.choose(state)
+        except TeammatesBusyError as busy:
+            self._teammates.reason = str(busy)
+            return None
         self.progress, self.last_reason = choice.progress, choice.reason
-        self._last_views.note(self.mission.views, choice.progress)
+        self._unproductive.note(self.mission.views, choice.progress)
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)
         return choice
 
+    def _move_and_look(self, choice: Choice) -> None:
+        """Move the camera to the view that was chosen, and look from there."""
+        target = choice.target
+        if choice.pose is None or choice.route is None or target is None:
+            raise TypeError("there is no view to move to")
+        watch = MotionWatch(self._monitors, self.control.interrupted)
+        problem = self._mover.bring_camera(choice.route, target, watch)
+        if problem and not self.control.interrupted():
+            if watch.reason:
+                problem = f"{problem}: {watch.reason}"
+            if watch.rejects_view or not watch.reason:
+                self._planner.failed(FailedView(choice.pose, problem))
+            if not watch.reason:
+                self._fail(problem)
+                return
+            self._log.write("message", text=problem, level="info")
+            self.look()
+            return
+        if not problem:
+            self.look()
+        if self._return.is_due:
+            self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
+
     def follow(self, route: Route, interrupted: Interrupted) -> str:
         """Move arm, base and arm; returns empty, or why it did not come to the end."""
-        robot, problem = self._robot, ""
-        if route.arm_before.moves:
-            problem = self._move("arm", robot.move_arm(route.arm_before, interrupted))
-        if route.moves_base and not problem:
-            problem = self._move("drive", robot.drive(route.base_path, interrupted))
-        if route.arm_after.moves and not problem:
-            problem = self._move("arm", robot.move_arm(route.arm_after, interrupted))
-        return problem
+        return self._mover.follow(route, interrupted)
 
-    def _move(self, action: str, motion: Motion) -> str:
-        if action == "drive":
-            self.mission.distance += way_length(motion.path)
-        self._log.write("motion", action=action, outcome=motion.outcome, path=motion.path)
-        self._step()
-        return f"{action}: {motion.outcome}" if motion.outcome else ""
-
-    def _wait(self) -> Ending | None:
-        """Plan only: others move the robot, which looks again after a while."""
-        self._enter("waiting: plan only")
-        self.control.wait(_PAUSE)
-        return self._look()
-
-    def _wait_for_teammates(self, reason: str) -> None:
-        """They are at all that is left, or in the way: ask again after a while."""
-        self._enter("waiting for teammates", reason)
-        self.control.wait(_PAUSE)
-
-    def _spent(self) -> str:
-        """Which budgets are spent; empty where none is."""
-        task, mission = self.task, self.mission
-        budgets = (
-            (f"{mission.views} views", mission.views >= task.max_views),
-            (f"{mission.distance:.1f} m", mission.distance >= task.max_distance),
-            (f"{mission.seconds:.0f} s", mission.seconds >= task.max_time),
-        )
-        return " and ".join(text for text, is_spent in budgets if is_spent)
-
-    def _fail(self, reason: str) -> Ending | None:
-        """Count a failure; the end where there are too many."""
-        self._failures += 1
-        self.last_reason = reason
-        self._log.write("message", text=reason, level="warning")
-        if self._failures < self.task.max_failures:
-            return None
-        detail = f"{self._failures} failures one after the other, the last: {reason}"
-        return Ending(EndReason.FAILED, detail)
-
-    def _obey(self) -> Ending | None:
-        """Carry out what the user asks for, until that is to go on or to stop."""
-        while self.control.interrupted():
-            if self.control.request is Request.STOP:
-                return _STOPPED
-            if self.control.request is Request.HOME:
-                self._go_home()
-                self.control.answered(Request.HOME, Request.PAUSE)
-            else:
-                self._enter("paused")
-                self.control.wait_while_paused()
-        return None
-
-    def _go_home(self) -> None:
-        """Go to where the mission began; where that fails, say so and stay."""
-        self._enter("going home")
-        control = self.control
-        problem = self._go_to(self.mission.home, lambda: control.request is not Request.HOME)
-        self.last_reason = f"home: {problem}" if problem else "at home"
-
-    def _go_back(self) -> Ending | None:
-        """After a look that failed, look from where the last one did not."""
-        self._enter("going back to the last look")
-        self._back.take()
-        interrupted = self.control.interrupted
-        problem = self._go_to(self.mission.last_look, interrupted)
-        return None if problem or interrupted() else self._look()
-
-    def _go_to(self, place: KnownPlace, interrupted: Interrupted) -> str:
+    def go_to(self, place: KnownPlace, interrupted: Interrupted) -> str:
         """Go to where the robot has stood; returns empty, or why it did not get there."""
         choice = self._planner.way_to(self._robot.state(), place)
-        problem = choice.reason
-        if choice.route is not None:
-            problem = self.follow(choice.route, interrupted)
+        problem, route = choice.reason, choice.route
+        if route is not None:
+            watch = MotionWatch([self._route_monitor], interrupted)
+            problem = self._mover.bring_camera(route, route.T_map_camera, watch)
+            problem = f"{problem}: {watch.reason}" if problem and watch.reason else problem
         self._log.write("motion", action=place.name, outcome=problem, path=[])
         return problem
 
-    def _enter(self, state: str, reason: str | None = None) -> None:
-        self.state = state
-        self.last_reason = self.last_reason if reason is None else reason
-        self._step()
+    def _fail(self, reason: str) -> None:
+        """Count a failure."""
+        self._failures.count(reason)
+        self.last_reason = reason
+        self._log.write("message", text=reason, level="warning")
 
     def _step(self) -> None:
         now = self._clock()
         self.mission.seconds += now - self._marked
         self._marked = now
         self._on_step(self)
-
-
-def _state_of(progress: MapProgress) -> str:
-    """How much is known, and how well, in words."""
-    return (
-        f"{100.0 * progress.known_fraction:.1f} % of the reachable surface is known, "
-        f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
-    )

@@ -98,6 +98,13 @@ class Choice:
     reason: str
     explanation: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def target(self) -> FloatArray | None:
+        """Where the route is to bring the camera: the view, or the end of a partial route."""
+        if self.route is not None and self.route.partial:
+            return self.route.T_map_camera
+        return self.pose
+
 
 @dataclass(frozen=True, eq=False)
 class FailedView:
@@ -122,6 +129,21 @@ class Planner(Protocol):
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         """The way to where the robot has stood, as it stood there."""
+
+    def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
+        """A motion of the arm alone that brings the camera to a view, from where the base stands.
+
+        Args:
+            state: where the robot is now.
+            T_map_camera: the view that was planned last, shape (4, 4).
+
+        Returns:
+            The route; its reason says why the camera comes only near to the view, and is empty
+            where it gets there. No route where the arm cannot move at all.
+        """
+
+    def route_problem(self, state: RobotState) -> str:
+        """Why what is left of the route planned last is blocked; empty where it is still free."""
 
     def failed(self, view: FailedView) -> None:
         """Tell that a chosen view brought nothing, so that it is not chosen again at once."""

@@ -79,6 +79,23 @@ class TaskConfig:
         high=100.0,
     )
 
+    view_position_tolerance: float = parameter(
+        0.1,
+        "The camera has reached a view when it is this near to it. Else the arm's motion is "
+        "planned again from where the base stands, to within half of it: the other half is for "
+        "errors of joints and poses.",
+        unit="m",
+        low=1e-3,
+        high=10.0,
+    )
+    view_angle_tolerance: float = parameter(
+        0.15,
+        "And when its viewing direction differs by no more than this, with halves as above.",
+        unit="rad",
+        low=1e-3,
+        high=3.2,
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
         for name in ("region_low", "region_high"):

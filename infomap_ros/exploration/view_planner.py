@@ -8,29 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.exploration.last_views import Turns
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.unproductive_views import StrategyAlternator
 from infomap_ros.exploration.view_choice import ViewChoice
+from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
-from infomap_ros.motion.base.pose_margin import base_sigma
-from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
-from infomap_ros.motion.whole_body import WholeBody
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.kept_promises import KeptPromises
-from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 from infomap_ros.views.vain_looks import VainLooks
 
@@ -68,7 +66,7 @@ class ViewPlanner:
         rig: the rectified stereo pair.
         task: what is to be mapped.
         config: of choice and motion.
-        localisation_error: model of LE of eq. (11); odometry drift where not given.
+        localization_error: model of LE of eq. (11); odometry drift where not given.
     """
 
     def __init__(
@@ -77,23 +75,26 @@ class ViewPlanner:
         rig: StereoRig,
         task: TaskConfig,
         config: ViewPlannerConfig | None = None,
-        localisation_error: LocalisationError | None = None,
+        localization_error: LocalizationError | None = None,
     ) -> None:
         self.config = config or ViewPlannerConfig()
         self.robot, self._rig, self._task = robot, rig, task
-        sensor = replace(InformationConfig.of_stereo(rig), wanted_sigma=task.mean_sigma)
+        sensor = replace(
+            InformationConfig.of_stereo(rig),
+            wanted_sigma=task.mean_sigma,
+            predict_unknown=self.config.predict_unknown,
+        )
         information = ExpectedInformation(self.config.metric, sensor, threads=self.config.threads)
         self._information = information
-        self._choice = ViewChoice(self.config, information, localisation_error)
+        self._choice = ViewChoice(self.config, information, localization_error)
         self._vain = VainLooks(self.config.vain)
         self._kept = KeptPromises()
-        self._turns = Turns(task)
+        self._turns = StrategyAlternator(task)
         self._rng = np.random.default_rng(self.config.seed)
         self._heights = camera_heights(robot)
-        self._start: ClearStart | None = None
+        self._motion = ViewMotion(robot, self.config, task)
         self._goal: FloatArray | None = None
-        self._last_reach: WholeBodyReach | None = None
-        self._sent: Route | None = None
+        self._measured: MapProgress | None = None
         self._failures: list[FailedView] = []
         self._past: list[FloatArray] = []
         self._noted = 0  # so many of which are known for what they promised in vain
@@ -114,7 +115,7 @@ class ViewPlanner:
         self._turns.note(len(self._past), progress)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
-        self._sent = route
+        self._motion.send(voxel_map, state, route)
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
         return _choice_of(decision, route, progress, state)
@@ -126,7 +127,7 @@ class ViewPlanner:
 
         Where a doubtful pose asks for so much room that no view is left, for as much as a sure one.
         """
-        robot = self._reach(voxel_map, state, around.obstacles)
+        robot = self._motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_vain_looks(situation, progress.entropy_bits)
         ask: dict[str, Any] = {
@@ -138,7 +139,7 @@ class ViewPlanner:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
             if decision.chosen is not None:
                 return decision
-            robot = self._reach(voxel_map, state, around.obstacles, widen=False)
+            robot = self._motion.reach(voxel_map, state, around.obstacles, widen=False)
         return self._choice.select(situation, robot, self._rng, **ask)
 
     def _without_vain_looks(self, situation: Situation, entropy: float) -> Situation:
@@ -160,10 +161,26 @@ class ViewPlanner:
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
         """The way to where the robot has stood, or why there is none."""
-        result = self._reach(voxel_map, state, obstacles).way_to(place.base, place.joints)
-        self._sent = result.route
+        result = self._motion.way_to(voxel_map, state, place, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
+
+    def plan_arm(
+        self,
+        voxel_map: VoxelMap,
+        state: RobotState,
+        T_map_camera: FloatArray,
+        obstacles: Sequence[Obstacle] = (),
+    ) -> Choice:
+        """A motion of the arm alone to a view, or nearest to it, from where the base stands."""
+        result = self._motion.plan_arm(voxel_map, state, T_map_camera, obstacles)
+        pose = None if result.route is None else result.route.T_map_camera
+        progress = self._measured or self._progress(voxel_map, state)
+        return Choice(progress, pose, result.route, result.reason)
+
+    def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:
+        """Why what is left of the route planned last is blocked; empty where it is free."""
+        return self._motion.route_problem(voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view brought nothing; it is not chosen until the map changes there.
@@ -180,7 +197,8 @@ class ViewPlanner:
 
     def withdraw(self) -> None:
         """Note that what was chosen last is not carried out."""
-        self._sent, self._goal = None, None
+        self._motion.withdraw()
+        self._goal = None
 
     def share_left(
         self, voxel_map: VoxelMap, pose: FloatArray, teammates: Sequence[Teammate]
@@ -206,9 +224,7 @@ class ViewPlanner:
             self._past.extend(around.past_views[gaps > _SAME])
         if not self._failures or not self._past:
             self._past.append(state.T_map_camera)
-        if self._start is None and self.config.start_clearance > 0.0:
-            first = state.T_map_base if around.T_map_start is None else around.T_map_start
-            self._start = ClearStart(first, self.config.start_clearance)
+        self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:
             self._choice.memory.remember(view.pose, view.reason, voxel_map)
             if view.reached:
@@ -216,34 +232,9 @@ class ViewPlanner:
         self._failures.clear()
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
-        return measure_progress(voxel_map, self._task.region, state.T_map_camera[:3, 3])
-
-    def _reach(
-        self,
-        voxel_map: VoxelMap,
-        state: RobotState,
-        obstacles: Sequence[Obstacle],
-        widen: bool = True,
-    ) -> WholeBodyReach:
-        reach = WholeBodyReach(
-            self.robot,
-            voxel_map,
-            state.T_map_base,
-            state.joints,
-            self.config.reaching,
-            self._start,
-            previous=self._last_reach,
-            sent=self._sent,
-            obstacles=obstacles,
-            sigma=self._sigma(state) if widen else 0.0,
-        )
-        self._last_reach, self._sent = reach, None
-        return reach
-
-    def _sigma(self, state: RobotState) -> float:
-        """How well it is known where the base is [m]."""
-        radius = WholeBody.of(self.robot, self.config.reaching, state.joints).base_radius
-        return base_sigma(state.T_map_camera, state.pose_covariance, state.T_map_base, radius)
+        region = self._task.region
+        self._measured = measure_progress(voxel_map, region, state.T_map_camera[:3, 3])
+        return self._measured
 
     def _situation(
         self, voxel_map: VoxelMap, state: RobotState, reach: WholeBodyReach, around: Surrounding
@@ -261,7 +252,7 @@ class ViewPlanner:
             views_so_far=len(self._past),
             past_views=np.array(self._past),
             free_body=self._body(state),
-            clear_space=() if self._start is None else (self._start.space(self.robot),),
+            clear_space=self._motion.clear_space,
             arm_views=self._arm_views(state.T_map_base),
             heights=self._heights,
             ground_height=reach.terrain.height_at,

@@ -22,7 +22,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
 from infomap_ros.motion.arm.arm_trail import ArmTrail
-from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
+from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
 from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.base.pose_margin import widenings_for
@@ -168,7 +168,7 @@ class WholeBodyReach:
             `partial` is set there is both a reason and a route, which brings the base nearer.
         """
         view = check_transform(T_map_camera, "T_map_camera")
-        here, why_not = self._with_arm_alone(view)
+        here, why_not = self._routes.arm_to_view(view, self._ik)
         if here is not None:
             return here
         finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
@@ -179,6 +179,27 @@ class WholeBodyReach:
             return self._with_base(view, stances)
         reason = f"{stances.reason}; the arm alone: {why_not}"
         return self._approach(view, finder.wishes(view), reason)
+
+    def with_arm_alone(
+        self, T_map_camera: ArrayLike, position_tolerance: float, angle_tolerance: float
+    ) -> ReachResult:
+        """Plan the motion of the arm that brings the camera to a view, or as near as can be.
+
+        To half of the tolerances, where that can be: the rest is for errors of joints and poses.
+
+        Args:
+            T_map_camera: shape (4, 4).
+            position_tolerance: how near the camera must come [m].
+            angle_tolerance: and its viewing direction, the roll being free [rad].
+
+        Returns:
+            The route. Where it does not get within the tolerances there is a reason, too; without
+            a route the arm can move nowhere.
+        """
+        view = check_transform(T_map_camera, "T_map_camera")
+        half = IkConfig(0.5 * position_tolerance, 0.5 * angle_tolerance)
+        there, _ = self._routes.arm_to_view(view, half)
+        return there or self._routes.arm_near_view(view, position_tolerance, angle_tolerance)
 
     def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
         """Plan the motion to a place of the base and a posture of the arm.
@@ -245,28 +266,6 @@ class WholeBodyReach:
         return np.asarray(
             area.any() & (gap <= radii + self.config.position_tolerance) & (radii > 0.0)
         )
-
-    def _with_arm_alone(self, view: FloatArray) -> tuple[ReachResult | None, str]:
-        """The motion of the arm to a view, or None and why not."""
-        T_base_camera = np.linalg.inv(self._base) @ view
-        checker = self._near.checker_at(self._base)
-        touched = []
-
-        def is_valid(q: FloatArray) -> bool:
-            report = checker.check(q, self._base, base=False)
-            touched.append(report.what)
-            return report.free
-
-        found = solve_ik(
-            self._whole.chain, T_base_camera, direction_only=True, q_start=self._q,
-            config=self._ik, is_valid=is_valid,
-        )  # fmt: skip
-        if not found.converged:
-            return None, f"touches {touched[-1]}" if touched else found.reason
-        arm = self._routes.arm_from_here(found.q)
-        if not arm.converged:
-            return None, arm.reason
-        return self._routes.with_arm_alone(arm), ""
 
     def _with_base(self, view: FloatArray, stances: Stances) -> ReachResult:
         """Drive to one of the places, or as near as can be."""

@@ -10,15 +10,18 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
 from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
+from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik
 from infomap_ros.motion.arm.trajectory import time_path
 from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.postures_near import postures_near
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
 from infomap_ros.motion.whole_body import WholeBody
 
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
+_NEAREST_TRIED = 3  # postures near a view to which a way is sought
 _THERE = 1e-6  # [rad or m]
 _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
@@ -54,6 +57,61 @@ class RoutePlanner:
         """A way of the arm through free space where the base stands at a place, shape (4, 4)."""
         checker, config = self.near.checker_at(T_map_base), self.config
         return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)
+
+    def arm_to_view(self, view: FloatArray, ik: IkConfig) -> tuple[ReachResult | None, str]:
+        """The motion of the arm alone to a view, or None and why not.
+
+        Args:
+            view: ``T_map_camera``, shape (4, 4).
+            ik: tolerances; the roll about the optical axis is free.
+        """
+        base, touched = self.trail.T_map_base, []
+        checker = self.near.checker_at(base)
+
+        def is_valid(q: FloatArray) -> bool:
+            report = checker.check(q, base, base=False)
+            touched.append(report.what)
+            return report.free
+
+        found = solve_ik(
+            self.whole.chain, np.linalg.inv(base) @ view, direction_only=True, q_start=self.q,
+            config=ik, is_valid=is_valid,
+        )  # fmt: skip
+        if not found.converged:
+            return None, f"touches {touched[-1]}" if touched else found.reason
+        arm = self.arm_from_here(found.q)
+        if not arm.converged:
+            return None, arm.reason
+        return self.with_arm_alone(arm), ""
+
+    def arm_near_view(
+        self, view: FloatArray, position_tolerance: float, angle_tolerance: float
+    ) -> ReachResult:
+        """The motion of the arm alone as near to a view as it can come.
+
+        Args:
+            view: ``T_map_camera``, shape (4, 4).
+            position_tolerance: [m].
+            angle_tolerance: of the viewing direction [rad].
+
+        Returns:
+            With a reason where that is not within both tolerances; no route without any motion.
+        """
+        base, tolerances = self.trail.T_map_base, (position_tolerance, angle_tolerance)
+        qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances)
+        checker = self.near.checker_at(base)
+        free = np.flatnonzero(checker.are_free(qs, base, base=False))
+        reason = "no posture near the view is free"
+        if len(free):
+            reason = f"the nearest posture touches {checker.check(qs[0], base, base=False).what}"
+        for row in free[:_NEAREST_TRIED]:
+            arm = self.arm_from_here(qs[row])
+            if arm.converged:
+                return replace(
+                    self.with_arm_alone(arm), reason="" if errors[row] <= 1.0 else reason
+                )
+            reason = arm.reason
+        return ReachResult(reason)
 
     def with_arm_alone(self, arm: ArmPath) -> ReachResult:
         """The route of an arm whose base stays."""

@@ -28,8 +28,8 @@ from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import FailedView
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.awareness import Awareness
 from infomap_ros.exploration.team.keep_clear import PAUSE, KeepClearConfig, KeepsClear
+from infomap_ros.exploration.team.watched_motion import Awareness
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig

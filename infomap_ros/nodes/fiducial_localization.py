@@ -44,6 +44,7 @@ from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.locating.view_inputs import ViewInputs
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.map_moves import (
     MAP_ALIGNMENT,
     check_is_later,
@@ -51,6 +52,7 @@ from infomap_ros.nodes.team.map_moves import (
     listen_to_moves,
 )
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
 from infomap_ros.pipeline.view_estimator import (
@@ -60,6 +62,7 @@ from infomap_ros.pipeline.view_estimator import (
 )
 from infomap_ros.pipeline.view_synchronizer import PosturedView
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
 
 
@@ -69,6 +72,9 @@ class FiducialLocalizationNode(MonitoredNode):
     CONFIGS = (
         (FiducialLocalizationConfig, ""),
         (TeamIdentityConfig, ""),
+        (TeamConfig, "team_map."),
+        (TeamRadioConfig, "team_map."),
+        (MapListenerConfig, ""),
         (RobotTrackerConfig, ""),
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
@@ -99,6 +105,7 @@ class FiducialLocalizationNode(MonitoredNode):
         self._worker = self.start_worker(config.queue_size)
         stays = self.config(TargetConfig).kind != "none"
         self._teammates = TeammateSight(self, self._worker, self._move_map, stays=stays)
+        self._map = MapListener(self, self._worker, required=False) if config.use_map else None
         self._moved = self._seen = 0  # stamps [ns]
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
@@ -148,7 +155,9 @@ class FiducialLocalizationNode(MonitoredNode):
         """One moment: look, locate, publish."""
         framed = self._estimator.measure(view.images)
         others = self._teammates.bodies(view.stamp)
-        result = self._localizer.locate(framed.view, view.posture, view.body, others)
+        voxel_map = None if self._map is None else self._map.known_map()
+        known = view.posture, view.body, others, voxel_map
+        result = self._localizer.locate(framed.view, *known)
         self._news.tell(result, framed.frame_id, view.posture, view.odom_frame)
         self._seen = result.stamp
         self._moved = self._moved or result.stamp  # what was found before the start is old

@@ -16,9 +16,11 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
-from infomap_ros.errors import ExplorationError
+from infomap_ros.errors import ExplorationError, InfomapError
+from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
@@ -27,6 +29,9 @@ from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewP
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
@@ -34,18 +39,21 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
+from infomap_ros.nodes.planning.fiducial_listener import FiducialListener
 from infomap_ros.nodes.planning.interests import Interests
-from infomap_ros.nodes.planning.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
+from infomap_ros.nodes.planning.route_status import RouteStatusPublisher
 from infomap_ros.nodes.planning.search_plans import SearchPlans
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentsConfig
 
+_CHECK_PERIOD = 0.2  # [s]; in which a base at 0.5 m/s goes 0.1 m
 _AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
 
@@ -60,6 +68,8 @@ class NextBestViewNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),
+        (ErrorPredictionConfig, "prediction."),
+        (DeadReckoningConfig, "motion_noise."),
         (TargetSearchConfig, "search."),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
@@ -72,10 +82,14 @@ class NextBestViewNode(MonitoredNode):
         warm_up(self.config(ViewPlannerConfig))
         self.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
         self._tracker = RobotTracker(self)
+        self._fiducials = FiducialListener(self)
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
         self._outputs = PlanOutputs(self)
         self._news = ExplorationNews()
+        self._route_status, self._is_checking = RouteStatusPublisher(self), False
+        self._target: FloatArray | None = None
         self._planner: TeamPlanner | None = None
+        self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1)
         self._map = MapListener(self, self._worker)
@@ -86,7 +100,10 @@ class NextBestViewNode(MonitoredNode):
         offer_order(self, "~/plan", self._worker, self._plan)
         offer_order(self, "~/plan_home", self._worker, lambda: self._plan_way(self._news.home))
         offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
+        offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_CHECK_PERIOD, self._submit_check, clock=steady)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)
@@ -113,7 +130,10 @@ class NextBestViewNode(MonitoredNode):
         around = Surrounding(
             self._interests.current(), T_map_start=news.home_pose, past_views=news.looks
         )
-        return self._publish(planner.choose(voxel_map, state, around))
+        choice = planner.choose(voxel_map, state, around)
+        if self._error is not None:
+            self.health.note("localization error by", self._error.model)
+        return self._publish(choice)
 
     def _plan_way(self, place: KnownPlace) -> str:
         """Plan the way to where the robot has stood, which exploration_status tells.
@@ -126,8 +146,43 @@ class NextBestViewNode(MonitoredNode):
             raise ExplorationError(f"exploration_status has not told where {place.name} is")
         return self._publish(planner.way_to(voxel_map, state, place))
 
+    def _plan_arm(self) -> str:
+        """Plan the arm's motion to the view planned last, from where the base has come to stand.
+
+        Raises:
+            InfomapError: something that is needed has not arrived, or no view was planned yet.
+        """
+        planner, voxel_map, state = self._ready()
+        if self._target is None:
+            raise ExplorationError("no view was planned yet to which the arm could move")
+        choice = planner.plan_arm(voxel_map, state, self._target)
+        if choice.route is not None:
+            self._route_status.begin(choice.route)
+        self.get_logger().info(f"arm: {choice.reason or 'planned again'}")
+        return choice_to_text(choice)
+
+    def _submit_check(self) -> None:
+        """Have the worker check the route, unless that waits already."""
+        if not self._is_checking:
+            self._is_checking = True
+            self._worker.submit_always(self._check_route)
+
+    def _check_route(self) -> None:
+        """Compare what is left of the planned route with the map as it is now."""
+        self._is_checking = False
+        if self._planner is None or self._target is None:
+            return
+        try:
+            state, voxel_map = self._tracker.state(), self._map.voxel_map()
+            self._route_status.report(self._planner.route_problem(voxel_map, state))
+        except InfomapError:  # such as a pose that is too old: checked again when it is there
+            return
+
     def _publish(self, choice: Choice) -> str:
         self._outputs.publish(choice)
+        if choice.route is not None:
+            self._target = choice.target
+            self._route_status.begin(choice.route)
         self.get_logger().info(choice.reason)
         return choice_to_text(choice)
 
@@ -142,7 +197,13 @@ class NextBestViewNode(MonitoredNode):
         if self._planner is None or self._planner.planner.robot is not robot:
             rig = rig_from_calibrations(*self._tracker.calibrations)
             task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
-            alone = ViewPlanner(robot, rig, task, config)
+            self._error = FiducialLocalizationError(
+                rig,
+                self._fiducials.fiducials,
+                self.config(ErrorPredictionConfig),
+                self.config(DeadReckoningConfig),
+            )
+            alone = ViewPlanner(robot, rig, task, config, self._error)
             self._planner = TeamPlanner(alone, self._agents.team, self._agents.announce)
         return self._planner, voxel_map, state
 

@@ -67,7 +67,7 @@ class CameraLocalizer:
             posture: of the robot at that time, None where it is not known.
             body: of the robot, placed in the camera's frame.
             others: bodies of teammates, placed in the map.
-            voxel_map: for the certainty of new fiducials (19).
+            voxel_map: for the certainty of new fiducials, eq. (19).
 
         Raises:
             InvalidInputError: the view is not later than those before.

@@ -96,7 +96,7 @@ class MapBuilder:
         cloud, pose = scan.cloud, scan.pose
         points = self.without_bodies(cloud, scan)
         camera = fit_pinhole_camera(points) if points.ndim == 3 else None
-        covariance = pose.covariance
+        covariance = pose.covariance if pose.uncertainty is None else pose.uncertainty
         if covariance is None:
             covariance = self._assumed.covariance()
             self.assumed_poses += 1

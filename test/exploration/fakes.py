@@ -80,6 +80,8 @@ class FakePlanner:
         self.failures: list[str] = []
         self.states: list[RobotState] = []
         self.home: Choice | None = None
+        self.aims: list[np.ndarray] = []
+        self.blocked = self.why_not_there = ""
 
     def choose(self, state: RobotState) -> Choice:
         self.states.append(state)
@@ -89,6 +91,16 @@ class FakePlanner:
         x, y, _ = place.base
         route = route_to(x, y, state.T_map_base[:2, 3])
         return self.home or Choice(progress(), pose_at(x, y), route, "")
+
+    def plan_arm(self, state: RobotState, T_map_camera: np.ndarray) -> Choice:
+        self.aims.append(T_map_camera)
+        staying = ArmPath.staying(JOINTS, np.zeros(2))
+        arm = ArmPath(JOINTS, np.array([[0.0, 0.0], [0.5, 0.1]]), np.array([0.0, 1.0]))
+        route = Route(staying, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, T_map_camera)
+        return Choice(progress(), T_map_camera, route, self.why_not_there)
+
+    def route_problem(self, state: RobotState) -> str:
+        return self.blocked
 
     def failed(self, view: FailedView) -> None:
         self.failures.append(view.reason)

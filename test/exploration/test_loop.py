@@ -146,7 +146,7 @@ def test_asks_again_where_teammates_are_at_all_that_is_left(
         return choose(state)
 
     monkeypatch.setattr(run.planner, "choose", busy_at_first)
-    monkeypatch.setattr("infomap_ros.exploration.loop._PAUSE", 0.0)
+    monkeypatch.setattr("infomap_ros.exploration.fallbacks.PAUSE", 0.0)
     assert run.exploration.run().reason is EndReason.DONE
     assert run.states.count("waiting for teammates") == 2
     assert run.exploration.mission.views == 2
@@ -351,3 +351,52 @@ def test_planar_pose_and_way_length() -> None:
 def test_impossible_task_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):
         TaskConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_blocked_route_is_left_and_another_view_chosen() -> None:
+    run = Run(view(1.0), view(2.0, known=0.6), view(3.0, known=0.97))
+    drives = iter([True, False])
+
+    def block(deed: str) -> None:
+        if deed == "drive":
+            run.planner.blocked = "a box at (0.50, 0.00)" if next(drives) else ""
+        elif deed == "look":
+            run.planner.blocked = ""
+
+    run.robot.during = block
+    assert run.exploration.run().reason is EndReason.DONE
+    blocked = ["look", "arm", "drive"]  # and nothing more of that route
+    assert run.robot.deeds == [*blocked, "look", "arm", "drive", "arm", "look"]
+    assert run.planner.failures == ["drive: interrupted: a box at (0.50, 0.00)"]
+    assert run.robot.place == (2.0, 0.0)
+
+
+def test_the_arm_is_planned_again_from_where_the_base_has_stopped() -> None:
+    run = Run(view(1.0), nothing())
+    run.exploration.run()
+    np.testing.assert_array_equal(run.planner.aims, [view(1.0).pose])
+
+
+def test_the_arm_moves_until_the_camera_has_arrived_or_the_log_says_why_not() -> None:
+    run = Run(view(1.0), nothing())
+    drive = run.robot.drive
+
+    def slip(poses: np.ndarray, interrupted: object) -> object:
+        motion = drive(poses, lambda: False)
+        run.robot.place = (run.robot.place[0] + 0.2, 0.0)
+        return motion
+
+    run.robot.drive = slip  # type: ignore[method-assign, assignment]
+    run.exploration.run()
+    assert len(run.planner.aims) == 3
+    (miss,) = run.notes.of("message")
+    assert miss["text"].startswith("the camera is 0.200 m and 0.000 rad off the view")
+    assert run.exploration.mission.views == 2
+
+
+def test_where_the_arm_comes_only_near_the_view_is_taken_from_there() -> None:
+    run = Run(view(1.0), nothing())
+    run.planner.why_not_there = "no inverse kinematics"
+    run.exploration.run()
+    assert len(run.planner.aims) == 1
+    assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]

@@ -57,7 +57,7 @@ def test_the_arm_does_not_reach_into_another_robot(robot: RobotModel) -> None:
     place = view[:3, 3]
     there = Obstacle(float(place[0]), float(place[1]), 0.12, 0.0, float(place[2]) + 0.1)
     reach = reach_among(robot, there)
-    alone, why_not = reach._with_arm_alone(view)
+    alone, why_not = reach._routes.arm_to_view(view, reach._ik)
     assert alone is None and "touches" in why_not
 
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.exploration.records.choice_text import choice_to_text
+from infomap_ros.exploration.records.choice_text import choice_to_text, route_digest
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
 from infomap_ros.localization.localisation import Localisation
@@ -35,10 +35,25 @@ class OneView:
     def __init__(self, graph: Any, rover: PaperRover, views: int) -> None:
         self.rover, self.left, self.calls = rover, views, 0
         self.refuses = False
+        self.routes: list[Route] = []
         graph.tester.create_service(Trigger, "next_best_view/plan", self.plan)
         self.asked: list[str] = []
+        graph.tester.create_service(Trigger, "next_best_view/plan_arm", self.arm)
         for name in ("plan_home", "plan_back"):
             graph.tester.create_service(Trigger, f"next_best_view/{name}", partial(self.way, name))
+
+    def arm(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        arm = ArmPath(
+            ("arm_pan_joint", "arm_wrist_joint"),
+            np.array([[0.1, 0.1], [0.2 + 0.1 * self.calls, 0.3]]),
+            np.array([0.0, 0.5]),
+        )
+        still = ArmPath.staying(arm.joint_names, arm.positions[0])
+        route = Route(still, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, np.eye(4))
+        progress = MapProgress(0.5, 10.0, 0.01, 100, 1000)
+        choice = Choice(progress, np.eye(4), route, "this arm gets nowhere near")
+        response.message, response.success = choice_to_text(choice), True
+        return response
 
     def way(self, name: str, *call: Any) -> Trigger.Response:
         self.asked.append(name)
@@ -62,6 +77,7 @@ class OneView:
         route = Route(still, path, poses, arm, np.eye(4))
         known = 0.99 if self.left == 0 else 0.5
         self.left -= 1
+        self.routes.append(route)
         progress = MapProgress(known, 10.0, 0.01, 100, 1000)
         response.message = choice_to_text(Choice(progress, np.eye(4), route, "on we go"))
         response.success = True
@@ -195,6 +211,31 @@ def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Pat
     assert failed is not None and failed.reason.startswith("drive") and not failed.reached
 
 
+def test_a_blocked_route_stops_the_robot_and_another_view_is_chosen(
+    graph: Any, tmp_path: Path
+) -> None:
+    stage = Stage(graph, tmp_path, views=1, autostart=True, patience=60.0)
+    stage.rover.obeys = False
+    statuses = graph.tester.create_publisher(DiagnosticStatus, "route_status", LATCHED)
+    graph.spin_until(lambda: len(stage.rover.paths) == 1, "a path")
+    digest = route_digest(stage.planner.routes[-1])
+    for name, reason in (("another", "of a route before"), (digest, "a box at (0.50, 0.00)")):
+        assert len(stage.rover.paths) == 1
+        statuses.publish(
+            DiagnosticStatus(
+                level=DiagnosticStatus.ERROR,
+                message=reason,
+                values=[KeyValue(key="route", value=name)],
+            )
+        )
+    graph.spin_until(lambda: len(stage.rover.paths) == 2, "the order to stay")
+    assert len(stage.rover.paths[-1].poses) == 1
+    stage.rover.obeys = True
+    stage.spin_to("ended: done")
+    failed = read_status(stage.said[-1]).failed_view
+    assert failed is not None and failed.reason == "drive: broken off: a box at (0.50, 0.00)"
+
+
 def test_services_start_pause_resume_and_stop(graph: Any, tmp_path: Path) -> None:
     stage = Stage(graph, tmp_path, views=1000)
     assert not stage.call("pause").success
@@ -263,8 +304,6 @@ def said_last(stage: Stage) -> str:
     "values", [{}, {"views": "1"}, {"views": "x", "home base": "[]", "home joints": "{}"}]
 )
 def test_foreign_status_is_refused(values: dict[str, str]) -> None:
-    from diagnostic_msgs.msg import KeyValue
-
     message = DiagnosticStatus(values=[KeyValue(key=k, value=v) for k, v in values.items()])
     with pytest.raises(MalformedMessageError, match="exploration status"):
         read_status(message)

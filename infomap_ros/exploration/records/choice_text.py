@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -29,6 +30,11 @@ def choice_to_text(choice: Choice) -> str:
         "explanation": plain(choice.explanation),
     }
     return json.dumps(content)
+
+
+def route_digest(route: Route) -> str:
+    """A short name of a route: two that differ in any number have different ones."""
+    return f"{zlib.crc32(json.dumps(_route_content(route)).encode()):08x}"
 
 
 def choice_from_text(text: str) -> Choice:

@@ -12,9 +12,7 @@ import math
 from dataclasses import dataclass
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState
-from infomap_ros.exploration.team.awareness import Awareness
-from infomap_ros.exploration.team.watched_drive import WatchedDrive
-from infomap_ros.exploration.team.watched_reach import WatchedReach
+from infomap_ros.exploration.team.watched_motion import Awareness, WatchedDrive, WatchedReach
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import ArmPath

@@ -99,6 +99,15 @@ class TeamPlanner:
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
         return self.planner.way_to(voxel_map, state, place, obstacles)
 
+    def plan_arm(self, voxel_map: VoxelMap, state: RobotState, T_map_camera: FloatArray) -> Choice:
+        """A motion of the arm alone to a view, around the others."""
+        obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
+        return self.planner.plan_arm(voxel_map, state, T_map_camera, obstacles)
+
+    def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:
+        """Why what is left of the route planned last is blocked; empty where it is free."""
+        return self.planner.route_problem(voxel_map, state)
+
     def failed(self, view: FailedView) -> None:
         """Note that a view brought nothing; this robot is not heading for it any more."""
         self._team.give_up()

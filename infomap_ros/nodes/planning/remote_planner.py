@@ -16,7 +16,9 @@ from infomap_ros.exploration.records.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.planning.route_status import RouteStatusListener
 
 _RETRY = 1.0  # [s]
 
@@ -66,6 +68,8 @@ class RemotePlanner:
             HOME.name: node.create_client(Trigger, f"{planner}/plan_home"),
             LAST_LOOK.name: node.create_client(Trigger, f"{planner}/plan_back"),
         }
+        self._arm = node.create_client(Trigger, f"{planner}/plan_arm")
+        self._route_status = RouteStatusListener(node)
         self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
 
     @property
@@ -80,7 +84,7 @@ class RemotePlanner:
             TeammatesBusyError: it has to wait for teammates.
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
-        return self._ask(self._plan)
+        return self._begin(self._ask(self._plan))
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         """Ask for the way to a place that next_best_view knows from exploration_status.
@@ -88,7 +92,19 @@ class RemotePlanner:
         Raises:
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
-        return self._ask(self._ways[place.name])
+        return self._begin(self._ask(self._ways[place.name]))
+
+    def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
+        """Ask for the arm's motion to the view that next_best_view planned last.
+
+        Raises:
+            ExplorationError: there is no plan for too long, or it cannot be read.
+        """
+        return self._begin(self._ask(self._arm))
+
+    def route_problem(self, state: RobotState) -> str:
+        """What next_best_view states on route_status of the route that it planned last."""
+        return self._route_status.problem
 
     def look_for_target(self) -> Choice:
         """Ask where to look for the target, in the frame of odometry.
@@ -101,6 +117,11 @@ class RemotePlanner:
     def failed(self, view: FailedView) -> None:
         """Tell next_best_view that a view brought nothing."""
         self._report(view)
+
+    def _begin(self, choice: Choice) -> Choice:
+        """Take what route_status says from now on for this choice's route."""
+        self._route_status.begin(choice.route)
+        return choice
 
     def _ask(self, client: Client) -> Choice:
         end, problem = time.monotonic() + self._config.planner_patience, "it does not answer"

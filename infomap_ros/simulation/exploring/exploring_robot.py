@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -193,18 +193,15 @@ class SimulatedRobot:
         return dict(zip(record.names, map(float, record.positions), strict=True))
 
     def _fuse(self, scan: PosedScan) -> None:
-        """One scan into the map, without the robot's own body and those of its teammates.
-
-        The map takes pose errors of scans to be independent. Where the n scans of a view share one,
-        each gets n times its covariance C: together they have C + R / n then, R of the ranges.
-        """
-        shared = self._config.scans_per_view if self.poses.shares_errors else 1
-        frame, covariance = self._robot.camera_frame, shared * scan.pose.covariance
-        told = PoseRecord(scan.stamp, "map", scan.pose.transform, scan.pose.covariance)
+        """One scan into the map, without the robot's own body and those of its teammates."""
+        frame, pose = self._robot.camera_frame, scan.pose
+        told = PoseRecord(
+            scan.stamp, "map", pose.transform, pose.covariance, uncertainty=pose.uncertainty
+        )
         teammates = [] if self._teammates is None else self._teammates.bodies_in(told)
         body = self._robot.solids_in(frame, self._joints())
         record = RangeMeasurement(scan.stamp, frame, scan.cloud).record
-        self._builder.fuse(Scan(record, replace(told, covariance=covariance), body, teammates))
+        self._builder.fuse(Scan(record, told, body, teammates))
         self._on_scan(scan)
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from infomap_ros.geometry import StereoRig, skew
+from infomap_ros.geometry import PoseUncertainty, StereoRig, skew
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.mapping import VoxelMap
@@ -24,10 +24,12 @@ class CameraPose:
     Attributes:
         transform: ``T_map_camera``, shape (4, 4).
         covariance: shape (6, 6), convention of `geometry.transforms`.
+        uncertainty: the covariance in its parts, None where they are not known.
     """
 
     transform: FloatArray
     covariance: FloatArray
+    uncertainty: PoseUncertainty | None = None
 
     def moved(self, prior: MotionPrior) -> CameraPose:
         """After a motion that is known by its prior alone."""
@@ -59,13 +61,10 @@ class PoseSource(Protocol):
 
     Attributes:
         rig: the rectified stereo pair.
-        shares_errors: whether scans from one place are wrong by the same pose error.
     """
 
     @property
     def rig(self) -> StereoRig: ...  # noqa: D102
-    @property
-    def shares_errors(self) -> bool: ...  # noqa: D102
 
     def initialise(self) -> None:
         """Find out where the robot is before it moves for the first time.
@@ -117,8 +116,6 @@ class MeasuredPoses:
         simulator: knows the truth.
         stereo: how pairs are measured.
     """
-
-    shares_errors = False
 
     def __init__(self, simulator: Simulator, stereo: StereoConfig) -> None:
         self._simulator = simulator

@@ -18,16 +18,17 @@ from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.awareness import Awareness
 from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear
 from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.watched_motion import Awareness
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
-from infomap_ros.simulation.exploring.exploration_run import localisation_error
+from infomap_ros.simulation.exploring.exploration_run import localization_error
 from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
 from infomap_ros.simulation.exploring.pose_source import PosedScan
 from infomap_ros.simulation.simulator import Simulator
@@ -100,7 +101,7 @@ class TeamRobot:
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
         )
-        rig, error = self._robot.poses.rig, localisation_error(self._robot, options)
+        rig, error = self._robot.poses.rig, localization_error(self._robot, options)
         planner = ViewPlanner(outfit.model, rig, outfit.task, planning, error)
         self._teamwork = Teamwork(outfit.number, session, version)
         self._planner = TeamPlanner(
@@ -183,6 +184,14 @@ class TeamRobot:
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         """The way to where the robot has stood."""
         return self._planner.way_to(self.member.replica.voxel_map, state, place)
+
+    def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
+        """A motion of the arm alone to a view, from where the base has come to stand."""
+        return self._planner.plan_arm(self.member.replica.voxel_map, state, T_map_camera)
+
+    def route_problem(self, state: RobotState) -> str:
+        """Why what is left of the route planned last is blocked; empty where it is free."""
+        return self._planner.route_problem(self.member.replica.voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view could not be reached."""

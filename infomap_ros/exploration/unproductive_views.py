@@ -6,11 +6,13 @@ import math
 from dataclasses import replace
 
 from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import Choice
+from infomap_ros.exploration.rules import Ending, EndReason, StopRule
 from infomap_ros.exploration.task import TaskConfig
 
 
-class LastViews:
-    """What each view has brought, and whether that is still worth going on for.
+class UnproductiveViews(StopRule):
+    """The last views together have brought too little to go on.
 
     What is known may come to be a smaller share when a view opens new ground, and surface voxels
     may turn out to be none; such a fall takes nothing from what other views have brought.
@@ -37,8 +39,13 @@ class LastViews:
         self._known, self._sigma = progress.known_fraction, progress.mean_sigma
         self._surface = max(self._surface, progress.surface_voxels)
 
-    def in_vain(self) -> str:
-        """Why to end: the last views have brought too little; empty where they have not."""
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """NOTHING_LEFT, with what the last views have brought."""
+        reason = "" if choice is None else self.reason()
+        return Ending(EndReason.NOTHING_LEFT, reason) if reason else None
+
+    def reason(self) -> str:
+        """How little the last views have brought; empty where it is enough."""
         task = self._task
         if len(self._gains) < task.vain_views:
             return ""
@@ -51,7 +58,7 @@ class LastViews:
         )
 
 
-class Turns:
+class StrategyAlternator:
     """Two kinds of views take turns: each has its turn until its last views were in vain.
 
     They are those that tell most, and those that show most of the missing surface. Where a kind
@@ -66,13 +73,13 @@ class Turns:
 
     def __init__(self, task: TaskConfig) -> None:
         self._task = replace(task, vain_views=max(task.vain_views // 2, 1))
-        self._turn = LastViews(self._task)
+        self._turn = UnproductiveViews(self._task)
         self.is_other = False
 
     def note(self, views: int, progress: MapProgress) -> None:
         """Take the state of the map after so many views."""
         self._turn.note(views, progress)
-        if self._turn.in_vain():
+        if self._turn.reason():
             self.is_other = not self.is_other
-            self._turn = LastViews(self._task)
+            self._turn = UnproductiveViews(self._task)
             self._turn.note(views, progress)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from infomap_ros.exploration.last_views import Turns
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.unproductive_views import StrategyAlternator
 
 
 def turns_after(known: list[float], patience: int) -> list[bool]:
     """Whose turn it is after each view, by the share that is known then."""
-    turns, found = Turns(TaskConfig(vain_views=patience, least_gain=0.01)), []
+    turns, found = StrategyAlternator(TaskConfig(vain_views=patience, least_gain=0.01)), []
     for views, share in enumerate(known, start=1):
         turns.note(views, MapProgress(share, 0.0, 0.01, 100, 1000))
         found.append(turns.is_other)
@@ -28,7 +28,7 @@ def test_views_that_bring_something_keep_their_turn() -> None:
 
 
 def test_no_view_between_two_choices_is_no_view_in_vain() -> None:
-    turns = Turns(TaskConfig(vain_views=6))
+    turns = StrategyAlternator(TaskConfig(vain_views=6))
     for _ in range(10):
         turns.note(4, MapProgress(0.5, 0.0, 0.01, 100, 1000))
     assert not turns.is_other

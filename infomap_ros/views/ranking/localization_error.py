@@ -12,9 +12,9 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.situation import Situation
 
-LocalisationError = Callable[[Situation, FloatArray, FloatArray], FloatArray]
+LocalizationError = Callable[[Situation, FloatArray, FloatArray], FloatArray]
 """Error accumulated on the way to views: situation, poses (M, 4, 4), lengths of the ways (M,) [m]
--> (M,) in `OdometryDriftConfig.unit`."""
+-> growth of the position sigma (M,) [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,6 @@ class OdometryDriftConfig:
     rotation_per_radian: float = parameter(
         0.02, "Rotation sigma after turning by one radian.", unit="rad", low=0.0, high=3.0
     )
-    unit: str = parameter(
-        "m",
-        "Unit of the error: m, by which the position sigma grows; or bits, by which the entropy "
-        "of the pose grows.",
-        choices=("m", "bits"),
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -61,36 +55,23 @@ class OdometryDrift:
         self.config = config or OdometryDriftConfig()
 
     def __call__(self, situation: Situation, poses: FloatArray, lengths: FloatArray) -> FloatArray:
-        """Error of the views, shape (M,), in the configured unit.
+        """Error of the views, shape (M,) [m].
 
         Args:
             situation: pose and covariance now.
             poses: ``T_map_camera``, shape (M, 4, 4).
             lengths: of the ways there, shape (M,) [m].
         """
-        now = situation.pose_covariance
-        position, rotation = self._variances(situation, poses, lengths)
-        if self.config.unit == "m":
-            before = float(np.trace(now[:3, :3]))
-            return np.asarray(np.sqrt(before + position) - np.sqrt(before))
-        # Diagonal blocks; a floor, as the entropy of a pose known for certain has no limit below.
-        floor = np.array([1e-6, 1e-6])
-        before_variances = np.maximum([np.trace(now[:3, :3]) / 3, np.trace(now[3:, 3:]) / 3], floor)
-        growth = 1.0 + np.stack([position, rotation], axis=-1) / (3.0 * before_variances)
-        return np.asarray(1.5 * np.log2(growth).sum(axis=-1))
-
-    def _variances(
-        self, situation: Situation, poses: FloatArray, lengths: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """What is added to the traces of the position and rotation covariances, (M,) each."""
-        config = self.config
+        before = float(np.trace(situation.pose_covariance[:3, :3]))
         turns = rotation_angles(situation.T_map_camera, poses)
+        config = self.config
         position = config.position_per_metre**2 * lengths + config.position_per_radian**2 * turns
         added = config.rotation_per_metre**2 * lengths + config.rotation_per_radian**2 * turns
         # A heading error moves the end of a way of length s by s; one that grows on the way in
         # proportion to it, by s / sqrt(3).
         heading = situation.pose_covariance[5, 5]
-        return position + lengths**2 * (heading + added / 3.0), added
+        position = position + lengths**2 * (heading + added / 3.0)
+        return np.asarray(np.sqrt(before + position) - np.sqrt(before))
 
 
 def rotation_vectors(T_map_camera: FloatArray, poses: FloatArray) -> FloatArray:

@@ -1,9 +1,10 @@
-"""A motion of the arm, and which teammates it would come too near to."""
+"""Motions of base and arm, and which teammates have come nearer to them than they were."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,16 +12,119 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot
-from infomap_ros.exploration.team.awareness import NEARER, Awareness, who_and_how_near
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.solid_extent import quick_extent
+from infomap_ros.motion.robot.solid_extent import quick_extent, upright_extent
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.team.agents import Agent
 
+NEARER = 0.05
+"""Poses are noisy: who is nearer by less is where it was [m]."""
+
+_SPACING = 0.05  # of the places of the way that are looked at [m]
 _MOST_POSTURES = 40  # of a path that are looked at
 _MOVES = 1e-3  # [m]; solids that move by less stay where they are
 _STARTING = 1.0  # [s] in which an arm that was stopped comes to the speed of its path
+
+
+@dataclass(frozen=True, eq=False)
+class Awareness:
+    """What the robot knows while it moves.
+
+    Attributes:
+        place: tells where its base is: x, y [m, map] and yaw [rad].
+        joints: tells their positions by name [rad or m].
+        body: its solids in a posture, by positions of the joints, placed in its base frame.
+        teammates: tells who was heard lately, and where.
+        pause: lets a moment pass.
+        say: is told what the robot does, and why.
+    """
+
+    place: Callable[[], tuple[float, float, float]]
+    joints: Callable[[], Mapping[str, float]]
+    body: Callable[[Mapping[str, float]], Sequence[PlacedSolid]]
+    teammates: Callable[[], Sequence[Agent]]
+    pause: Callable[[], object]
+    say: Callable[[str, str], object]
+
+    def radius(self) -> float:
+        """How far the body reaches from the axis of its base now [m]."""
+        return upright_extent(self.body(self.joints()))[0]
+
+
+def who_and_how_near(mate: Agent, gap: float) -> str:
+    """A teammate that is in the way, in words; the gap to it [m]."""
+    return f"robot {mate.robot} is in the way, {max(gap, 0.0):.2f} m from it"
+
+
+class WatchedDrive:
+    """The rest of a way of the base. Bodies are taken for upright cylinders.
+
+    Args:
+        robot: that drives.
+        around: what it knows on the way.
+        way: base poses (x, y, yaw), shape (K, 3) [m, rad, map].
+        ahead: length of the part ahead that is looked at [m].
+    """
+
+    def __init__(self, robot: Robot, around: Awareness, way: FloatArray, ahead: float) -> None:
+        self._robot, self._around, self._ahead = robot, around, ahead
+        self._way, self._has_begun = way, False
+        self._planned = self._distances(way)
+
+    def go_on(self, interrupted: Interrupted) -> Motion:
+        """Drive what is left of the way."""
+        if self._has_begun:
+            self._way = self._rest()
+        self._has_begun = True
+        return self._robot.drive(self._way, interrupted)
+
+    def in_the_way(self, distance: float) -> list[str]:
+        """Who is nearer than a distance [m] to the way ahead, and came nearer, in words."""
+        mates = self._around.teammates()
+        if not mates:
+            return []
+        here = np.array(self._around.place()[:2])
+        ahead, own = self._places_ahead(here), self._around.radius()
+        found = []
+        for mate in mates:
+            there = mate.T_map_base[:2, 3]
+            nearest = float(np.linalg.norm(ahead - there, axis=1).min())
+            now = float(np.linalg.norm(here - there))
+            came = nearest < self._planned.get(mate.robot, np.inf) - NEARER
+            gap = nearest - own - mate.reach
+            if came and nearest <= now and gap < distance:
+                found.append(who_and_how_near(mate, gap))
+        return found
+
+    def _distances(self, way: FloatArray) -> dict[int, float]:
+        """How far each teammate is from a way now [m]."""
+        places = _spaced(way[:, :2], np.inf)
+        return {
+            mate.robot: float(np.linalg.norm(places - mate.T_map_base[:2, 3], axis=1).min())
+            for mate in self._around.teammates()
+        }
+
+    def _places_ahead(self, here: FloatArray) -> FloatArray:
+        """Places on the next part of the way, the own one first, shape (n, 2) [m]."""
+        way = self._way
+        nearest = int(np.linalg.norm(way[:, :2] - here, axis=1).argmin())
+        return _spaced(np.concatenate([here[None], way[nearest + 1 :, :2]]), self._ahead)
+
+    def _rest(self) -> FloatArray:
+        """The way from where the robot is, shape (K, 3)."""
+        here, way = np.array(self._around.place()), self._way
+        nearest = int(np.linalg.norm(way[:, :2] - here[:2], axis=1).argmin())
+        return np.concatenate([here[None], way[min(nearest + 1, len(way) - 1) :]])
+
+
+def _spaced(places: FloatArray, length: float) -> FloatArray:
+    """The first part of a way through places, (K, 2), by points at most `_SPACING` apart."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    end = min(float(along[-1]), length)
+    at = np.linspace(0.0, end, math.ceil(end / _SPACING) + 1)
+    return np.column_stack([np.interp(at, along, places[:, axis]) for axis in range(2)])
 
 
 class _Sweep(NamedTuple):

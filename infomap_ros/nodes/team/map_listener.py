@@ -58,9 +58,12 @@ class MapListener:
     Args:
         node: that listens.
         worker: applies the updates, in the order in which they come.
+        required: whether the node cannot work without the map: an update is then a result of it,
+            and that none comes is worth a warning.
     """
 
-    def __init__(self, node: MonitoredNode, worker: Worker) -> None:
+    def __init__(self, node: MonitoredNode, worker: Worker, *, required: bool = True) -> None:
+        self._required = required
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
         self._team = node.config(TeamIdentityConfig)
@@ -73,8 +76,8 @@ class MapListener:
                 apply = partial(self._apply, message)
                 worker.submit_always(lambda: node.guard_peer(topic, apply))
 
-            required = topic == "map_updates"
-            node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=required)
+            is_missed = required and topic == "map_updates"
+            node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=is_missed)
         TeamExchange(node, self._frame, worker, lambda: self._member)
 
     def voxel_map(self) -> VoxelMap:
@@ -83,11 +86,18 @@ class MapListener:
         Raises:
             ExplorationError: there is no map yet, or it is still arriving.
         """
-        if self._member is None or not self._member.replica.voxel_map.known_voxels:
+        voxel_map = self.known_map()
+        if voxel_map is None:
             raise ExplorationError("no map_updates have arrived yet")
         self._arrived |= time.monotonic() - self._grown >= self._config.arrival_pause
         if not self._arrived:
             raise ExplorationError(f"the map is still arriving: {self._known} voxels so far")
+        return voxel_map
+
+    def known_map(self) -> VoxelMap | None:
+        """The sum over all robots as far as it has arrived; None where nothing has."""
+        if self._member is None or not self._member.replica.voxel_map.known_voxels:
+            return None
         return self._member.replica.voxel_map
 
     def _apply(self, message: PointCloud2) -> None:
@@ -105,7 +115,8 @@ class MapListener:
             genuine = rows if self._key is None else self._key.verify(rows)
             self._member = self._make_member(decode_update(genuine).voxel_size)
         self._member.hear_update(rows, time.monotonic())
-        self._node.health.produced()
+        if self._required:
+            self._node.health.produced()
         if not self._arrived:
             self._note_growth(self._member.replica.voxel_map.known_voxels)
 

@@ -1,9 +1,9 @@
-"""What predicting the localisation error costs a choice among views, beside odometry drift.
+"""What predicting the localization error costs a choice among views, beside odometry drift.
 
 The hall of `bench_decision.py`, 10 m, 1,000 candidates. Processor time; the median of the repeats.
 Prints one JSON line.
 
-    python benchmarks/bench_localisation_error.py [--fiducials 300] [--repeats 5]
+    python benchmarks/bench_localization_error.py [--fiducials 300] [--repeats 5]
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import time
 import numpy as np
 from bench_decision import RIG, decide, hall, rover, seen
 
-from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
+from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
+from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.views import NextBestView, Situation
 
 SIDE = 10.0
 
 
-class TimedError(FiducialLocalisationError):
+class TimedError(FiducialLocalizationError):
     """Adds up the processor time of its calls."""
 
     spent = 0.0
@@ -44,8 +45,9 @@ def main() -> None:
     near = means[np.linalg.norm(means - (0.0, 0.0, 0.8), axis=1) < 0.5 * SIDE]
     points = near[np.random.default_rng(0).choice(len(near), options.fiducials, replace=False)]
     covariances = np.tile(4e-4 * np.eye(3), (len(points), 1, 1))
-    error = TimedError(RIG, 0.3, lambda: (points, covariances))
-    choosers = {"drift": NextBestView(), "fiducials": NextBestView(localisation_error=error)}
+    known = Fiducials(np.arange(len(points)), points, covariances)
+    error = TimedError(RIG, lambda: known)
+    choosers = {"drift": NextBestView(), "fiducials": NextBestView(localization_error=error)}
     times: dict[str, list[float]] = {name: [] for name in (*choosers, "prediction")}
     for repeat in range(options.repeats + 1):
         for name, chooser in choosers.items():

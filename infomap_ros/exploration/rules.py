@@ -1,0 +1,209 @@
+"""The rules of an exploration: small objects of three kinds.
+
+- a `StopRule` says that the exploration ends, and why;
+- a `Fallback` does something else instead of the next view;
+- a `MotionMonitor` says, while a motion goes on, why it is to be broken off.
+
+Stop rules and fallbacks are asked in one order, before a view is chosen and after: the first that
+applies counts (`infomap_ros.exploration.loop`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import Choice, Interrupted, KnownPlace
+from infomap_ros.exploration.task import TaskConfig
+
+
+class EndReason(Enum):
+    """Why an exploration has ended."""
+
+    DONE = "done"
+    NOTHING_LEFT = "nothing left worth its cost"
+    BUDGET_SPENT = "budget spent"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The end of an exploration.
+
+    Attributes:
+        reason: in one of five kinds.
+        detail: in words and numbers.
+    """
+
+    reason: EndReason
+    detail: str
+
+
+STOPPED = Ending(EndReason.STOPPED, "asked to")
+"""The user has ended it."""
+
+
+class StopRule(ABC):
+    """Says that the exploration ends."""
+
+    @abstractmethod
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """The ending, or None.
+
+        Args:
+            choice: of the next view; None before it was chosen.
+        """
+
+
+class Actions(Protocol):
+    """What a fallback may have the exploration do."""
+
+    @property
+    def control(self) -> Control:
+        """Requests of the user."""
+
+    @property
+    def mission(self) -> Mission:
+        """The account so far."""
+
+    def say(self, state: str, reason: str | None = None) -> None:
+        """State what is done before it begins, and why."""
+
+    def look(self) -> None:
+        """Acquire a view and have it fused."""
+
+    def go_to(self, place: KnownPlace, interrupted: Interrupted) -> str:
+        """Go to where the robot has stood; returns empty, or why it did not get there."""
+
+
+class Fallback(ABC):
+    """Something else to do instead of the next view; the loop begins again after it."""
+
+    @abstractmethod
+    def applies(self, choice: Choice | None) -> bool:
+        """Whether it is to be done now.
+
+        Args:
+            choice: of the next view; None before it was chosen.
+        """
+
+    @abstractmethod
+    def act(self, actions: Actions) -> None:
+        """Do it."""
+
+
+class MotionMonitor(ABC):
+    """Watches the motion to one view.
+
+    Attributes:
+        rejects_view: whether the planner is told that the view failed, where this monitor has
+            broken the motion off.
+    """
+
+    rejects_view: bool
+
+    @abstractmethod
+    def begin(self) -> None:
+        """The motion to a new view begins."""
+
+    @abstractmethod
+    def problem(self) -> str:
+        """Why the motion is to be broken off now; empty where it may go on."""
+
+
+class TaskIsMet(StopRule):
+    """Expanse and resolution suffice."""
+
+    def __init__(self, task: TaskConfig) -> None:
+        self._task = task
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """DONE, where the map at the choice is what the task asks for."""
+        if choice is None:
+            return None
+        progress = choice.progress
+        if not self._task.is_met(progress.known_fraction, progress.mean_sigma):
+            return None
+        return Ending(EndReason.DONE, _in_words(progress))
+
+
+class StopRequested(StopRule):
+    """The user asks to stop."""
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """STOPPED, where that was asked for."""
+        return STOPPED if self._control.request is Request.STOP else None
+
+
+class NoViewLeft(StopRule):
+    """The planner has found no view."""
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """NOTHING_LEFT, with the planner's reason."""
+        if choice is None or (choice.pose is not None and choice.route is not None):
+            return None
+        return Ending(EndReason.NOTHING_LEFT, choice.reason)
+
+
+class BudgetSpent(StopRule):
+    """Views, distance or time are used up, and there would be more to do."""
+
+    def __init__(self, task: TaskConfig, mission: Mission) -> None:
+        self._task, self._mission = task, mission
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """BUDGET_SPENT, with the budgets that are."""
+        if choice is None:
+            return None
+        task, mission = self._task, self._mission
+        budgets = (
+            (f"{mission.views} views", mission.views >= task.max_views),
+            (f"{mission.distance:.1f} m", mission.distance >= task.max_distance),
+            (f"{mission.seconds:.0f} s", mission.seconds >= task.max_time),
+        )
+        spent = " and ".join(text for text, is_spent in budgets if is_spent)
+        detail = f"{spent} used; {_in_words(choice.progress)}"
+        return Ending(EndReason.BUDGET_SPENT, detail) if spent else None
+
+
+class TooManyFailures(StopRule):
+    """Views or motions have failed one after the other.
+
+    Args:
+        most: so many end the exploration.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self._count, self._last = most, 0, ""
+
+    def count(self, reason: str) -> None:
+        """Something has failed."""
+        self._count, self._last = self._count + 1, reason
+
+    def reset(self) -> None:
+        """A view was taken."""
+        self._count = 0
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """FAILED, with the last reason."""
+        if self._count < self._most:
+            return None
+        detail = f"{self._count} failures one after the other, the last: {self._last}"
+        return Ending(EndReason.FAILED, detail)
+
+
+def _in_words(progress: MapProgress) -> str:
+    """How much is known, and how well."""
+    return (
+        f"{100.0 * progress.known_fraction:.1f} % of the reachable surface is known, "
+        f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
+    )

@@ -1,0 +1,196 @@
+"""Is what is left of a route still free in the map as it is now? Where not, and why?
+
+What is asked is whether the map has changed for the worse since the route was planned. A robot may
+have to leave a place where it should not stand, or an arm a contact at its start: what was not free
+when the route was planned, by the same checks, does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import OccupancyThresholds, VoxelMap
+from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
+from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.collision.checker import CollisionChecker
+from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.route import ArmPath, Route
+from infomap_ros.motion.whole_body import WholeBody
+
+_BLOCKED = 0.4
+"""Probability from which a voxel blocks the arm. A way is planned through voxels that are nearly
+certain to be free; single measurements may make one less certain, and it still is free."""
+_TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
+_PROGRESS = 1.0  # [m]; farther the base does not come along its path between two checks
+_ARM_STEP = 0.05  # [rad or m] between configurations that are checked
+_BELOW = 0.5  # [m] below the base that the map is compared
+
+
+@dataclass(frozen=True)
+class RouteFault:
+    """Where a route is blocked.
+
+    Attributes:
+        position: of the base, or of the base whose arm moves, shape (3,) [m, map].
+        reason: what is blocked, where, and by what.
+    """
+
+    position: tuple[float, float, float]
+    reason: str
+
+
+class RouteCheck:
+    """Checks one route while it is carried out.
+
+    Args:
+        route: as planned.
+        whole: the robot.
+        config: of the planner.
+        voxel_map: in which it was planned.
+        T_map_base: where the base was then, shape (4, 4).
+        joints: positions then, by name [rad or m].
+        start: space that was declared clear.
+    """
+
+    def __init__(
+        self,
+        route: Route,
+        whole: WholeBody,
+        config: ReachingConfig,
+        voxel_map: VoxelMap,
+        T_map_base: FloatArray,
+        joints: Mapping[str, float],
+        start: ClearStart | None = None,
+    ) -> None:
+        self._whole, self._config, self._start = whole, config, start
+        self._base, self._joints = T_map_base, dict(joints)
+        self._path = route.base_path if route.moves_base else np.zeros((0, 3))
+        self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)
+        self._arm = _densified(route.arm_before if route.moves_base else route.arm_after)
+        self._passed, self._arm_passed = 0, 0
+        self._states = self._surroundings(voxel_map)
+        self._fault: RouteFault | None = None
+        self._stood = self._stances(self._terrain(voxel_map))
+        self._was_free = self._free(self._checker(voxel_map))
+
+    def fault(
+        self, voxel_map: VoxelMap, T_map_base: FloatArray, joints: Mapping[str, float]
+    ) -> RouteFault | None:
+        """The first fault on what is left of the route; None where it is free.
+
+        Args:
+            voxel_map: as it is now. Where it is as at the last call around the route, the answer
+                is the last one.
+            T_map_base: where the base is, shape (4, 4).
+            joints: where they are, by name [rad or m].
+        """
+        states = self._surroundings(voxel_map)
+        if np.array_equal(states, self._states):
+            return self._fault
+        self._states = states
+        self._advance(T_map_base, joints)
+        self._fault = self._arm_fault(voxel_map) or self._base_fault(voxel_map)
+        return self._fault
+
+    def _advance(self, T_map_base: FloatArray, joints: Mapping[str, float]) -> None:
+        """Note how much of base path and arm path lies behind the robot."""
+        if len(self._path):
+            left = self._path[self._passed :]
+            steps = np.linalg.norm(np.diff(left[:, :2], axis=0), axis=1)
+            steps += _TURN_LENGTH * np.abs(np.diff(left[:, 2]))
+            near = int(np.searchsorted(np.cumsum(steps), _PROGRESS)) + 1
+            self._passed += int(_apart(left[:near], T_map_base).argmin())
+        if len(self._arm):
+            here = self._whole.chain.positions(joints)
+            away = np.abs(self._arm[self._arm_passed :] - here).max(axis=1)
+            self._arm_passed += int(away.argmin())
+
+    def _base_fault(self, voxel_map: VoxelMap) -> RouteFault | None:
+        if len(self._path) - self._passed < 2:
+            return None
+        terrain = self._terrain(voxel_map)
+        blocked = self._stood & ~self._stances(terrain)
+        blocked[: self._passed] = False
+        if not blocked.any():
+            return None
+        row = int(np.argmax(blocked))
+        x, y, yaw = (float(value) for value in self._path[row])
+        why = self._whole.vehicle.stance(terrain, x, y, yaw).reason
+        reason = f"the base path is blocked at ({x:.2f}, {y:.2f}): {why}"
+        return RouteFault((x, y, float(self._heights[row])), reason)
+
+    def _arm_fault(self, voxel_map: VoxelMap) -> RouteFault | None:
+        """What blocks the arm where the base has not left yet."""
+        if len(self._arm) - self._arm_passed < 2 or self._passed:
+            return None
+        checker = self._checker(voxel_map)
+        blocked = self._was_free & ~self._free(checker)
+        blocked[: self._arm_passed] = False
+        if not blocked.any():
+            return None
+        what = checker.check(self._arm[int(np.argmax(blocked))], self._base, base=False).what
+        x, y, z = (float(value) for value in self._base[:3, 3])
+        return RouteFault((x, y, z), f"the path of the arm is blocked: {what}")
+
+    def _stances(self, terrain: Terrain) -> NDArray[np.bool_]:
+        """Where on its path the base may stand, shape (K,)."""
+        return self._whole.vehicle.stances(terrain, self._path).ok
+
+    def _free(self, checker: CollisionChecker) -> NDArray[np.bool_]:
+        """Where on its path the arm touches nothing, shape (A,)."""
+        return checker.are_free(self._arm, self._base, base=False)
+
+    def _terrain(self, voxel_map: VoxelMap) -> Terrain:
+        """The ground about the path, with that on which the robot stood when it was planned."""
+        config, vehicle = self._config.terrain, self._whole.vehicle
+        away = np.abs(self._path[:, :2] - self._base[:2, 3]).max(initial=0.0)
+        radius = min(float(away) + self._whole.base_radius + config.resolution, config.radius)
+        terrain = terrain_of(voxel_map, replace(config, radius=radius), self._base[:3, 3])
+        if self._start is not None:
+            terrain = self._start.ground(terrain, vehicle)
+        return with_standing_ground(terrain, vehicle, self._base, self._config.base.standing_reach)
+
+    def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
+        body, config = self._whole.body, self._config
+        body = replace(body, config=replace(body.config, free_probability=_BLOCKED))
+        space = () if self._start is None else (self._start.space(body.robot),)
+        near = NearSpace(
+            voxel_map, body, self._base, self._joints, self._whole.radius, config.clear_body,
+            space, self._whole.foot,
+        )  # fmt: skip
+        return near.checker_at(self._base)
+
+    def _surroundings(self, voxel_map: VoxelMap) -> NDArray[np.uint8]:
+        """Free, occupied and unknown voxels in a box about the route."""
+        places = np.vstack([self._base[:3, 3], np.column_stack([self._path[:, :2], self._heights])])
+        reach = np.full(3, self._whole.radius)
+        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+        low[2] = places[:, 2].min() - _BELOW
+        thresholds = OccupancyThresholds(_BLOCKED, surface_margin=0)
+        return voxel_map.window(low, high).states(thresholds)
+
+
+def _apart(path: FloatArray, T_map_base: FloatArray) -> FloatArray:
+    """How far poses x, y, yaw, shape (K, 3), are from a base [m], turns counted as ways."""
+    yaw = np.arctan2(T_map_base[1, 0], T_map_base[0, 0])
+    turns = np.abs((path[:, 2] - yaw + np.pi) % (2.0 * np.pi) - np.pi)
+    away = np.hypot(path[:, 0] - T_map_base[0, 3], path[:, 1] - T_map_base[1, 3])
+    return np.asarray(away + _TURN_LENGTH * turns)
+
+
+def _densified(path: ArmPath) -> FloatArray:
+    """Configurations of a path at most `_ARM_STEP` apart, shape (A, n)."""
+    knots = path.positions
+    if len(knots) < 2:
+        return np.zeros((0, len(path.joint_names)))
+    steps = np.abs(np.diff(knots, axis=0)).max(axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-9))])
+    at = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / _ARM_STEP)) + 1)
+    return np.column_stack([np.interp(at, along, column) for column in knots.T])

@@ -15,7 +15,6 @@ from infomap_ros.nodes.simulated.simulated_localisation import (
     simulated_localisation,
     simulated_motion_noise,
 )
-from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
 
 TASK = TaskConfig()
@@ -103,7 +102,6 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             "resume": truth["resume"],
             "autosave_period": AUTOSAVE,
             "voxel_size": float(given["voxel_size"]),
-            "error_correlation": StereoConfig().error_correlation,
         },
         "fiducial_localization": {
             "rectify": truth["rectify"],

@@ -11,7 +11,6 @@ from launch.substitutions import LaunchConfiguration
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch
-from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from launch import LaunchDescription
 
 ARGUMENTS = {
@@ -49,13 +48,11 @@ def _processes(context) -> list:
     if bag and not Path(bag).exists():
         bag = str(find_share(bag))
     robot = RobotLaunch(given, simulated=bool(bag))
-    sensor = DepthCameraConfig() if given["source"] == "depth" else StereoConfig()
     seeing = {"source": given["source"], "rectify": given["rectify"] == "true"}
     fusion = {
         "map_file": given["map_file"],
         "resume": given["resume"] == "true",
         "voxel_size": float(given["voxel_size"]),
-        "error_correlation": sensor.error_correlation,
     }
     nodes = [
         robot.node("stereo_range", seeing, IMAGES),

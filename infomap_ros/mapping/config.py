@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.stereo.config import StereoConfig
 
@@ -66,14 +67,10 @@ class VoxelMapConfig:
         low=0.0,
         high=10.0,
     )
-    error_correlation: float = parameter(
-        StereoConfig.error_correlation,
-        "Correlation of the range errors of neighbouring points of one scan: the variance of a "
-        "voxel's mean of n points is sigma^2 (c + (1 - c) / n). The default is that of stereo "
-        "matching, 0 is for a sensor whose points are independent.",
-        low=0.0,
-        high=1.0,
-    )
+    error_correlation: float = StereoConfig.error_correlation
+    """Correlation of the range errors of neighbouring points of a scan that does not say it: the
+    variance of a voxel's mean of n points is sigma^2 (c + (1 - c) / n). No parameter: clouds say
+    it. 0 is for a sensor whose points are independent."""
     default_sigma: float = parameter(
         0.02,
         "Standard deviation of a point, along each axis, when no covariance comes with it.",
@@ -92,6 +89,8 @@ class VoxelMapConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+        if not 0.0 <= self.error_correlation <= 1.0:
+            raise ConfigError("error_correlation", self.error_correlation, "0 to 1")
 
     @property
     def hit_quanta(self) -> int:

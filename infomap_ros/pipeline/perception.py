@@ -41,7 +41,6 @@ class Perception:
         sources: of the images.
         estimator: of range, or of views.
         tolerance: largest difference between the stamps of a pair [s].
-        is_dense: whether the range of whole views is worked out at once.
 
     Attributes:
         sources: as above.
@@ -53,11 +52,9 @@ class Perception:
         sources: ImageSources,
         estimator: RangeEstimator | ViewEstimator,
         tolerance: float = 0.0,
-        *,
-        is_dense: bool = False,
     ) -> None:
         self.sources, self.dropped = sources, Counter[str]()
-        self._estimator, self._is_dense = estimator, is_dense
+        self._estimator = estimator
         counts = len(sources.images), len(sources.infos)
         self._images = ImageSynchronizer(*counts, tolerance, on_drop=self._drop)
 
@@ -86,10 +83,8 @@ class Perception:
                 seen = self._estimator.measure(images)
             except InfomapError as error:
                 self.dropped[str(error)] += 1
-                continue
-            if self._is_dense and isinstance(seen, FramedView):
-                seen.view.cloud()
-            yield seen
+            else:
+                yield seen
 
     def _drop(self, reason: str) -> None:
         self.dropped[_UNUSED.get(reason, reason)] += 1

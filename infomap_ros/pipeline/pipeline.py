@@ -134,8 +134,8 @@ class Pipeline:
         if isinstance(seen, FramedView) and localization is not None:
             localization.views.add(seen)
         if isinstance(seen, FramedView | RangeMeasurement):
-            if fusion is not None:
-                cloud = seen.measurement if isinstance(seen, FramedView) else seen
+            cloud = seen.measurement if isinstance(seen, FramedView) else seen
+            if fusion is not None and cloud is not None:
                 fusion.scans.add_cloud(seen.stamp, seen.frame_id, cloud)
             return
         if fusion is not None and isinstance(seen, JointStateRecord):
@@ -171,7 +171,8 @@ class Pipeline:
         if fusion is None or result.T_map_camera is None:
             return
         transform, frame = as_sent(result.T_map_camera), fusion.map_frame
-        fusion.scans.add_pose(PoseRecord(result.stamp, frame, transform, result.covariance))
+        told = result.stamp, frame, transform, result.covariance
+        fusion.scans.add_pose(PoseRecord(*told, uncertainty=result.uncertainty))
         yield from self._fuse()
         if (kept := localization.changes.after(result, located.kept)) is not None:
             sent = np.array([as_sent(pose) for pose in kept.transforms])

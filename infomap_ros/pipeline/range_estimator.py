@@ -121,6 +121,15 @@ class PairRectifier:
         return self._tools
 
 
+def measure_pair(
+    images: ImageSet, left: NDArray[np.uint8], right: NDArray[np.uint8], sensor: StereoRangeSensor
+) -> RangeMeasurement:
+    """Measure a pair that `PairRectifier.prepare` has rectified."""
+    search = (float(sensor.search.minimum), float(sensor.search.maximum))
+    cloud = sensor.measure(left, right)
+    return RangeMeasurement(images.stamp, images.frame_id, cloud, sensor.rig, search)
+
+
 class StereoRangeEstimator:
     """Measures by a pair of cameras, left and right; see `RangeEstimator`.
 
@@ -135,10 +144,7 @@ class StereoRangeEstimator:
 
     def measure(self, images: ImageSet) -> RangeMeasurement:
         """See `RangeEstimator.measure`."""
-        left, right, sensor = self._pairs.prepare(images)
-        cloud = sensor.measure(left, right)
-        search = (float(sensor.search.minimum), float(sensor.search.maximum))
-        return RangeMeasurement(images.stamp, images.frame_id, cloud, sensor.rig, search)
+        return measure_pair(images, *self._pairs.prepare(images))
 
     def warm_up(self) -> None:
         """See `RangeEstimator.warm_up`."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from infomap_ros.errors import BagError
-from infomap_ros.geometry import StereoRig
 from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
@@ -15,6 +14,7 @@ from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,
     PairRectifier,
     RangeMeasurement,
+    measure_pair,
 )
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
@@ -27,20 +27,14 @@ class FramedView:
         stamp: of the first image [ns].
         frame_id: optical frame of the camera.
         view: image and range.
-        rig: the stereo rig; None for a depth camera.
-        search: smallest and largest disparity that the dense matcher searches [px].
+        measurement: the dense range cloud, None where it was not wanted. The view of a stereo pair
+            does not use it.
     """
 
     stamp: int
     frame_id: str
     view: RangeView
-    rig: StereoRig | None = None
-    search: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def measurement(self) -> RangeMeasurement:
-        """The dense range cloud with its origin, worked out when it is first asked for."""
-        return RangeMeasurement(self.stamp, self.frame_id, self.view.cloud(), self.rig, self.search)
+    measurement: RangeMeasurement | None = None
 
 
 class ViewEstimator(Protocol):
@@ -61,24 +55,33 @@ class StereoViewEstimator:
         config: of the dense sensor.
         rectify: the images are raw.
         sparse: how single pixels are matched.
+        is_dense: whether the dense range cloud is wanted.
     """
 
     def __init__(
-        self, config: StereoConfig, *, rectify: bool, sparse: SparseStereoConfig | None = None
+        self,
+        config: StereoConfig,
+        *,
+        rectify: bool,
+        sparse: SparseStereoConfig | None = None,
+        is_dense: bool = False,
     ) -> None:
+        self._is_dense = is_dense
         self._pairs = PairRectifier(config, rectify=rectify)
         self._sparse = sparse or SparseStereoConfig()
 
     def measure(self, images: ImageSet) -> FramedView:
-        """Rectify a pair; nothing is matched yet.
+        """Rectify a pair; without the dense range cloud nothing is matched yet.
 
         Raises:
             InfomapError: images or calibrations cannot be used.
         """
         left, right, sensor = self._pairs.prepare(images)
         view = StereoView(images.stamp, left, right, sensor, self._sparse)
-        search = (float(sensor.search.minimum), float(sensor.search.maximum))
-        return FramedView(view.stamp, images.frame_id, view, sensor.rig, search)
+        measurement = None
+        if self._is_dense:
+            measurement = measure_pair(images, left, right, sensor)
+        return FramedView(view.stamp, images.frame_id, view, measurement)
 
 
 class DepthViewEstimator:
@@ -102,4 +105,4 @@ class DepthViewEstimator:
             raise BagError("a depth camera without a registered image cannot be followed")
         measurement = self._depth.measure(replace(images, images=images.images[:1]))
         view = DepthView(measurement.stamp, intensity_pixels(images.images[1]), measurement.cloud)
-        return FramedView(measurement.stamp, measurement.frame_id, view)
+        return FramedView(measurement.stamp, measurement.frame_id, view, measurement)

@@ -115,7 +115,7 @@ def worth_of_changes(
     if storage.offset.any():
         corners = np.zeros((len(slots), 3), np.int32)
         unpack_keys(storage.blocks.keys[slots], corners)
-        centres = (corners + 0.5) * BLOCK_SIDE * size
+        centres = np.asarray((corners + 0.5) * (BLOCK_SIDE * size), np.float64)
         shared = point_covariances(storage.offset, centres)[:, *np.triu_indices(3)]
     arrays = storage.blocks, storage.gaussians, planes, codes
     compared = _Comparison(*arrays, size, *tables, scratch, shared)

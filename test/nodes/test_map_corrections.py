@@ -102,7 +102,7 @@ def test_a_corrected_map_is_as_sure_as_its_keyframes(graph: Any) -> None:
         graph.spin_until(lambda n=stamp: heard.count == n, "covariances")
         bench.tell(record)
     bench.wait_for_correction()
-    (scan,) = bench.node._keeper._corrected.store
+    (scan,) = bench.node._keeper._builder.scans
     assert np.allclose(scan.uncertainty.covariance, 9.0 * COVARIANCE, rtol=1e-6, atol=1e-12)
 
 
@@ -163,7 +163,7 @@ def test_scans_are_kept_from_when_somebody_may_correct_them(graph: Any) -> None:
         record = keyframes(START + stamp * SECOND, place, place)
         publisher.publish(encode_keyframe_poses(TYPES, record))
     bench.wait_for_map(as_replica(map_of(T_MAP_CAMERA, ELSEWHERE)))
-    assert len(bench.node._keeper._corrected.store) == 1
+    assert len(bench.node._keeper._builder.scans) == 1
 
 
 @pytest.mark.parametrize("order", ["reset", "load"])

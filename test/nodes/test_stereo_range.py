@@ -113,7 +113,7 @@ def test_points_are_bit_for_bit_what_the_library_measures(graph: Any) -> None:
 
     expected = StereoRangeSensor(rig_from_calibrations(*INFOS), StereoConfig()).measure(*wall())
     assert (stamp, frame) == (START, FRAME)
-    assert rows.dtype.names == PACKED_FIELDS
+    assert rows.dtype.names == (*PACKED_FIELDS, "error_correlation")
     assert (bench.clouds[-1].height, bench.clouds[-1].width) == (HEIGHT, WIDTH)
     assert rows.tobytes() == expected.packed.tobytes()
 
@@ -269,7 +269,7 @@ def test_nothing_is_measured_that_nobody_wants(graph: Any) -> None:
     infos = [graph.publisher(CameraInfo, f"{side}/camera_info") for side in ("left", "right")]
     graph.connect(*images, *infos)
     measured: list[Any] = []
-    node._source.meter.measure = lambda *arguments: measured.append(arguments)
+    node._estimator.measure = lambda *arguments: measured.append(arguments)
     for publisher, info in zip(infos, INFOS, strict=True):
         publisher.publish(encode_camera_info(TYPES, CameraInfoRecord(START, FRAME, info)))
     for publisher, pixels in zip(images, wall(), strict=True):

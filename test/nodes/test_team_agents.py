@@ -137,7 +137,7 @@ class Wall:
         self.agents.publish(message(mate(2, version, stamp, description=self.topic, **fields)))
 
     def wait_until_described(self) -> None:
-        bodies = self.bench.node._gate._teammates._bodies
+        bodies = self.bench.node._inputs._teammates._bodies
         self.graph.spin_until(lambda: bodies.is_described(2), "the description")
 
     def in_box(self) -> list[Any]:
@@ -198,9 +198,9 @@ def test_who_was_forgotten_and_is_back_is_still_what_it_was(graph: Any) -> None:
     wall = Wall(graph, agents__silence=0.1, agents__memory=0.1)
     wall.tell(-100, 1)
     wall.wait_until_described()
-    gate = wall.bench.node._gate
+    inputs = wall.bench.node._inputs
     graph.spin_until(
-        lambda: not gate._teammates.bodies_in(pose()),
+        lambda: not inputs._teammates.bodies_in(pose()),
         "the teammate to be forgotten",
     )
     wall.tell(0, 2)

@@ -72,7 +72,7 @@ def by_python(path: Path, *, localizes: bool) -> str:
             options = LocalizeOptions()
             inputs = find_localize_inputs(reader, options)
             localization = make_localization(inputs, options, Counter(), Counter())
-            estimator = StereoViewEstimator(StereoConfig(), rectify=True)
+            estimator = StereoViewEstimator(StereoConfig(), rectify=True, is_dense=True)
             poses = LocatedPoses("map")
         pipeline = Pipeline(localization, Fusion(ScanSynchronizer(poses, body), body, builder))
         told = "/odom" if localizes else "/camera_pose"

@@ -72,7 +72,7 @@ def test_scans_are_kept_with_the_covariances_of_their_poses(
     explored: ExplorationRun,
 ) -> None:
     told = {pose.stamp: pose.pose.covariance for pose in explored.audit.poses}
-    kept = {scan.stamp: scan.uncertainty.covariance for scan in explored._robot._map.store}
+    kept = {scan.stamp: scan.uncertainty.covariance for scan in explored._robot._builder.scans}
     assert kept.keys() == told.keys()
     for stamp, covariance in told.items():
         np.testing.assert_allclose(kept[stamp], covariance, rtol=1e-9)

@@ -57,10 +57,11 @@ class ScanInputs:
         )
         body = RobotBody(config=node.config(JointBufferConfig))
         news = self._take, on_arrival
+        self._teammates = TeamBodyListener(node, frames.map_frame, *news)
         self._scans: ScanSynchronizer[PointCloud2] = ScanSynchronizer(
             self._poses,
             body,
-            TeamBodyListener(node, frames.map_frame, *news),
+            self._teammates,
             frames.camera_frame,
             node.config(WaitingQueueConfig),
             self._on_drop,

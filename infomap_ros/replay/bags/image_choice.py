@@ -46,7 +46,6 @@ def find_images(
     make_estimator: Callable[[str, bool], RangeEstimator | ViewEstimator],
     *,
     color: bool = False,
-    is_dense: bool = False,
 ) -> Perception:
     """Find the images and who measures them.
 
@@ -57,7 +56,6 @@ def find_images(
             ``right_info``, ``depth``, ``info``, ``color``.
         make_estimator: called with ``stereo`` or ``depth`` and whether the images are raw.
         color: whether a depth image waits for its colour image.
-        is_dense: see `Perception`.
 
     Raises:
         BagError: there is no stereo pair and no depth camera, or not the one that is wanted.
@@ -70,8 +68,7 @@ def find_images(
         except BagError as error:
             failures.append(str(error))
             continue
-        tolerance = config.pairing_tolerance
-        return Perception(sources, make_estimator(kind, raw), tolerance, is_dense=is_dense)
+        return Perception(sources, make_estimator(kind, raw), config.pairing_tolerance)
     raise BagError("; ".join(failures))
 
 

@@ -117,7 +117,7 @@ class LocalizeInputs:
 def find_localize_inputs(
     bag: BagReader, options: LocalizeOptions, *, is_dense: bool = False
 ) -> LocalizeInputs:
-    """Look through a bag for what localisation needs; `is_dense` as of `Perception`.
+    """Look through a bag for what localisation needs; `is_dense` where range clouds are wanted too.
 
     Raises:
         BagError: it has no images with range, or lacks odometry that is asked for.
@@ -146,12 +146,12 @@ def find_localize_inputs(
 def _find_views(types: Topics, options: LocalizeOptions, is_dense: bool) -> Perception:
     def make_estimator(kind: str, raw: bool) -> ViewEstimator:
         if kind == "stereo":
-            return StereoViewEstimator(options.stereo, rectify=raw, sparse=options.sparse)
+            return StereoViewEstimator(
+                options.stereo, rectify=raw, sparse=options.sparse, is_dense=is_dense
+            )
         return DepthViewEstimator(options.depth)
 
-    return find_images(
-        types, options.input, options.topics, make_estimator, color=True, is_dense=is_dense
-    )
+    return find_images(types, options.input, options.topics, make_estimator, color=True)
 
 
 def _find_odometry(types: Topics, options: LocalizeOptions) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,12 +15,14 @@ from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
-from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
+from infomap_ros.pipeline.map_builder import MapBuilder
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.simulation.exploring.pose_source import MeasuredPoses, PosedScan, PoseSource
 from infomap_ros.simulation.exploring.self_localisation import (
     SelfLocalisation,
@@ -100,11 +102,11 @@ class SimulatedRobot:
             self.poses = SelfLocalisation(
                 simulator, robot, config.stereo, config.localization, others
             )
-            store = ScanStoreConfig()
+            store: ScanStoreConfig | None = ScanStoreConfig()
         else:
             self.poses = MeasuredPoses(simulator, config.stereo)
-            store = ScanStoreConfig(memory=0.0)
-        self._map = CorrectableMap(voxel_map, store, config.correction)
+            store = None
+        self._builder = MapBuilder(voxel_map, store, config.correction, config.body)
         self._on_scan, self._has_begun = on_scan, False
         self._teammates = teammates
 
@@ -124,18 +126,17 @@ class SimulatedRobot:
                 return "broken off"
             self._simulator.step(self._config.scan_period)
             try:
-                scan = self.poses.take_scan(self._map.voxel_map)
+                scan = self.poses.take_scan(self._builder.map)
             except PoseUnavailableError as error:
                 return str(error)
             self._fuse(scan)
-        self.poses.correct(self._map)
+        self.poses.correct(self._builder)
         return ""
 
     def forget_teammates(self) -> None:
         """Take teammates that are new or back out of what was fused before they were known."""
         for body in [] if self._teammates is None else self._teammates.take_arrivals():
-            grown = replace(self._config.body, margin=body.margin)
-            self._map.forget_body(body.solids, grown, body.ground)
+            self._builder.forget_body(body)
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
         """Move the arm along a path."""
@@ -169,7 +170,7 @@ class SimulatedRobot:
             problem = f"not done after {self._config.motion_timeout:g} s" if late else ""
             problem = "broken off" if interrupted() else problem
             simulator.step(self._config.tick)
-            problem = problem or self.poses.watch(self._map.voxel_map)
+            problem = problem or self.poses.watch(self._builder.map)
             if problem:
                 simulator.stop()
                 simulator.step(1.0)
@@ -193,23 +194,14 @@ class SimulatedRobot:
 
     def _fuse(self, scan: PosedScan) -> None:
         """One scan into the map, without the robot's own body and those of its teammates."""
-        cloud, pose = scan.cloud, scan.pose
-        points = cloud.organised_points
-        body = self._robot.solids_in(self._robot.camera_frame, self._joints())
-        on_body = body_mask(points, cloud.covariance_triangles, body, self._config.body)
-        if self._teammates is not None:
-            at_scan = PoseRecord(scan.stamp, "map", pose.transform, pose.covariance)
-            on_body |= self._teammates.mask(points, cloud.covariance_triangles, at_scan)
-        points = np.where(on_body[..., None], np.float32(np.nan), points)
-        self._map.integrate(
-            scan.stamp,
-            points,
-            pose.transform,
-            cloud.covariance_triangles,
-            pose.covariance,
-            camera=cloud.camera,
-            error_correlation=cloud.error_correlation,
+        frame, pose = self._robot.camera_frame, scan.pose
+        told = PoseRecord(
+            scan.stamp, "map", pose.transform, pose.covariance, uncertainty=pose.uncertainty
         )
+        teammates = [] if self._teammates is None else self._teammates.bodies_in(told)
+        body = self._robot.solids_in(frame, self._joints())
+        record = RangeMeasurement(scan.stamp, frame, scan.cloud).record
+        self._builder.fuse(Scan(record, told, body, teammates))
         self._on_scan(scan)
 
 

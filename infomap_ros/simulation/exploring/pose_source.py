@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from infomap_ros.geometry import StereoRig, skew
+from infomap_ros.geometry import PoseUncertainty, StereoRig, skew
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.stereo import RangeCloud, StereoConfig, StereoRangeSensor, StereoRectifier
 
@@ -24,10 +24,12 @@ class CameraPose:
     Attributes:
         transform: ``T_map_camera``, shape (4, 4).
         covariance: shape (6, 6), convention of `geometry.transforms`.
+        uncertainty: the covariance in its parts, None where they are not known.
     """
 
     transform: FloatArray
     covariance: FloatArray
+    uncertainty: PoseUncertainty | None = None
 
     def moved(self, prior: MotionPrior) -> CameraPose:
         """After a motion that is known by its prior alone."""
@@ -89,7 +91,7 @@ class PoseSource(Protocol):
     def watch(self, voxel_map: VoxelMap) -> str:
         """Called again and again on the way; empty, or why the robot should not go on."""
 
-    def correct(self, correctable: CorrectableMap) -> None:
+    def correct(self, builder: MapBuilder) -> None:
         """Let the scans of a map follow what became known of their poses since."""
 
     def save(self, path: Path) -> None:
@@ -140,7 +142,7 @@ class MeasuredPoses:
         """Nothing can go wrong."""
         return ""
 
-    def correct(self, correctable: CorrectableMap) -> None:
+    def correct(self, builder: MapBuilder) -> None:
         """Poses stay as they are."""
 
     def save(self, path: Path) -> None:

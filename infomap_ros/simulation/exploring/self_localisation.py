@@ -21,8 +21,9 @@ from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.motion import RobotModel
+from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.simulation.worlds.target_board import WORLD_BOARD
@@ -150,7 +151,8 @@ class SelfLocalisation:
     def _note_pose(self, told: Localisation, posture: RobotPosture) -> None:
         """What a view told, or just after a restart, odometry and joints since what was kept."""
         if told.T_map_camera is not None and told.covariance is not None:
-            self._known = CameraPose(told.T_map_camera, told.covariance), posture
+            pose = CameraPose(told.T_map_camera, told.covariance, told.uncertainty)
+            self._known = pose, posture
 
     def initialise(self) -> None:
         """Look at the target several times; after `resume`, find out where the robot is now.
@@ -205,11 +207,12 @@ class SelfLocalisation:
         self.see(voxel_map)
         return f"localisation: {self._problem()}" if self._is_lost() and not was_lost else ""
 
-    def correct(self, correctable: CorrectableMap) -> None:
+    def correct(self, builder: MapBuilder) -> None:
         """Let the scans of a map follow the keyframes, as they are known now."""
         kept = self.localizer.keyframes()
-        correctable.hear(self._simulator.stamp, kept.stamps, kept.transforms)
-        correctable.correct()
+        poses = kept.stamps, kept.transforms
+        builder.add_keyframes(KeyframePoses(self._simulator.stamp, "map", *poses))
+        builder.correct()
 
     def save(self, path: Path) -> None:
         """Keep map and pose of the localisation in a file; see `PoseSource`."""

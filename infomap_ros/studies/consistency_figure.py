@@ -14,23 +14,28 @@ from infomap_ros.studies.map_consistency import CONFIDENCE, ConsistencyResult
 
 _LIMIT = 4.0  # of the drawn normalised errors
 _BINS = 48
+_COLUMNS = 4
 _ALL, _INDEPENDENT, _EXPECTED = "#9ecae1", "#08519c", "#d55e00"
 
 
 def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> None:
-    """Draw the normalised errors of each voxel size with the normal distribution they should have.
+    """Draw the normalised errors of each setting with the normal distribution they should have.
 
     Args:
         results: of `run_study`.
         path: of the PNG file.
     """
-    figure = Figure(figsize=(4.0 * len(results), 3.6), layout="constrained")
+    columns = min(len(results), _COLUMNS)
+    rows = -(-len(results) // columns)
+    figure = Figure(figsize=(4.0 * columns, 3.6 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, len(results), sharey=True, squeeze=False)[0]
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+    for axis in axes[len(results) :]:
+        axis.set_axis_off()
     x = np.linspace(-_LIMIT, _LIMIT, 200)
     edges = np.linspace(-_LIMIT, _LIMIT, _BINS + 1)
     coarse = edges[::4]
-    for axis, result in zip(axes, results, strict=True):
+    for axis, result in zip(axes, results, strict=False):
         clipped = np.clip(result.all_errors, -_LIMIT, _LIMIT)
         axis.hist(clipped, edges, density=True, color=_ALL, label="all voxels looked at")
         independent = np.clip(result.independent, -_LIMIT, _LIMIT)
@@ -40,8 +45,12 @@ def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> N
         )  # fmt: skip
         axis.plot(x, stats.norm.pdf(x), color=_EXPECTED, linewidth=1.6, label="standard normal")
         low, high = result.band
+        setting = result.setting
+        kind = " within the map" if setting.relative else ""
+        pixels = ", correlated pixels" if setting.correlation else ""
         axis.set_title(
-            f"voxels of {100 * result.voxel_size:g} cm\nmean NEES {result.mean_nees:.2f}, "
+            f"{setting.case}{kind}, {100 * setting.voxel_size:g} cm{pixels}\n"
+            f"mean NEES {result.mean_nees:.2f}, "
             f"{100 * CONFIDENCE:.0f} % band {low:.2f} to {high:.2f}",
             fontsize=10,
         )

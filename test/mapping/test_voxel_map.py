@@ -14,6 +14,7 @@ from infomap_ros.mapping import (
     VoxelMap,
     VoxelMapConfig,
 )
+from infomap_ros.mapping.voxels.witnesses import LIMIT
 
 from .scenes import random_pose, random_scene
 
@@ -352,9 +353,10 @@ def test_tracking_does_not_change_the_map():
 
 
 def test_evidence_beyond_what_is_told_is_no_change():
-    voxel_map, scan = tracking(), looks(9, 1)[0]
+    voxel_map, (scan, other) = tracking(), looks(9, 2)
     for _ in range(25):
         voxel_map.integrate(*scan, camera=CAMERA)
+        voxel_map.integrate(*other, camera=CAMERA)
     voxel_map.take_changes()
     free_before = voxel_map.voxels()
     voxel_map.integrate(*scan, camera=CAMERA)
@@ -363,6 +365,19 @@ def test_evidence_beyond_what_is_told_is_no_change():
     told = set(map(tuple, changes.indices.tolist()))
     again = [index for index in map(tuple, free_before[0][free].tolist()) if index in told]
     assert len(again) < 0.05 * free.sum()
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None])
+def test_images_from_one_place_are_no_more_witnesses_than_a_few(camera):
+    (points, pose), few, many = looks(9, 1)[0], VoxelMap(CONFIG), VoxelMap(CONFIG)
+    for number in range(60):
+        many.integrate(points, pose, camera=camera)
+        if number < LIMIT:
+            few.integrate(points, pose, camera=camera)
+    evidence = many.voxels()[1]
+    np.testing.assert_array_equal(evidence, few.voxels()[1])
+    assert np.abs(evidence).max() <= LIMIT * CONFIG.hit_quanta * LOG_ODDS_QUANTUM
+    assert (evidence < 0.0).any() and (evidence > 0.0).any()
 
 
 def test_changes_survive_a_reset_of_tracking():

@@ -79,7 +79,7 @@ class ScanIntegrator:
         found = self._gather(measured, sensor, tallies)
         observed = self._observe(found, measured, sensor, correlation)
         storage.check_capacity(observed, found.free, self._config.memory_limit * 1e9)
-        self._writer.write(storage, observed, found.free)
+        self._writer.write(storage, observed, found.free, measured.transform)
         return IntegrationReport(
             points_used=int(tallies[0]),
             points_out_of_range=int(tallies[1]),

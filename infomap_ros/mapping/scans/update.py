@@ -22,6 +22,7 @@ from infomap_ros.mapping.voxels.block_kernels import (
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
 from infomap_ros.mapping.voxels.surface_kernels import SIDES
+from infomap_ros.mapping.voxels.witnesses import admit_hit, admit_misses
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -38,6 +39,7 @@ def enter_rows(
     hit_row: Any,
     hit_bits: Any,
     owners: Any,
+    witnesses: Any,
     down: int,
     up: int,
 ) -> int:
@@ -54,6 +56,7 @@ def enter_rows(
         hit_bits: receives a bit per voxel with a hit, uint64, shape (n, 8).
         owners: receives the record of each row in the `SurfaceArrays`, int64; 0 where
             there is neither evidence nor information.
+        witnesses: a `WitnessArrays`; hits beyond its limit bring no evidence.
         down: largest decrease of a voxel in this scan [quanta].
         up: largest increase of a voxel in this scan [quanta].
 
@@ -83,6 +86,8 @@ def enter_rows(
             hit_blocks += 1
             make_room(blocks, slot, down, up)
         hit_bits[hit_row[slot], local >> 6] |= _ONE << np.uint64(local & 63)
+        if not admit_hit(witnesses, slot, local):
+            continue
         if kind[slot] == NARROW and not tracked:
             delta = narrow[plane[slot], local]
             old = -base[slot] if delta == NARROW_UNKNOWN else np.int32(delta)
@@ -114,20 +119,27 @@ def block_keys(rows: Any, keys: Any, locals_: Any) -> None:
 
 @kernel
 def free_voxels(
-    blocks: Any, coordinates: Any, bits: Any, count: int, hit_row: Any, hit_bits: Any, miss: int
+    blocks: Any,
+    coordinates: Any,
+    bits: Any,
+    hit_row: Any,
+    hit_bits: Any,
+    witnesses: Any,
+    miss: int,
 ) -> None:
     """Add a miss to every voxel that the scan sees through and does not hit.
 
     Args:
         blocks: a `BlockArrays` with room for `count` blocks and planes.
         coordinates: of the blocks, shape (n, 3).
-        bits: free voxels of each block, uint64, shape (n, 8).
-        count: number of blocks.
+        bits: free voxels of each block, uint64, shape (n, 8); those of which the evidence does not
+            change are taken out.
         hit_row: per block the row of `hit_bits` or -1.
         hit_bits: voxels with a hit.
+        witnesses: a `WitnessArrays`; misses beyond its limit bring no evidence.
         miss: evidence of a miss [quanta].
     """
-    for i in range(count):
+    for i in range(len(bits)):
         anything, everything = np.uint64(0), _ALL
         for word in range(8):
             anything |= bits[i, word]
@@ -136,11 +148,12 @@ def free_voxels(
         key = pack(coordinates[i, 0], coordinates[i, 1], coordinates[i, 2])
         slot = find_or_add_block(blocks, key)
         if hit_row[slot] >= 0:
-            anything = np.uint64(0)
             for word in range(8):
                 bits[i, word] &= ~hit_bits[hit_row[slot], word]
-                anything |= bits[i, word]
+        admit_misses(witnesses, slot, bits[i])
+        anything = np.uint64(0)
         for word in range(8):
+            anything |= bits[i, word]
             everything &= bits[i, word]
         if everything == _ALL:
             add_quanta_to_all(blocks, slot, miss)

@@ -32,6 +32,7 @@ from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.surface import SurfaceArrays, empty_surface, surface_bytes
 from infomap_ros.mapping.voxels.surface_kernels import ROW_COUNT, SIDES, add_observations
+from infomap_ros.mapping.voxels.witnesses import WitnessArrays, Witnesses
 
 _RECORD_BITS = (SIDES * BLOCK_VOXELS).bit_length() - 1
 """Bits of a record's number below that of its block."""
@@ -193,15 +194,26 @@ class ScanWriter:
         self._hit, self._miss = config.hit_quanta, config.miss_quanta
         self._workers = workers
         self._hit_row = np.full(0, -1, np.int32)
+        self._witnesses = Witnesses()
 
-    def write(self, storage: MapStorage, observed: Observations, free: FreeBlocks) -> None:
-        """Add the observations of a scan and the misses of the voxels it sees through."""
+    def write(
+        self, storage: MapStorage, observed: Observations, free: FreeBlocks, pose: FloatArray
+    ) -> None:
+        """Add the observations of a scan and the misses of the voxels it sees through.
+
+        Args:
+            storage: the map.
+            observed: the observations.
+            free: the voxels that it sees through.
+            pose: T_map_sensor, shape (4, 4): scans from one place are not independent witnesses.
+        """
         count = len(observed.hits) + len(free.bits)
         storage.blocks = with_room(storage.blocks, count, count)
         self._hit_row = grown(self._hit_row, len(storage.blocks.keys), -1)
         records = np.zeros(len(observed.hits), np.int64)
         try:
-            self._write(storage, observed, free, records)
+            witnesses = self._witnesses.at(pose, len(storage.blocks.keys), count)
+            self._write(storage, observed, free, records, witnesses)
         finally:
             self._hit_row[records >> _RECORD_BITS] = -1
 
@@ -211,10 +223,11 @@ class ScanWriter:
         observed: Observations,
         free: FreeBlocks,
         records: NDArray[np.int64],
+        witnesses: WitnessArrays,
     ) -> None:
         blocks, information = storage.blocks, observed.information
         hit_bits = np.empty((len(records), 8), np.uint64)
-        self._enter(blocks, observed, hit_bits, records)
+        self._enter(blocks, observed, hit_bits, records, witnesses)
         order, entered = np.flatnonzero(information[:, 0]), int(blocks.counts[BLOCK_COUNT])
         rows: list[NDArray[np.int64]] = []
 
@@ -225,8 +238,8 @@ class ScanWriter:
             rows.append(found)
 
         def see_through() -> None:
-            found = free.coordinates, free.bits, len(free.bits)
-            update.free_voxels(blocks, *found, self._hit_row, hit_bits, self._miss)
+            hits = self._hit_row, hit_bits
+            update.free_voxels(blocks, free.coordinates, free.bits, *hits, witnesses, self._miss)
 
         if len(blocks.dirty):  # both write which voxels changed
             open_rows()
@@ -246,6 +259,7 @@ class ScanWriter:
         observed: Observations,
         hit_bits: NDArray[np.uint64],
         records: NDArray[np.int64],
+        witnesses: WitnessArrays,
     ) -> None:
         """Add the hits, and note the record of each row."""
         hit_blocks = 0
@@ -260,6 +274,7 @@ class ScanWriter:
                 self._hit_row,
                 hit_bits,
                 records[own],
+                witnesses,
                 -self._miss,
                 self._hit,
             )

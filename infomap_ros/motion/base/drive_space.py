@@ -92,12 +92,16 @@ class DriveSpace:
     def _reason_at(self, place: FloatArray) -> str:
         return self.vehicle.stance(self.terrain, *(float(value) for value in place)).reason
 
-    def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
-        """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
-        config = self.config
-        poses = np.array(way)
+    def in_steps(self, way: FloatArray) -> FloatArray:
+        """A way in the steps in which it is asked and driven, shape (K, 3) -> (N, 3)."""
+        config, poses = self.config, np.array(way)
         if config.turning_radius == 0.0:
             poses = drive_points.points_along(poses, config.reverse, self.grid[2], self.grid[3])
+        return poses
+
+    def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
+        """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
+        poses = self.in_steps(way)
         poses[:, 2] = np.unwrap(poses[:, 2])
         length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
         stances = standing_on(poses, self.vehicle.stances(self.terrain, poses).T_map_base)

@@ -87,5 +87,5 @@ def test_pose_errors_are_those_of_their_covariances():
         )
         error = np.concatenate([truth[:3, 3] - scan.pose[:3, 3], turn])
         np.testing.assert_allclose(perturb_transform(scan.pose, error), truth, atol=1e-6)
-        squares.append(error @ np.linalg.solve(scan.pose_covariance, error))
+        squares.append(error @ np.linalg.solve(scan.pose_covariance.covariance, error))
     assert 5.4 < np.mean(squares) < 6.6

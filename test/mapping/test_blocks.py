@@ -34,6 +34,7 @@ from infomap_ros.mapping.voxels.blocks import (
     with_room,
 )
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, COORDINATE_LIMIT, pack, unpack
+from infomap_ros.mapping.voxels.witnesses import Witnesses
 
 KEYS = [pack(0, 0, 0), pack(-1, 5, 2), pack(1000, -7, 3)]
 COORDINATES = np.array([unpack(key) for key in KEYS], np.int32)
@@ -99,7 +100,8 @@ def apply(store: BlockArrays, model: Model, operation: tuple) -> BlockArrays:
     else:
         words = np.packbits(voxels.reshape(8, 64), axis=1, bitorder="little").view(np.uint64)
         no_hits, no_bits = np.full(len(store.keys), -1, np.int32), np.zeros((1, 8), np.uint64)
-        free_voxels(store, COORDINATES[[block]], words, 1, no_hits, no_bits, quanta)
+        witnesses = Witnesses().at(np.eye(4), len(store.keys), 1)
+        free_voxels(store, COORDINATES[[block]], words, no_hits, no_bits, witnesses, quanta)
         for voxel in np.flatnonzero(voxels):
             model.add(block, int(voxel), quanta)
     return store

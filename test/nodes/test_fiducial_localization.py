@@ -293,13 +293,13 @@ def test_fiducials_are_chosen_in_the_shared_map_where_it_is_wanted(
     graph: Any, use_map: bool
 ) -> None:
     stage = Stage(graph, use_map=use_map)
-    follow, given = stage.node._follower.follow, []
+    locate, given = stage.node._localizer.locate, []
 
     def recorded(*arguments: Any) -> Any:
         given.append(arguments[4])
-        return follow(*arguments)
+        return locate(*arguments)
 
-    stage.node._follower.follow = recorded
+    stage.node._localizer.locate = recorded
     assert len(stage.run(1)) == 1
     assert given == [None]
 

@@ -163,11 +163,12 @@ class _Attempts:
 def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
     """A choice for which the way, and what localization suffers on it, count by a share."""
     rating = config.rating
-    costs = {
-        "distance_weight": share * rating.distance_weight,
-        "localization_weight": share * rating.localization_weight,
-    }
-    return replace(config, rating=replace(rating, **costs))
+    cheap = replace(
+        rating,
+        distance_weight=share * rating.distance_weight,
+        localization_weight=share * rating.localization_weight,
+    )
+    return replace(config, rating=cheap)
 
 
 def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:

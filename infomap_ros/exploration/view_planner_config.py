@@ -56,8 +56,9 @@ class ViewPlannerConfig:
     thorough: float = parameter(
         0.3,
         "Where no view is worth its cost and the task is not met yet, the way and the localization "
-        "error on it count by this share only, and then views are sought that close holes of the mapped surface, of which this "
-        "share of the least information is asked for. 1 gives up at once.",
+        "error on it count by this share only, and then views are sought that close holes of the "
+        "mapped surface, of which this share of the least information is asked for. 1 gives up at "
+        "once.",
         low=0.0,
         high=1.0,
     )

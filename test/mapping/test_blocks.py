@@ -98,7 +98,7 @@ def apply(store: BlockArrays, model: Model, operation: tuple) -> BlockArrays:
             add_quanta(store, slot, voxel, amount)
             model.add(block, voxel, amount)
     else:
-        words = np.packbits(voxels.reshape(8, 64), axis=1, bitorder="little").view(np.uint64)
+        words = np.packbits(voxels, bitorder="little").view(np.uint64).reshape(1, 8)
         no_hits, no_bits = np.full(len(store.keys), -1, np.int32), np.zeros((1, 8), np.uint64)
         witnesses = Witnesses().at(np.eye(4), len(store.keys), 1)
         free_voxels(store, COORDINATES[[block]], words, no_hits, no_bits, witnesses, quanta)

@@ -76,15 +76,29 @@ class ViewMotion:
         self._last_reach, self._sent = reach, None
         return reach
 
-    def send(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:
-        """Note the route along which the robot is sent from here; None for none."""
+    def send(
+        self,
+        voxel_map: VoxelMap,
+        state: RobotState,
+        route: Route | None,
+        known_free: Sequence[PlacedSolid] = (),
+    ) -> None:
+        """Note the route along which the robot is sent from here.
+
+        Args:
+            voxel_map: in which it was planned.
+            state: where the robot is.
+            route: None for none.
+            known_free: space that was taken for free although it was never seen [map].
+        """
         self._sent, self._check = route, None
         if route is not None:
             reaching = self._config.reaching
             whole = WholeBody.of(self._robot, reaching, state.joints)
             self._check = RouteCheck(
-                route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start
-            )
+                route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
+                known_free,
+            )  # fmt: skip
 
     def withdraw(self) -> None:
         """Note that the robot is not sent along the last route."""
@@ -111,8 +125,9 @@ class ViewMotion:
     ) -> ReachResult:
         """A motion of the arm alone to a view, from where the base has come to stand.
 
-        Within the task's tolerances or as near as can be; where a doubtful pose asks for too much
-        room, with as much as a sure one.
+        Within the task's tolerances or as near as can be. The space that the body filled when the
+        route was planned is free, as it was for that plan: nothing sees it. Where a doubtful pose
+        asks for too much room, with as much as a sure one.
 
         Args:
             voxel_map: what is known.
@@ -120,15 +135,17 @@ class ViewMotion:
             T_map_camera: the view, shape (4, 4).
             obstacles: what must not be touched and the map does not show.
         """
-        task = self._task
+        task, before = self._task, self._last_reach
+        been = () if before is None else before.near.own_space
         for widen in (True, False):
             reach = self.reach(voxel_map, state, obstacles, widen)
+            reach.near.add_free(been)
             result = reach.with_arm_alone(
                 T_map_camera, task.view_position_tolerance, task.view_angle_tolerance
             )
             if not result.reason:
                 break
-        self.send(voxel_map, state, result.route)
+        self.send(voxel_map, state, result.route, been)
         return result
 
     def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:

@@ -62,6 +62,9 @@ class WholeBodyReach:
         sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives and
             the arm are taken for wider accordingly [m].
 
+    Attributes:
+        near: the map as its collision checks see it.
+
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
     """
@@ -85,7 +88,7 @@ class WholeBodyReach:
         self._whole = WholeBody.of(robot, self.config, joints)
         chain = self._whole.chain
         self._q = np.clip(chain.positions(joints), chain.lower, chain.upper)  # encoders are noisy
-        self._near = NearSpace(
+        self.near = NearSpace(
             voxel_map,
             self._whole.body,
             self._base,
@@ -100,7 +103,7 @@ class WholeBodyReach:
         self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
         self._routes = RoutePlanner(
-            self._whole, self._near, self.config, past.after(self._base, self._q, sent)
+            self._whole, self.near, self.config, past.after(self._base, self._q, sent)
         )
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
@@ -129,7 +132,7 @@ class WholeBodyReach:
     @property
     def is_wider(self) -> bool:
         """Whether the robot keeps more room than a sure pose would ask for."""
-        return self.planner.vehicle.wider > 0.0 or self._near.wider > 0.0
+        return self.planner.vehicle.wider > 0.0 or self.near.wider > 0.0
 
     @property
     def terrain(self) -> Terrain:
@@ -171,7 +174,7 @@ class WholeBodyReach:
         here, why_not = self._routes.arm_to_view(view, self._ik)
         if here is not None:
             return here
-        finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
+        finder = StanceFinder(self._whole, self.planner, self.near, self.config, self._xyyaw)
         if self._routes.why_not_folded:
             return ReachResult(f"{self._routes.why_not_folded}; the arm alone: {why_not}")
         stances = finder.find(view)
@@ -245,7 +248,7 @@ class WholeBodyReach:
                 self._whole.chain, T_base_camera[near], direction_only=True, q_start=self._q,
                 config=self._ik,
             )  # fmt: skip
-            free = self._near.checker_at(self._base).are_free(batch.q, self._base, base=False)
+            free = self.near.checker_at(self._base).are_free(batch.q, self._base, base=False)
             found[near] = batch.converged & free
         return found
 

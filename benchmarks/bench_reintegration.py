@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
+from infomap_ros.geometry import make_transform, perturb_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import reintegrate
 from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.mapping.correction.scan_store import ScanStore, integrate_record
+from infomap_ros.pipeline.pipeline import Fused
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.mapping.map_run import MapRun
-from infomap_ros.replay.measuring.range_meters import Measurement
 from infomap_ros.simulation.worlds.scenes import build_scene
 
 BAG = "bags/rover_rocks"
@@ -47,34 +47,29 @@ class Frame(NamedTuple):
     uncertainty: np.ndarray
 
 
-class Collector(MapRun):
-    """Collects the scans of a bag instead of mapping them."""
-
-    frames_seen: list[Frame]
-
-    def _integrate(self, measurement: Measurement, pose: PoseRecord) -> None:
-        cloud = measurement.cloud
-        self.frames += 1
-        self.frames_seen.append(
-            Frame(
-                measurement.stamp,
-                self.inputs.body.remove(measurement),
-                cloud.covariance_triangles,
-                cloud.camera,
-                cloud.error_correlation,
-                pose.transform,
-                pose.covariance if pose.covariance is not None else np.eye(6) * 1e-6,
-            )
-        )
-
-
 def frames_of(path: Path) -> list[Frame]:
     """All scans of the bag, without the robot's body."""
+    frames = []
     with BagReader(path) as bag:
-        run = Collector(bag)
-        run.frames_seen = []
-        run.run()
-        return run.frames_seen
+        run = MapRun(bag)
+        for done in run.results():
+            if not isinstance(done, Fused):
+                continue
+            cloud, pose = done.scan.cloud.cloud, done.scan.pose
+            points = run.builder.without_bodies(done.scan.cloud.record, done.scan)
+            covariance = pose.covariance if pose.covariance is not None else np.eye(6) * 1e-6
+            frames.append(
+                Frame(
+                    done.scan.cloud.stamp,
+                    points,
+                    cloud.covariance_triangles,
+                    cloud.camera,
+                    cloud.error_correlation,
+                    pose.transform,
+                    covariance,
+                )
+            )
+    return frames
 
 
 def scene_of(path: Path) -> Any:
@@ -156,7 +151,7 @@ def measure(voxel_size: float, figure: Path | None) -> dict[str, float | int]:
     fresh = VoxelMap(config)
     start = time.perf_counter()
     for scan in store:
-        integrate_record(fresh, scan.record, scan.transform, scan.covariance)
+        integrate_record(fresh, scan.record, scan.transform, scan.uncertainty)
     anew = time.perf_counter() - start
     ghosts_before, ghosts_after = share_of_ghosts(before, scene), share_of_ghosts(voxel_map, scene)
     if figure is not None:

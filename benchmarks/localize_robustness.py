@@ -31,8 +31,9 @@ from infomap_ros.geometry import ImageRecord, PoseRecord, invert_transform
 from infomap_ros.geometry.records import CameraInfoRecord
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.range_estimator import PairRectifier
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.measuring.range_meters import PairPreparation
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor
 
 BEFORE, AFTER = 10, 15  # undisturbed views
@@ -135,7 +136,7 @@ KINDS: dict[str, Disturbance] = {
 
 def load(path: Path) -> Recording:
     """Rectify all pairs of the bag."""
-    pairs = PairPreparation(StereoConfig(), rectify=True)
+    pairs = PairRectifier(StereoConfig(), rectify=True)
     infos: dict[str, CameraInfoRecord] = {}
     lefts: dict[int, ImageRecord] = {}
     truth: dict[int, np.ndarray] = {}
@@ -151,10 +152,10 @@ def load(path: Path) -> Recording:
                 lefts[record.stamp] = record
             elif isinstance(record, ImageRecord):
                 raw.append((lefts.pop(record.stamp), record))
-    calibrations = [infos[f"/{side}/camera_info"].calibration for side in ("left", "right")]
+    cameras = infos["/left/camera_info"], infos["/right/camera_info"]
     shots = []
     for pair in raw:
-        left, right, sensor = pairs.prepare(pair, calibrations)
+        left, right, sensor = pairs.prepare(ImageSet(pair, cameras))
         shots.append(Shot(pair[0].stamp, left, right, truth[pair[0].stamp]))
     return Recording(shots, sensor)
 

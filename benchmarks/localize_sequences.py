@@ -31,11 +31,10 @@ from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
 from infomap_ros.cli.settings import with_settings
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.pipeline.view_estimator import FramedView
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
-from infomap_ros.replay.measuring.range_sources import measure_all
-from infomap_ros.replay.measuring.view_meters import FramedView
+from infomap_ros.replay.localizing.localize_run import LocalizeRun, records_of
 from infomap_ros.replay.sequences import convert
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -88,7 +87,8 @@ def bag_of(sequence: Sequence, data: Path, work: Path) -> Path | None:
 def views_of(bag: BagReader, options: LocalizeOptions) -> Iterator[RangeView]:
     """The views that localisation sees."""
     inputs = find_localize_inputs(bag, options)
-    for entry in measure_all(bag.records(inputs.source.topics), inputs.source):
+    perception = inputs.perception
+    for entry in perception.see(records_of(bag, perception.sources.names)):
         if isinstance(entry, FramedView):
             yield entry.view
 
@@ -103,11 +103,11 @@ def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, d
         run = LocalizeRun(bag, options)
         run.run()
         seconds = time.perf_counter() - start
-    total = len(run.localisations)
+    total = len(run.log.localisations)
     results = {}
     for name, trajectory in (
-        ("localisation", run.trajectory),
-        ("localisation, corrected", run.corrected_trajectory),
+        ("localisation", run.log.trajectory),
+        ("localisation, corrected", run.log.corrected_trajectory),
     ):
         errors = errors_of(truth, trajectory.stamps.tolist(), trajectory.transforms, sequence.delta)
         located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}

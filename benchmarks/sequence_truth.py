@@ -71,7 +71,8 @@ def main() -> None:
         truth = {r.stamp: r.transform for r in records if isinstance(r, PoseRecord)}
         run = LocalizeRun(bag)
         run.run()
-        estimate = dict(zip(run.trajectory.stamps.tolist(), run.trajectory.transforms, strict=True))
+        found = run.log.trajectory
+        estimate = dict(zip(found.stamps.tolist(), found.transforms, strict=True))
         stamps = [stamp for stamp in truth if stamp in estimate]
         starts = range(0, len(stamps) - arguments.gap, EVERY)
         wanted = {stamps[i] for i in starts} | {stamps[i + arguments.gap] for i in starts}

@@ -10,7 +10,11 @@ from launch.substitutions import LaunchConfiguration
 
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
-from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
+from infomap_ros.nodes.simulated.simulated_localisation import (
+    IMAGE_RATE,
+    simulated_localisation,
+    simulated_motion_noise,
+)
 from infomap_ros.stereo import StereoConfig
 from launch import LaunchDescription
 
@@ -107,7 +111,11 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             **(simulated_localisation() if truth["simulator"] else {}),
             "target.kind": given["target"],
         },
-        "next_best_view": {"strategy": given["strategy"], **task},
+        "next_best_view": {
+            "strategy": given["strategy"],
+            **(simulated_motion_noise() if truth["simulator"] else {}),
+            **task,
+        },
         "explorer": {
             "autostart": truth["autostart"],
             "plan_only": truth["plan_only"],

@@ -18,6 +18,7 @@ RANKS = (
     {"motion"},
     {"exploration"},
     {"messages"},
+    {"pipeline"},
     {"replay"},
     {"simulation"},
     {"studies"},

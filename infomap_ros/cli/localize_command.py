@@ -73,14 +73,15 @@ def _localize(bag: Path, out: Path, options: LocalizeOptions) -> None:
 
 def _remarks(run: LocalizeRun) -> list[str]:
     """What the user should know beside the figures."""
-    texts = [f"{n} images dropped: {why}" for why, n in run.inputs.source.dropped.items()]
+    texts = [f"{n} images dropped: {why}" for why, n in run.inputs.perception.dropped.items()]
     texts += [f"{n} records refused: {why}" for why, n in run.refused.items()]
     texts += [f"{n} views without odometry: {why}" for why, n in run.without_motion.items()]
-    lost = [one for one in run.localisations if one.T_map_camera is None]
+    results = run.log.localisations
+    lost = [one for one in results if one.T_map_camera is None]
     if lost:
-        first = 1e-9 * (lost[0].stamp - run.localisations[0].stamp)
+        first = 1e-9 * (lost[0].stamp - results[0].stamp)
         texts.append(
-            f"{len(lost)} of {len(run.localisations)} views could not be located, the first after "
+            f"{len(lost)} of {len(results)} views could not be located, the first after "
             f"{first:.2f} s: {lost[0].reason}"
         )
     return texts

@@ -86,7 +86,7 @@ def _remarks(run: MapRun, reader: BagReader) -> list[str]:
     remarks += [f"{count} messages skipped: {text}" for text, count in reader.skipped.items()]
     remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
     remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
-    if run.assumed_poses:
+    if run.builder.assumed_poses:
         remarks.append(
             f"{run.inputs.pose_topic} has no covariance: assumed.default_position_sigma and "
             "assumed.default_rotation_sigma stand in for it"

@@ -18,7 +18,7 @@ from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.claimed import GainsSource, claimed_gains, shares_left
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
-from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.situation import Situation
 
 
@@ -32,7 +32,7 @@ class ViewChoice:
     Args:
         config: of choice and memory.
         information: what views are expected to tell.
-        localisation_error: model of LE of eq. (11); odometry drift where not given.
+        localization_error: model of LE of eq. (11); odometry drift where not given.
 
     Attributes:
         memory: of views that could not be reached.
@@ -42,17 +42,17 @@ class ViewChoice:
         self,
         config: ViewPlannerConfig,
         information: ExpectedInformation,
-        localisation_error: LocalisationError | None = None,
+        localization_error: LocalizationError | None = None,
     ) -> None:
         self._rounds = config.rounds
         self.memory = GoalMemory(config.memory)
         self._information = information
         self._completion = SurfaceCompletion(information.config, config.vain.patience)
-        self._near = NextBestView(config.choice, config.strategy, information, localisation_error)
+        self._near = NextBestView(config.choice, config.strategy, information, localization_error)
         far = _from_afar(config.choice, config.thorough)
         close, closing = _of_surface(far, config.thorough), self._completion
-        self._far = NextBestView(far, config.strategy, information, localisation_error)
-        self._closing = NextBestView(close, closing, closing, localisation_error)
+        self._far = NextBestView(far, config.strategy, information, localization_error)
+        self._closing = NextBestView(close, closing, closing, localization_error)
         self._gives_up_at_once = config.thorough >= 1.0
 
     def select(

@@ -28,7 +28,7 @@ from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.kept_promises import KeptPromises
-from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 from infomap_ros.views.vain_looks import VainLooks
 
@@ -66,7 +66,7 @@ class ViewPlanner:
         rig: the rectified stereo pair.
         task: what is to be mapped.
         config: of choice and motion.
-        localisation_error: model of LE of eq. (11); odometry drift where not given.
+        localization_error: model of LE of eq. (11); odometry drift where not given.
     """
 
     def __init__(
@@ -75,14 +75,18 @@ class ViewPlanner:
         rig: StereoRig,
         task: TaskConfig,
         config: ViewPlannerConfig | None = None,
-        localisation_error: LocalisationError | None = None,
+        localization_error: LocalizationError | None = None,
     ) -> None:
         self.config = config or ViewPlannerConfig()
         self.robot, self._rig, self._task = robot, rig, task
-        sensor = replace(InformationConfig.of_stereo(rig), wanted_sigma=task.mean_sigma)
+        sensor = replace(
+            InformationConfig.of_stereo(rig),
+            wanted_sigma=task.mean_sigma,
+            predict_unknown=self.config.predict_unknown,
+        )
         information = ExpectedInformation(self.config.metric, sensor, threads=self.config.threads)
         self._information = information
-        self._choice = ViewChoice(self.config, information, localisation_error)
+        self._choice = ViewChoice(self.config, information, localization_error)
         self._vain = VainLooks(self.config.vain)
         self._kept = KeptPromises()
         self._turns = StrategyAlternator(task)

@@ -27,6 +27,11 @@ class ViewPlannerConfig:
     metric: str = parameter(
         "expected_entropy_reduction", "What counts as information, by the name of a metric."
     )
+    predict_unknown: bool = parameter(
+        False,
+        "Whether unknown voxels near known ones have the average probability of their neighbors "
+        "(the Markov chain of sec. 2.4 of the paper) instead of 0.5 when views are rated.",
+    )
     max_range: float = parameter(
         4.0, "How far the camera measures well enough to map.", unit="m", low=0.1, high=1000.0
     )

@@ -7,7 +7,11 @@ from infomap_ros.geometry.camera import (
     rig_from_calibrations,
 )
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
-from infomap_ros.geometry.pose_uncertainty import MotionClock, PoseUncertainty
+from infomap_ros.geometry.pose_uncertainty import (
+    MotionClock,
+    PoseUncertainty,
+    point_covariances,
+)
 from infomap_ros.geometry.records import (
     CameraInfoRecord,
     ImageRecord,
@@ -77,6 +81,7 @@ __all__ = [
     "invert_transform",
     "make_transform",
     "perturb_transform",
+    "point_covariances",
     "points_inside",
     "quaternion_from_transform",
     "rig_from_calibrations",

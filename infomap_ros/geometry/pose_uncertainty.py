@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry.transforms import FloatArray, check_covariance
+from infomap_ros.geometry.transforms import FloatArray, check_covariance, check_transform, skew
 
 CORRELATION_LENGTH = 1.0
 """Way over which the error of a pose decorrelates where nobody says how it does [m].
@@ -69,6 +69,52 @@ class PoseUncertainty:
         """How the drift of this pose correlates with that of another one, in [0, 1]."""
         return math.exp(-abs(self.clock - other.clock))
 
+    def with_covariance(self, covariance: ArrayLike) -> PoseUncertainty:
+        """The same pose when its covariance, shape (6, 6), has become another.
+
+        Offset and clock stay. Drift and white noise share in what is left as they did before.
+
+        Raises:
+            InvalidInputError: it is no covariance.
+        """
+        total = check_covariance(covariance, 6, "covariance")
+        inverse = np.linalg.pinv(self.drift + self.white, hermitian=True)
+        of_drift, of_white = np.trace(inverse @ self.drift), np.trace(inverse @ self.white)
+        share = of_drift / (of_drift + of_white) if of_white > 0.0 else 1.0
+        left = positive_part(total - self.offset)
+        return PoseUncertainty(share * left, (1.0 - share) * left, self.offset, self.clock)
+
+    def offset_at_origin(self, position: ArrayLike) -> FloatArray:
+        """The offset told for the map's origin, shape (6, 6); `position` is the camera's [m]."""
+        over = np.eye(6)
+        over[:3, 3:] = skew(position)
+        return np.asarray(over @ self.offset @ over.T)
+
+
+def point_covariances(offset: FloatArray, points: FloatArray) -> FloatArray:
+    """What an error of the map as a whole does to points.
+
+    Args:
+        offset: its covariance at the origin of the map, shape (6, 6).
+        points: shape (N, 3), map frame [m].
+
+    Returns:
+        Shape (N, 3, 3) [m^2].
+    """
+    jacobians = np.zeros((len(points), 3, 6))
+    jacobians[:, range(3), range(3)] = 1.0
+    x, y, z = points.T
+    jacobians[:, 0, 4], jacobians[:, 0, 5] = z, -y
+    jacobians[:, 1, 3], jacobians[:, 1, 5] = -z, x
+    jacobians[:, 2, 3], jacobians[:, 2, 4] = y, -x
+    return np.asarray(jacobians @ offset @ jacobians.transpose(0, 2, 1))
+
+
+def positive_part(matrix: FloatArray) -> FloatArray:
+    """The nearest positive semidefinite matrix to a symmetric one, shape (n, n)."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
 
 class MotionClock:
     """The clock of poses that come with nothing but a covariance.
@@ -88,6 +134,15 @@ class MotionClock:
             self._time += _separation(self._last, pose)
         self._last = pose.copy()
         return self._time
+
+    def uncertainty(self, covariance: ArrayLike, T_map_camera: ArrayLike) -> PoseUncertainty:
+        """That of the next pose, shape (4, 4), of which only the covariance, (6, 6), is known.
+
+        Raises:
+            InvalidInputError: the pose or its covariance is none.
+        """
+        drift = check_covariance(covariance, 6, "pose_covariance")
+        return PoseUncertainty(drift, clock=self.at(check_transform(T_map_camera, "T_map_sensor")))
 
 
 def _separation(first: FloatArray, second: FloatArray) -> float:

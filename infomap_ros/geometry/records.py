@@ -117,13 +117,17 @@ class PointCloudRecord(Record):
 
     Attributes:
         points: shape (H, W, 3) when organised, else (N, 3), float32 [m]; NaN = no measurement.
-        covariances: shape (..., 3, 3) like points, float32 [m^2], or None if unknown.
+        covariances: shape (..., 3, 3) like points, or (..., 6) as (xx, xy, xz, yy, yz, zz), float32
+            [m^2]; None if unknown.
         colors: shape (..., 3), uint8 RGB, or None.
+        error_correlation: mean correlation of the errors of two points of one surface patch, 0 to
+            1; None if unknown.
     """
 
     points: NDArray[np.float32]
     covariances: NDArray[np.float32] | None = None
     colors: NDArray[np.uint8] | None = None
+    error_correlation: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ class WaitingQueue(Generic[Item]):
         self,
         pose_at: Callable[[int], PoseRecord],
         config: WaitingQueueConfig | None = None,
-        on_drop: Callable[[Item, str], None] | None = None,
+        on_drop: Callable[[Item, str, str], None] | None = None,
     ) -> None:
         """Create an empty queue.
 
@@ -56,7 +56,7 @@ class WaitingQueue(Generic[Item]):
             pose_at: gives the pose at a stamp [ns] or raises `PoseUnavailableError`, as
                 `PoseBuffer.at` does.
             config: limits.
-            on_drop: told of each dropped item and why, in a sentence.
+            on_drop: called with each dropped item, the reason, and the reason in a sentence.
         """
         self.config = config or WaitingQueueConfig()
         self.dropped: Counter[str] = Counter()
@@ -111,7 +111,7 @@ class WaitingQueue(Generic[Item]):
     def _drop(self, entry: _Waiting[Item], reason: str, sentence: str) -> None:
         self.dropped[reason] += 1
         if self._on_drop is not None:
-            self._on_drop(entry.item, sentence)
+            self._on_drop(entry.item, reason, sentence)
 
 
 @dataclass(frozen=True)

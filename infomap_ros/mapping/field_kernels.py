@@ -35,7 +35,7 @@ class FieldArrays(NamedTuple):
 def transform(squares: Any, edge: Any) -> None:
     """Turn 0 where blocked and far elsewhere into squared distances [voxels], axis by axis.
 
-    Lines along the first two axes are gathered for `_LINES` neighbours along z at once, since a
+    Lines along the first two axes are gathered for 16 neighbours along z at once, since a
     line of its own would use one number of every cache line that it touches.
     """
     nx, ny, nz = squares.shape

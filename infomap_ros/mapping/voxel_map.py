@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
-from infomap_ros.geometry import PinholeCamera, float_array
+from infomap_ros.geometry import MotionClock, PinholeCamera, PoseUncertainty, point_covariances
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
-from infomap_ros.mapping.scans import traversal
+from infomap_ros.mapping.scans import scan_input, traversal
 from infomap_ros.mapping.scans.integration import IntegrationReport, ScanIntegrator
-from infomap_ros.mapping.scans.scan_input import checked_scan
 from infomap_ros.mapping.voxels import queries
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
 from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, take_changes
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
-from infomap_ros.mapping.voxels.state import storage_from_state, storage_state
+from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, storage_state
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
 
@@ -32,12 +31,13 @@ class VoxelMap:
 
     Voxel (i, j, k) is the cube from ``(i, j, k) * voxel_size`` to ``(i + 1, j + 1, k + 1) *
     voxel_size`` in the map frame [m]. Scans may come in any order: occupancy is the same to the
-    bit, Gaussians within rounding.
+    bit, means of Gaussians within rounding; their covariances assume that clocks seldom go back.
     """
 
     def __init__(self, config: VoxelMapConfig | None = None) -> None:
         self.config = config or VoxelMapConfig()
         self._storage = MapStorage()
+        self._clock = MotionClock()
         self._integrator = ScanIntegrator(self.config)
 
     def integrate(
@@ -45,7 +45,7 @@ class VoxelMap:
         points: ArrayLike,
         T_map_sensor: ArrayLike,
         covariances: ArrayLike | None = None,
-        pose_covariance: ArrayLike | None = None,
+        pose_covariance: ArrayLike | PoseUncertainty | None = None,
         camera: PinholeCamera | None = None,
         error_correlation: float | None = None,
     ) -> IntegrationReport:
@@ -56,7 +56,7 @@ class VoxelMap:
             T_map_sensor: pose of the sensor (with a camera: of its optical frame), shape (4, 4).
             covariances: shape (..., 3, 3), or (..., 6) as (xx, xy, xz, yy, yz, zz), of the points
                 in the sensor frame [m^2]. Without it every point has ``default_sigma``.
-            pose_covariance: shape (6, 6), of the pose, convention of `geometry.transforms`.
+            pose_covariance: of the pose in its parts, see `pose_uncertainty`.
             camera: the camera whose pixels the points are. Free space is then found by projecting
                 voxels into the image; without it by traversing the rays.
             error_correlation: of the range errors of neighbouring points, in [0, 1]; replaces the
@@ -74,10 +74,27 @@ class VoxelMap:
         correlation = config.error_correlation if error_correlation is None else error_correlation
         if not 0.0 <= correlation <= 1.0:
             raise InvalidInputError("error_correlation", f"is {correlation}, expected 0 to 1")
-        scan = checked_scan(
-            points, T_map_sensor, covariances, pose_covariance, camera, config.default_sigma
-        )
-        return self._integrator.integrate(self._storage, scan, correlation)
+        known = self.pose_uncertainty(pose_covariance, T_map_sensor)
+        given = points, T_map_sensor, covariances, known, camera
+        scan = scan_input.checked_scan(*given, config.default_sigma)
+        report = self._integrator.integrate(self._storage, scan, correlation)
+        if isinstance(pose_covariance, PoseUncertainty):
+            self._storage.offset = pose_covariance.offset_at_origin(scan.transform[:3, 3])
+        return report
+
+    def pose_uncertainty(
+        self, pose_covariance: ArrayLike | PoseUncertainty | None, T_map_sensor: ArrayLike
+    ) -> PoseUncertainty | None:
+        """What `integrate` takes a pose's covariance for.
+
+        One that does not come in parts, shape (6, 6), is drift by the clock of the motion.
+
+        Raises:
+            InvalidInputError: the pose or its covariance is none.
+        """
+        if pose_covariance is None or isinstance(pose_covariance, PoseUncertainty):
+            return pose_covariance
+        return self._clock.uncertainty(pose_covariance, T_map_sensor)
 
     def log_odds(self, points: ArrayLike) -> FloatArray:
         """Occupancy evidence at points, shape (N, 3) [m] -> (N,) [nats], 0 where unknown."""
@@ -91,8 +108,11 @@ class VoxelMap:
         """Whether the voxels at points, shape (N, 3) [m], were ever observed, shape (N,)."""
         return self._quanta(points)[0]
 
-    def gaussians(self) -> tuple[NDArray[np.int32], FloatArray, FloatArray]:
+    def gaussians(self, relative: bool = False) -> tuple[NDArray[np.int32], FloatArray, FloatArray]:
         """Surface voxels.
+
+        Args:
+            relative: leave out the error that the whole map shares.
 
         Returns:
             Voxel indices (K, 3), means (K, 3) [m] and covariances (K, 3, 3) [m^2] in the map
@@ -104,7 +124,14 @@ class VoxelMap:
         means, covariances = np.empty((count, 3)), np.empty((count, 3, 3))
         blocks, gaussians = self._storage.blocks, self._storage.gaussians
         queries.list_surface(blocks, gaussians, self.config.voxel_size, indices, means, covariances)
+        if not relative and self.offset.any():
+            covariances += point_covariances(self.offset, means)
         return indices, means, covariances
+
+    @property
+    def offset(self) -> FloatArray:
+        """Covariance of the error that the whole map shares, at its origin, shape (6, 6)."""
+        return self._storage.offset.copy()
 
     def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """All known voxels: indices (K, 3) and log-odds (K,) [nats]."""
@@ -139,29 +166,11 @@ class VoxelMap:
             InvalidInputError: shapes do not fit, values are not finite, a direction is zero, or a
                 ray leaves the coordinate limits.
         """
-        rays = _points(directions, "directions")
-        starts = float_array(origins, "origins")
-        if starts.shape not in ((3,), rays.shape):
-            raise InvalidInputError("origins", f"shape {starts.shape}, expected {rays.shape}")
-        starts = np.ascontiguousarray(np.broadcast_to(starts, rays.shape))
-        lengths = np.linalg.norm(rays, axis=1, keepdims=True)
-        if not (np.isfinite(starts).all() and np.isfinite(rays).all() and (lengths > 0.0).all()):
-            raise InvalidInputError("rays", "hold NaN, infinity or a direction of length zero")
-        reach = np.abs(starts).max(initial=0.0) + max_range
-        if not (max_range > 0.0 and reach * (1.0 / self.config.voxel_size) < 1e6):
-            raise InvalidInputError(
-                "max_range", f"is {max_range} m, expected a positive range within the map's limits"
-            )
+        size = self.config.voxel_size
+        starts, rays = scan_input.checked_rays(origins, directions, max_range, size)
         distances, hits = np.empty(len(rays)), np.empty(len(rays), np.bool_)
-        traversal.cast_rays(
-            self._storage.blocks,
-            starts,
-            rays / lengths,
-            float(max_range),
-            1.0 / self.config.voxel_size,
-            distances,
-            hits,
-        )
+        limits = float(max_range), 1.0 / size
+        traversal.cast_rays(self._storage.blocks, starts, rays, *limits, distances, hits)
         return distances, hits
 
     def entropy_bits(self, region: ArrayLike | None = None) -> float:
@@ -176,12 +185,9 @@ class VoxelMap:
         """
         if region is None:
             low, high = np.full(3, -(2**40)), np.full(3, 2**40)
-            return float(
-                queries.total_entropy(self._storage.blocks, LOG_ODDS_QUANTUM, low, high)[0]
-            )
-        box = float_array(region, "region")
-        if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
-            raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
+            blocks = self._storage.blocks
+            return float(queries.total_entropy(blocks, LOG_ODDS_QUANTUM, low, high)[0])
+        box = scan_input.checked_box(region, "region")
         low, high = np.ceil(box / self.config.voxel_size - 0.5).astype(np.int64)
         known_bits, known = queries.total_entropy(self._storage.blocks, LOG_ODDS_QUANTUM, low, high)
         return float(known_bits) + float(np.prod((high - low).astype(float))) - float(known)
@@ -247,7 +253,7 @@ class VoxelMap:
     def reset(self) -> None:
         """Forget everything."""
         tracked = len(self._storage.blocks.dirty) > 0
-        self._storage = MapStorage()
+        self._storage, self._clock = MapStorage(), MotionClock()
         if tracked:
             self.track_changes(True)
 
@@ -267,8 +273,9 @@ class VoxelMap:
         return restored
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file, atomically: a reader sees the old file or the new one."""
-        write_map_file(Path(path), dataclasses.asdict(self.config), self.state())
+        """Write the map to one file, atomically. Scans that come later share no errors with it."""
+        state = {name: array for name, array in self.state().items() if name != MEMORY_ARRAY}
+        write_map_file(Path(path), dataclasses.asdict(self.config), state)
 
     @classmethod
     def load(cls, path: str | Path) -> VoxelMap:
@@ -285,16 +292,8 @@ class VoxelMap:
         return cls.from_state(config, state)
 
     def _quanta(self, points: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
-        places = _points(points, "points")
+        places = scan_input.checked_points(points, "points")
         known, quanta = np.empty(len(places), np.bool_), np.empty(len(places), np.int32)
-        queries.quanta_at_points(
-            self._storage.blocks, places, 1.0 / self.config.voxel_size, known, quanta
-        )
+        scale = 1.0 / self.config.voxel_size
+        queries.quanta_at_points(self._storage.blocks, places, scale, known, quanta)
         return known, quanta
-
-
-def _points(points: ArrayLike, name: str) -> FloatArray:
-    places = float_array(points, name)
-    if places.ndim != 2 or places.shape[1] != 3:
-        raise InvalidInputError(name, f"shape {places.shape}, expected (N, 3)")
-    return places

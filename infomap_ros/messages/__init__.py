@@ -20,6 +20,7 @@ from infomap_ros.messages.clouds import (
     decode_point_cloud,
     encode_cloud_fields,
     encode_point_cloud,
+    encode_range_cloud,
 )
 from infomap_ros.messages.encode import (
     encode,
@@ -150,6 +151,7 @@ __all__ = [
     "encode_odometry",
     "encode_point_cloud",
     "encode_pose",
+    "encode_range_cloud",
     "encode_text",
     "encode_transforms",
     "header_stamp",

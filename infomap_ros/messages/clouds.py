@@ -13,13 +13,14 @@ from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.records import PointCloudRecord
 from infomap_ros.messages.fields import MessageFields
 from infomap_ros.messages.types import MessageTypes, make_header
+from infomap_ros.stereo.range_cloud import CORRELATION_FIELD, CORRELATION_OFFSET, PACKED_FIELDS
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 POINT_FIELD = "sensor_msgs/msg/PointField"
 
 COVARIANCE_NAMES = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 _UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_FLOAT32 = 7
+_FLOAT32, _UINT8 = 7, 2
 _ALL_GOOD, _NONE_MEASURED = -1, -2
 _TYPE_CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
@@ -67,7 +68,9 @@ def decode_point_cloud(message: object) -> PointCloudRecord:
 
     Points with a coordinate that is not finite become NaN in all three. A cloud of height 1 gives
     points (N, 3), any other (H, W, 3). Colours come from ``rgb`` or ``rgba``, or from ``r``, ``g``
-    and ``b``; covariances from ``cov_xx`` to ``cov_zz``, where all zero stands for unknown.
+    and ``b``; covariances from ``cov_xx`` to ``cov_zz``, where all zero stands for unknown. The
+    correlation of errors comes from the first point's ``error_correlation``, a share, or hundredths
+    where it is of an integer type.
 
     Raises:
         MalformedMessageError: x, y or z is missing, a field is unknown or leaves its point, steps
@@ -85,7 +88,23 @@ def decode_point_cloud(message: object) -> PointCloudRecord:
         points = points[0]
         covariances = None if covariances is None else covariances[0]
         colors = None if colors is None else colors[0]
-    return PointCloudRecord(stamp, frame_id, points, covariances, colors)
+    correlation = _error_correlation(cells)
+    return PointCloudRecord(stamp, frame_id, points, covariances, colors, correlation)
+
+
+def _error_correlation(cells: _Cells) -> float | None:
+    if CORRELATION_FIELD not in cells.layout:
+        return None
+    value = cells.column(CORRELATION_FIELD)[0, 0]
+    share = float(value) if value.dtype.kind == "f" else round_correlation(int(value) / 100)
+    if not 0.0 <= share <= 1.0:
+        cells.message.fail(f"{CORRELATION_FIELD} is {share}, expected 0 to 1")
+    return share
+
+
+def round_correlation(share: float) -> float:
+    """A correlation as the clouds of range sensors carry it: in hundredths."""
+    return round(100.0 * share) / 100
 
 
 def _cells(fields: MessageFields) -> _Cells:
@@ -224,7 +243,7 @@ def encode_point_cloud(types: MessageTypes, record: PointCloudRecord) -> Any:
     """Build a ``sensor_msgs/PointCloud2`` of float32 fields.
 
     Fields x y z, then rgb (packed) where there are colours, then cov_xx cov_xy cov_xz cov_yy
-    cov_yz cov_zz where there are covariances.
+    cov_yz cov_zz where there are covariances, then error_correlation where it is known.
 
     Raises:
         InvalidInputError: points, covariances and colours do not fit each other.
@@ -235,6 +254,8 @@ def encode_point_cloud(types: MessageTypes, record: PointCloudRecord) -> Any:
     names: tuple[str, ...] = ("x", "y", "z")
     names += ("rgb",) if record.colors is not None else ()
     names += COVARIANCE_NAMES if record.covariances is not None else ()
+    first_covariance = len(names) - 6
+    names += (CORRELATION_FIELD,) if record.error_correlation is not None else ()
     data = np.empty((*points.shape[:-1], len(names)), dtype="<f4")
     data[..., :3] = points
     if record.colors is not None:
@@ -242,9 +263,24 @@ def encode_point_cloud(types: MessageTypes, record: PointCloudRecord) -> Any:
         data[..., 3].view("<u4")[...] = _packed(record.colors)
     if record.covariances is not None:
         _check_shape("covariances", record.covariances, (*points.shape, 3))
-        for column, (i, j) in enumerate(_UPPER_TRIANGLE, start=len(names) - 6):
+        for column, (i, j) in enumerate(_UPPER_TRIANGLE, start=first_covariance):
             data[..., column] = record.covariances[..., i, j]
+    if record.error_correlation is not None:
+        data[..., -1] = record.error_correlation
     return encode_cloud_fields(types, record.stamp, record.frame_id, names, data)
+
+
+def encode_range_cloud(
+    types: MessageTypes, stamp: int, frame_id: str, packed: NDArray[np.float32]
+) -> Any:
+    """Build a ``sensor_msgs/PointCloud2`` of `RangeCloud.packed`, shape (H, W, 10).
+
+    Its fields are `PACKED_FIELDS` and, in the byte that rgb leaves over, `CORRELATION_FIELD`.
+    """
+    message = encode_cloud_fields(types, stamp, frame_id, PACKED_FIELDS, packed)
+    spare = {"name": CORRELATION_FIELD, "offset": CORRELATION_OFFSET, "datatype": _UINT8}
+    message.fields = [*message.fields, types.make(POINT_FIELD, **spare, count=1)]
+    return message
 
 
 def encode_cloud_fields(

@@ -57,7 +57,7 @@ class DeadReckoningNode(MonitoredNode):
         self._waiting: WaitingQueue[str] = WaitingQueue(
             self._bases_at,
             self.config(WaitingQueueConfig),
-            lambda _, why: self.drop("no odometry or joints at the stamp", why),
+            lambda _, __, why: self.drop("no odometry or joints at the stamp", why),
         )
         self._poses = self.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(depth=50))
         self.listen(String, "robot_description", self._on_description, qos.latched())

@@ -5,9 +5,9 @@ is not located there is none: the node says that it is lost, or still searching 
 why, on /diagnostics and in its log.
 
 Callbacks only receive and pair; a pair waits until odometry and joints are known at its stamp
-(`infomap_ros.nodes.locating.view_gate`) and goes to the worker thread, which locates the camera and
-publishes. Another thread writes what is known to a file, so that a node that is killed goes on in
-the same map.
+(`infomap_ros.pipeline.view_synchronizer`) and goes to the worker thread, which locates the camera
+and publishes. Another thread writes what is known to a file, so that a node that is killed goes on
+in the same map.
 
 When the clock jumps back (a bag that loops), everything is forgotten and the map begins anew, at
 the target where there is one. With `resume` the map is kept, and the camera has to be found in it.
@@ -37,15 +37,14 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.locating.camera_follower import CameraFollower, CameraFollowerConfig
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_news import LocalizationNews
 from infomap_ros.nodes.locating.localization_warm_up import warm_up
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
-from infomap_ros.nodes.locating.view_gate import Look, ViewGate
-from infomap_ros.nodes.locating.view_sources import ViewSource
-from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.nodes.locating.view_inputs import ViewInputs
+from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.map_moves import (
     MAP_ALIGNMENT,
     check_is_later,
@@ -53,7 +52,17 @@ from infomap_ros.nodes.team.map_moves import (
     listen_to_moves,
 )
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_radio import TeamRadioConfig
+from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.view_estimator import (
+    DepthViewEstimator,
+    StereoViewEstimator,
+    ViewEstimator,
+)
+from infomap_ros.pipeline.view_synchronizer import PosturedView
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
 
 
@@ -63,6 +72,9 @@ class FiducialLocalizationNode(MonitoredNode):
     CONFIGS = (
         (FiducialLocalizationConfig, ""),
         (TeamIdentityConfig, ""),
+        (TeamConfig, "team_map."),
+        (TeamRadioConfig, "team_map."),
+        (MapListenerConfig, ""),
         (RobotTrackerConfig, ""),
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
@@ -83,47 +95,48 @@ class FiducialLocalizationNode(MonitoredNode):
         reserve_heap(self.config(MemoryConfig))
         config = self._config = self.config(FiducialLocalizationConfig)
         self._path = Path(config.state_file).absolute() if config.state_file else None
-        self._source, self._follower = self._make_source(), self._make_follower()
+        is_depth = config.source == "depth"
+        topics = depth_topics(color=True) if is_depth else stereo_topics(rectify=config.rectify)
+        self._topics, self._estimator = topics, self._make_estimator()
+        self._localizer = self._make_localizer()
         warm_up()
         self.get_logger().info("kernels ready")
-        self._news = LocalizationNews(self, self._follower)
+        self._news = LocalizationNews(self, self._localizer)
         self._worker = self.start_worker(config.queue_size)
         stays = self.config(TargetConfig).kind != "none"
         self._teammates = TeammateSight(self, self._worker, self._move_map, stays=stays)
+        self._map = MapListener(self, self._worker, required=False) if config.use_map else None
         self._moved = self._seen = 0  # stamps [ns]
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
             who = self.config(TeamIdentityConfig)
             identity = who.read_key(), who.robot_id
             listen_to_moves(self, frame, self._worker, self._move_map, MAP_ALIGNMENT, *identity)
-        self._gate = ViewGate(self, config.motion, self._on_look, self._on_clock_jump)
-        topics = self._source.image_topics, self._source.info_topics
-        waiting = config.pairing_tolerance, config.queue_size
-        self._inputs = ImageInputs(self, *topics, self._gate.add, *waiting)
+        self._inputs = ViewInputs(self, topics, self._on_view, self._on_clock_jump)
         offer_order(self, "~/reset", self._worker, self._reset)
         if self._path is not None:
             self._writer = self.start_worker(1)
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(config.save_period, self._save_when_idle, clock=steady)
 
-    def _make_source(self) -> ViewSource:
+    def _make_estimator(self) -> ViewEstimator:
         if self._config.source == "depth":
-            return ViewSource.of_depth(self.config(DepthCameraConfig))
+            return DepthViewEstimator(self.config(DepthCameraConfig))
         stereo, sparse = self.config(StereoConfig), self.config(SparseStereoConfig)
-        return ViewSource.of_stereo(stereo, sparse, rectify=self._config.rectify)
+        return StereoViewEstimator(stereo, rectify=self._config.rectify, sparse=sparse)
 
-    def _make_follower(self) -> CameraFollower:
+    def _make_localizer(self) -> CameraLocalizer:
         motion = KinematicMotion(self.config(DeadReckoningConfig))
         detector = make_detector(self.config(TargetConfig))
-        localizer, tilt = self.config(LocalizerConfig), self._config.start_tilt
-        follower = CameraFollower(CameraFollowerConfig(localizer, motion, detector, tilt))
+        config, tilt = self.config(LocalizerConfig), self._config.start_tilt
+        localizer = CameraLocalizer(CameraLocalizerConfig(config, motion, detector, tilt))
         if self._path is not None and self._config.resume and self._path.exists():
-            follower.resume(SavedLocalisation.load(self._path))
+            localizer.resume(SavedLocalisation.load(self._path))
             self.get_logger().info(f"going on in the map of {self._path}")
-        return follower
+        return localizer
 
-    def _on_look(self, look: Look) -> None:
-        self._worker.submit(partial(self._work, look))
+    def _on_view(self, view: PosturedView[ImageSet]) -> None:
+        self._worker.submit(partial(self._work, view))
 
     def _on_clock_jump(self) -> None:
         self._worker.submit_always(self._begin_again)
@@ -131,19 +144,21 @@ class FiducialLocalizationNode(MonitoredNode):
     def _begin_again(self) -> None:
         self._moved = 0
         if self._config.resume:
-            self._follower.lose_track()
+            self._localizer.lose_track()
         else:
-            self._follower.reset()
+            self._localizer.reset()
 
-    def _work(self, look: Look) -> None:
-        self.guard(self._source.image_topics[0], partial(self._locate, look))
+    def _work(self, view: PosturedView[ImageSet]) -> None:
+        self.guard(self._topics.images[0], partial(self._locate, view))
 
-    def _locate(self, look: Look) -> None:
-        """One pair: look, locate, publish."""
-        framed = self._source.view(look.images, look.infos)
-        others = self._teammates.bodies(look.stamp)
-        result = self._follower.follow(framed.view, look.posture, look.body, others)
-        self._news.tell(result, framed.frame_id, look.posture, look.odom_frame)
+    def _locate(self, view: PosturedView[ImageSet]) -> None:
+        """One moment: look, locate, publish."""
+        framed = self._estimator.measure(view.images)
+        others = self._teammates.bodies(view.stamp)
+        voxel_map = None if self._map is None else self._map.known_map()
+        known = view.posture, view.body, others, voxel_map
+        result = self._localizer.locate(framed.view, *known)
+        self._news.tell(result, framed.frame_id, view.posture, view.odom_frame)
         self._seen = result.stamp
         self._moved = self._moved or result.stamp  # what was found before the start is old
         self._teammates.look(framed.view, result)
@@ -156,7 +171,7 @@ class FiducialLocalizationNode(MonitoredNode):
         """
         check_is_later(told, self._moved)
         covariance = np.zeros((6, 6)) if told.covariance is None else told.covariance
-        self._follower.move_map(told.transform, covariance)
+        self._localizer.move_map(told.transform, covariance)
         self._moved = self._seen
         self._teammates.forget()
         sentence = f"the map has moved {describe_move(told.transform)}"
@@ -164,14 +179,14 @@ class FiducialLocalizationNode(MonitoredNode):
         self.get_logger().info(sentence)
 
     def _reset(self) -> str:
-        self._follower.reset()
+        self._localizer.reset()
         return "the next images begin the map anew"
 
     def _save_when_idle(self) -> None:
         """Copy what is known, between two looks, and have it written."""
 
         def copy() -> None:
-            if (saved := self._follower.saved()) is not None:
+            if (saved := self._localizer.saved()) is not None:
                 self._writer.submit(partial(self._save, saved))
 
         if not self._writer.waiting:
@@ -186,7 +201,7 @@ class FiducialLocalizationNode(MonitoredNode):
         self._worker.stop()
         if self._path is not None:
             self._writer.stop()
-            if (saved := self._follower.saved()) is not None:
+            if (saved := self._localizer.saved()) is not None:
                 self._save(saved)
         super().destroy_node()
 

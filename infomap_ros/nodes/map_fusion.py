@@ -9,7 +9,7 @@ corrected (`infomap_ros.nodes.fusion.map_corrections`).
 
 When the clock jumps back (a bag that loops), the map is kept, or reset where
 ``reset_on_clock_jump`` says so. What becomes of clouds and poses then says
-`infomap_ros.nodes.fusion.scan_gate`.
+`infomap_ros.pipeline.scan_synchronizer`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
@@ -40,13 +41,13 @@ from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.fusion.map_corrections import MapCorrections
 from infomap_ros.nodes.fusion.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.fusion.map_outputs import MapOutputsConfig
-from infomap_ros.nodes.fusion.scan_gate import Scan, ScanGate
-from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.nodes.fusion.scan_inputs import ScanInputs
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
 from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
+from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizerConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
 
@@ -94,7 +95,7 @@ class MapFusionNode(MonitoredNode):
         (VoxelMapConfig, ""),
         (ScanStoreConfig, "scans."),
         (ReintegrationConfig, "corrections."),
-        (ScanGateConfig, ""),
+        (ScanSynchronizerConfig, ""),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
         (RobotBodyConfig, ""),
@@ -116,9 +117,9 @@ class MapFusionNode(MonitoredNode):
         self._telling = False
         keeper.team.listen(self._worker)
         MapCorrections(self, keeper, self._worker)
-        frame = self.config(ScanGateConfig).map_frame
+        frame = self.config(ScanSynchronizerConfig).map_frame
         listen_to_moves(self, frame, self._worker, keeper.move, "~/move")
-        self._gate = ScanGate(self, self._on_scan, self._on_clock_jump, self._on_arrival)
+        self._inputs = ScanInputs(self, self._on_scan, self._on_clock_jump, self._on_arrival)
         for order in (keeper.save, keeper.save_team, keeper.load, keeper.reset):
             name = f"~/{order.__name__}"
             offer_order(self, name, self._worker, partial(self._carry_out, order))
@@ -129,11 +130,11 @@ class MapFusionNode(MonitoredNode):
         if self._config.autosave_period:
             self.create_timer(self._config.autosave_period, self._autosave, clock=steady)
 
-    def _on_scan(self, scan: Scan) -> None:
+    def _on_scan(self, scan: Scan[PointCloud2]) -> None:
         self._worker.submit(partial(self._fuse, scan))
 
-    def _fuse(self, scan: Scan) -> None:
-        if self.guard("points2", partial(self._keeper.integrate, scan)):
+    def _fuse(self, scan: Scan[PointCloud2]) -> None:
+        if self.guard("points2", partial(self._keeper.fuse, scan)):
             self.health.produced()
 
     def _on_arrival(self, body: BodyInScan) -> None:

@@ -20,6 +20,7 @@ from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError, InfomapError
+from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
@@ -29,6 +30,8 @@ from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
@@ -36,13 +39,14 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
+from infomap_ros.nodes.planning.fiducial_listener import FiducialListener
 from infomap_ros.nodes.planning.interests import Interests
-from infomap_ros.nodes.planning.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
 from infomap_ros.nodes.planning.route_status import RouteStatusPublisher
 from infomap_ros.nodes.planning.search_plans import SearchPlans
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
@@ -64,6 +68,8 @@ class NextBestViewNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (TaskConfig, "task."),
         (ViewPlannerConfig, ""),
+        (ErrorPredictionConfig, "prediction."),
+        (DeadReckoningConfig, "motion_noise."),
         (TargetSearchConfig, "search."),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
@@ -76,12 +82,14 @@ class NextBestViewNode(MonitoredNode):
         warm_up(self.config(ViewPlannerConfig))
         self.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
         self._tracker = RobotTracker(self)
+        self._fiducials = FiducialListener(self)
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
         self._outputs = PlanOutputs(self)
         self._news = ExplorationNews()
         self._route_status, self._is_checking = RouteStatusPublisher(self), False
         self._target: FloatArray | None = None
         self._planner: TeamPlanner | None = None
+        self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1)
         self._map = MapListener(self, self._worker)
@@ -122,7 +130,10 @@ class NextBestViewNode(MonitoredNode):
         around = Surrounding(
             self._interests.current(), T_map_start=news.home_pose, past_views=news.looks
         )
-        return self._publish(planner.choose(voxel_map, state, around))
+        choice = planner.choose(voxel_map, state, around)
+        if self._error is not None:
+            self.health.note("localization error by", self._error.model)
+        return self._publish(choice)
 
     def _plan_way(self, place: KnownPlace) -> str:
         """Plan the way to where the robot has stood, which exploration_status tells.
@@ -186,7 +197,13 @@ class NextBestViewNode(MonitoredNode):
         if self._planner is None or self._planner.planner.robot is not robot:
             rig = rig_from_calibrations(*self._tracker.calibrations)
             task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
-            alone = ViewPlanner(robot, rig, task, config)
+            self._error = FiducialLocalizationError(
+                rig,
+                self._fiducials.fiducials,
+                self.config(ErrorPredictionConfig),
+                self.config(DeadReckoningConfig),
+            )
+            alone = ViewPlanner(robot, rig, task, config, self._error)
             self._planner = TeamPlanner(alone, self._agents.team, self._agents.announce)
         return self._planner, voxel_map, state
 

@@ -19,8 +19,15 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.ranging.range_outputs import RangeOutputs
-from infomap_ros.nodes.ranging.range_sources import RangeSource
-from infomap_ros.nodes.robot.image_inputs import ImageInputs, Images, Infos
+from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
+from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.range_estimator import (
+    DepthRangeEstimator,
+    RangeEstimator,
+    StereoRangeEstimator,
+    seconds_to_warm_up,
+)
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 
@@ -71,32 +78,34 @@ class StereoRangeNode(MonitoredNode):
         use_shared_memory()  # at once: later the memory of other processes would be found too
         reserve_heap(self.config(MemoryConfig))
         config = self.config(StereoRangeNodeConfig)
-        self._source = self._make_source(config)
-        seconds = self._source.seconds_to_warm_up()
+        self._estimator = self._make_estimator(config)
+        seconds = seconds_to_warm_up(self._estimator)
         self.get_logger().info(f"kernels ready after {seconds:.1f} s")
         self._outputs = RangeOutputs(self)
         self._worker = self.start_worker(config.queue_size)
-        topics = self._source.image_topics, self._source.info_topics
-        waiting = config.pairing_tolerance, config.queue_size
-        self._inputs = ImageInputs(self, *topics, self._hand_over, *waiting)
-
-    def _make_source(self, config: StereoRangeNodeConfig) -> RangeSource:
         if config.source == "depth":
-            return RangeSource.of_depth(self.config(DepthCameraConfig), color=config.color)
-        return RangeSource.of_stereo(self.config(StereoConfig), rectify=config.rectify)
+            self._topics = depth_topics(color=config.color)
+        else:
+            self._topics = stereo_topics(rectify=config.rectify)
+        waiting = config.pairing_tolerance, config.queue_size
+        self._inputs = ImageInputs(self, self._topics, self._hand_over, *waiting)
 
-    def _hand_over(self, images: Images, infos: Infos) -> None:
+    def _make_estimator(self, config: StereoRangeNodeConfig) -> RangeEstimator:
+        if config.source == "depth":
+            return DepthRangeEstimator(self.config(DepthCameraConfig))
+        return StereoRangeEstimator(self.config(StereoConfig), rectify=config.rectify)
+
+    def _hand_over(self, images: ImageSet) -> None:
         """Give images to the worker, where anybody wants what comes out."""
         if self._outputs.wanted:
-            self._worker.submit(partial(self._measure, images, infos))
+            self._worker.submit(partial(self._measure, images))
 
-    def _measure(self, images: Images, infos: Infos) -> None:
-        topic = self._source.image_topics[0]
-        if self.guard(topic, partial(self._measure_and_publish, images, infos)):
+    def _measure(self, images: ImageSet) -> None:
+        if self.guard(self._topics.images[0], partial(self._measure_and_publish, images)):
             self.health.produced()
 
-    def _measure_and_publish(self, images: Images, infos: Infos) -> None:
-        self._outputs.publish(self._source.measure(images, infos))
+    def _measure_and_publish(self, images: ImageSet) -> None:
+        self._outputs.publish(self._estimator.measure(images))
 
 
 def main() -> int:

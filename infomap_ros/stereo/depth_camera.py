@@ -24,7 +24,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.stereo.assembly import assemble
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.images import check_image, check_size
-from infomap_ros.stereo.range_cloud import RangeCloud
+from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
 
 _MILLIMETRE = np.float32(1e-3)
 
@@ -141,11 +141,10 @@ class DepthCameraSensor:
         else:
             image = check_image(color, self.camera, "colour image")
         kept, variance = self._noise(metres)
+        packed = assemble(self.camera, kept, variance, self.config.pixel_sigma, image, self._bands)
         return RangeCloud(
             camera=self.camera,
-            packed=assemble(
-                self.camera, kept, variance, self.config.pixel_sigma, image, self._bands
-            ),
+            packed=mark_correlation(packed, self.config.error_correlation),
             range_image=kept,
             error_correlation=self.config.error_correlation,
             colors=image if image.ndim == 3 else None,

@@ -23,6 +23,8 @@ PACKED_FIELDS = (
     "cov_yz",
     "cov_zz",
 )
+CORRELATION_FIELD, CORRELATION_OFFSET = "error_correlation", 15
+"""Field of `RangeCloud.error_correlation` in hundredths, uint8: the byte that rgb leaves over."""
 _FULL_FROM_TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -36,8 +38,9 @@ class RangeCloud:
     Attributes:
         camera: the camera whose pixels the cloud is organised by.
         packed: shape (H, W, 10), float32, channels `PACKED_FIELDS`: point [m], colour (bytes
-            0, R, G, B of a little-endian float as in PCL), upper triangle of the covariance
-            [m^2]. Point and covariance are NaN where nothing was measured.
+            B, G, R of a little-endian float as in PCL, and `CORRELATION_FIELD` as the fourth),
+            upper triangle of the covariance [m^2]. Point and covariance are NaN where nothing was
+            measured.
         range_image: depth z, shape (H, W), float32 [m]; NaN where nothing was measured.
         error_correlation: mean correlation between the range errors of two pixels of one
             surface patch (about 5 to 15 px apart), 0 to 1. Averaging n such pixels reduces the
@@ -95,3 +98,9 @@ class RangeCloud:
     def density(self) -> float:
         """Share of pixels with a measurement, 0 to 1."""
         return float(self.valid.mean())
+
+
+def mark_correlation(packed: NDArray[np.float32], error_correlation: float) -> NDArray[np.float32]:
+    """Write `CORRELATION_FIELD` into channels of `RangeCloud.packed`, shape (H, W, 10)."""
+    packed.view(np.uint8)[..., CORRELATION_OFFSET] = round(100.0 * error_correlation)
+    return packed

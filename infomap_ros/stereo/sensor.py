@@ -19,7 +19,7 @@ from infomap_ros.stereo.images import check_image, grey
 from infomap_ros.stereo.matching import DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
 from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
-from infomap_ros.stereo.range_cloud import RangeCloud
+from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
 
 
 class StereoRangeSensor:
@@ -99,7 +99,9 @@ class StereoRangeSensor:
         )
         return RangeCloud(
             camera=self.rig.left,
-            packed=self._assemble(ranges, left_image),
+            packed=mark_correlation(
+                self._assemble(ranges, left_image), self.config.error_correlation
+            ),
             range_image=ranges.depth,
             error_correlation=self.config.error_correlation,
             disparity=ranges.disparity,

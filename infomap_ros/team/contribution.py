@@ -21,15 +21,15 @@ from infomap_ros.mapping.voxels.blocks import (
     grown,
 )
 from infomap_ros.mapping.voxels.blocks import with_room as with_block_room
-from infomap_ros.mapping.voxels.gaussians import (
-    GaussianArrays,
-    empty_gaussians,
-    with_gaussian_room,
-    with_table_room,
-)
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS
 from infomap_ros.mapping.voxels.voxel_states import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
+from infomap_ros.team.code_table import (
+    CodeTable,
+    empty_codes,
+    with_code_room,
+    with_table_room,
+)
 from infomap_ros.team.gaussian_code import code_tables
 from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.versions import is_newer
@@ -84,7 +84,7 @@ class Contribution:
     def __init__(self, voxel_size: float) -> None:
         self._size = voxel_size
         self._blocks: BlockArrays = empty_blocks()
-        self._codes = _empty_codes()
+        self._codes = empty_codes()
         self._planes = Planes(
             np.full((0, BLOCK_VOXELS), NOT_OBSERVED, np.int8),
             np.zeros((0, BLOCK_VOXELS), np.uint32),
@@ -94,7 +94,7 @@ class Contribution:
         self.newest = 0
 
     @property
-    def arrays(self) -> tuple[BlockArrays, Planes, GaussianArrays]:
+    def arrays(self) -> tuple[BlockArrays, Planes, CodeTable]:
         """The arrays, for kernels that read them."""
         return self._blocks, self._planes, self._codes
 
@@ -118,7 +118,7 @@ class Contribution:
         self._blocks = with_block_room(self._blocks, room, 0)
         self._planes = _grown_planes(self._planes, len(self._blocks.keys))
         surfaces = int(np.count_nonzero(update.has_gaussian))
-        self._codes = with_gaussian_room(self._codes, surfaces, len(self._blocks.keys))
+        self._codes = with_code_room(self._codes, surfaces, len(self._blocks.keys))
         count, done = len(update.versions), 0
         changed = np.zeros(count, np.bool_)
         states = update.indices, update.versions, update.log_odds, update.codes
@@ -248,10 +248,6 @@ def _folded(hashes: NDArray[np.uint64]) -> NDArray[np.uint32]:
 
 def _listed(cells: Cells) -> tuple[list[tuple[int, ...]], list[int]]:
     return [tuple(corner) for corner in cells.corners.tolist()], cells.hashes.tolist()
-
-
-def _empty_codes() -> GaussianArrays:
-    return empty_gaussians()._replace(information=np.zeros((256, 2), np.uint64))
 
 
 def _grown_planes(planes: Planes, blocks: int) -> Planes:

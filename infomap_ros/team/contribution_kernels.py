@@ -10,7 +10,6 @@ from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.voxels.block_kernels import find_block, find_or_add_block
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
-from infomap_ros.mapping.voxels.gaussians import find_row, gaussian_row
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     BLOCK_SIDE,
@@ -19,6 +18,7 @@ from infomap_ros.mapping.voxels.keys import (
     pack,
     unpack,
 )
+from infomap_ros.team.code_table import code_row, find_row
 from infomap_ros.team.gaussian_code import information_of_code
 from infomap_ros.team.versions import is_newer
 
@@ -66,7 +66,7 @@ def accept_states(
     Args:
         blocks: `BlockArrays` with room for all blocks.
         planes: `Planes` with room for all blocks.
-        codes: `GaussianArrays` that hold the codes as information.
+        codes: a `CodeTable`.
         indices: of the voxels, shape (K, 3).
         versions: shape (K,).
         log_odds: shape (K,).
@@ -78,7 +78,7 @@ def accept_states(
         The row before which the table of codes is full, or K.
     """
     known, evidence, newest, hashes = planes.versions, planes.log_odds, planes.newest, planes.hashes
-    table, owner, counts, stored = codes.table, codes.owner, codes.counts, codes.information
+    table, owner, counts, stored = codes.table, codes.owner, codes.counts, codes.codes
     last_key, slot = np.int64(-1), np.int64(-1)
     for row in range(first, len(versions)):
         x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
@@ -90,7 +90,7 @@ def accept_states(
             continue
         place = find_row(table, owner, slot * BLOCK_VOXELS + local)
         if place < 0 and words[row, 1] != _ZERO:
-            place = gaussian_row(table, owner, counts, slot * BLOCK_VOXELS + local, stored)
+            place = code_row(table, owner, counts, slot * BLOCK_VOXELS + local, stored)
             if place < 0:
                 return row
         known[slot, local] = version
@@ -138,7 +138,7 @@ def add_contribution(
         information: sums of the information, shape (K, 9), double precision.
         work: scratch, shape (5, 3).
     """
-    table, owner, stored = codes.table, codes.owner, codes.information
+    table, owner, stored = codes.table, codes.owner, codes.codes
     last_key, slot = np.int64(-1), np.int64(-1)
     for row in range(len(quanta)):
         x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
@@ -195,8 +195,8 @@ def list_told(
             log_odds[found] = planes.log_odds[slot, local]
             place = find_row(codes.table, codes.owner, slot * BLOCK_VOXELS + local)
             if place >= 0:
-                words[found, 0] = codes.information[place, 0]
-                words[found, 1] = codes.information[place, 1]
+                words[found, 0] = codes.codes[place, 0]
+                words[found, 1] = codes.codes[place, 1]
             found += 1
 
 

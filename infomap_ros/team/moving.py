@@ -56,7 +56,7 @@ def _reached(voxel_map: VoxelMap, transform: FloatArray) -> NDArray[np.int32]:
 
 def _moved_surfaces(voxel_map: VoxelMap, transform: FloatArray) -> VoxelStates:
     size, turn = voxel_map.config.voxel_size, transform[:3, :3]
-    old, means, covariances = voxel_map.gaussians()
+    old, means, covariances = voxel_map.gaussians(relative=True)
     odds = voxel_map.log_odds((old + 0.5) * size)
     means, covariances = transform_points(transform, means), turn @ covariances @ turn.T
     indices = np.floor(means / size).astype(np.int32)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.storage import growth_bytes
-from infomap_ros.mapping.voxels.surface import growth_bound
+from infomap_ros.mapping.voxels.storage import Growth, growth_bytes
 from infomap_ros.mapping.voxels.voxel_states import (
     VoxelStates,
     count_block_changes,
@@ -89,8 +88,9 @@ class MapReplica:
             )
         update.check_states()
         self._check_capacity(update)
-        contribution = self._contributions.setdefault(update.robot, Contribution(size))
+        contribution = self._contributions.get(update.robot, Contribution(size))
         changed = contribution.accept(update)
+        self._contributions[update.robot] = contribution
         if update.robot not in self._aside:
             self._add_up(update.indices[changed])
         return changed
@@ -126,8 +126,9 @@ class MapReplica:
     def _check_capacity(self, update: MapUpdate) -> None:
         blocks = int(count_block_changes(update.indices))
         surfaces = int(np.count_nonzero(update.has_gaussian))
-        growth = growth_bytes(self._map._storage, blocks, blocks)
-        growth += growth_bound(self._map._storage.gaussians, surfaces, min(surfaces, blocks))
+        more = Growth(blocks, blocks, min(surfaces, blocks), surfaces)
+        self._map._storage.check_growth(more)
+        growth = growth_bytes(self._map._storage, more)
         growth += blocks * (BLOCK_BYTES + 40) + surfaces * (CODE_BYTES + 8)
         used, limit = self.memory_bytes(), self._map.config.memory_limit * 1e9
         if used + growth > limit:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
-from infomap_ros.mapping.voxels.gaussians import find_row
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
-from infomap_ros.mapping.voxels.surface_reading import read_information
+from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, read_information
+from infomap_ros.team.code_table import find_row
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.gaussian_code import code_tables
 
@@ -59,7 +58,7 @@ class _Comparison(NamedTuple):
         divergences: bits by evidence now and before.
         probabilities: by evidence.
         sigmas: by their codes, in voxels.
-        scratch: memory for two informations, shape (2, 9), float32.
+        scratch: memory for two records, shape (2, 12), float32.
     """
 
     blocks: Any
@@ -104,7 +103,7 @@ def worth_of_changes(
     worth = ChangeWorth(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 8), np.uint64))
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
     tables = _DIVERGENCES, _PROBABILITIES, code_tables()[0]
-    scratch = np.empty((2, INFORMATION_SIZE), np.float32)
+    scratch = np.empty((2, ROW_SIZE), np.float32)
     blocks, planes, codes = told.arrays
     compared = _Comparison(storage.blocks, storage.gaussians, planes, codes, size, *tables, scratch)
     _weigh_changes(compared, blocks, slots, worth)
@@ -119,7 +118,7 @@ def worth_of_states(
     count = int(codes.counts[0])
     surfaces = np.bincount(
         codes.owner[:count] // BLOCK_VOXELS,
-        weights=(codes.information[:count, 1] != 0).astype(float),
+        weights=(codes.codes[:count, 1] != 0).astype(float),
         minlength=told.blocks,
     )[slots]
     odds = planes.log_odds[slots].astype(np.int64)
@@ -166,7 +165,7 @@ def _surface_change(compared: Any, information: Any, other: int, local: int) -> 
     if other >= 0:
         code = find_row(codes.table, codes.owner, other * BLOCK_VOXELS + local)
     if code >= 0:
-        word = codes.information[code, 1]
+        word = codes.codes[code, 1]
     change = _log_determinant(information)
     change -= _told_log_determinant(word, compared.size, compared.sigmas)
     return min(0.5 * abs(change), _MOST_BITS), word == np.uint64(0)

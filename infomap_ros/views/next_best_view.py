@@ -10,7 +10,7 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.ranking.look_ahead import LookAheadConfig
 from infomap_ros.views.ranking.options import InformationSource, Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig
@@ -49,7 +49,7 @@ class NextBestView:
         config: NextBestViewConfig | None = None,
         strategy: str | Strategy = "largest_information",
         information: InformationSource | None = None,
-        localisation_error: LocalisationError | None = None,
+        localization_error: LocalizationError | None = None,
         more_terms: Sequence[tuple[RatingTerm, float]] = (),
     ) -> None:
         """Set the choice up.
@@ -59,7 +59,7 @@ class NextBestView:
             strategy: name of a strategy, or the dotted path of a class, see `make_strategy`; or a
                 strategy itself.
             information: what views are expected to tell; expected entropy reduction by default.
-            localisation_error: model of LE of eq. (11); odometry drift by default.
+            localization_error: model of LE of eq. (11); odometry drift by default.
             more_terms: further terms of the rating with their weights; see `Rating`.
 
         Raises:
@@ -73,7 +73,7 @@ class NextBestView:
             self.strategy_name, self._strategy = type(strategy).__name__, strategy
         self._information = information or ExpectedInformation()
         radius = self.config.surroundings.camera_radius
-        self._rating = Rating(self.config.rating, radius, localisation_error, more_terms)
+        self._rating = Rating(self.config.rating, radius, localization_error, more_terms)
 
     def select(
         self,

@@ -175,7 +175,7 @@ def _terms(rng: np.random.Generator) -> dict[str, float]:
     return {
         "information": float(rng.uniform(200.0, 4000.0)),
         "distance": -float(rng.uniform(0.0, 600.0)),
-        "localisation_error": -float(rng.uniform(0.0, 90.0)),
+        "localization_error": -float(rng.uniform(0.0, 90.0)),
         "risk": -float(rng.uniform(0.0, 30.0)),
     }
 

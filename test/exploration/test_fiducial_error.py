@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
+from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
+from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.ranking.localisation_error import OdometryDrift
+from infomap_ros.views.ranking.localization_error import OdometryDrift
 from infomap_ros.views.situation import Situation
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)
@@ -26,6 +27,10 @@ def views() -> np.ndarray:
     return np.stack([make_transform(FORWARD, (1, 0, 0.8)), make_transform(about, (-1, 0, 0.8))])
 
 
+def known(points: np.ndarray) -> Fiducials:
+    return Fiducials(np.arange(len(points)), points, np.tile(1e-6 * np.eye(3), (len(points), 1, 1)))
+
+
 class Wall:
     """Good fiducials ahead; counts how often it is asked."""
 
@@ -34,13 +39,13 @@ class Wall:
         y, z = np.meshgrid(np.linspace(-0.8, 0.8, 4), np.linspace(0.3, 1.3, 3))
         self.points = np.column_stack([np.full(y.size, 3.0), y.ravel(), z.ravel()])
 
-    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self) -> Fiducials:
         self.asked += 1
-        return self.points, np.tile(1e-6 * np.eye(3), (len(self.points), 1, 1))
+        return known(self.points)
 
 
 def test_good_fiducials_ahead_make_the_pose_better_than_it_is() -> None:
-    error = FiducialLocalisationError(RIG, 0.3, Wall())
+    error = FiducialLocalizationError(RIG, Wall())
     ahead, behind = error(situation(), views(), np.ones(2))
     assert ahead < -0.02
     # Behind nothing is known: what is found there carries the pose along, and does not mend it.
@@ -48,8 +53,8 @@ def test_good_fiducials_ahead_make_the_pose_better_than_it_is() -> None:
 
 
 def test_without_fiducials_it_is_of_the_size_of_odometry_drift() -> None:
-    nothing = np.empty((0, 3)), np.empty((0, 3, 3))
-    error, drift = FiducialLocalisationError(RIG, 0.3, lambda: nothing), OdometryDrift()
+    nothing = known(np.empty((0, 3)))
+    error, drift = FiducialLocalizationError(RIG, lambda: nothing), OdometryDrift()
     poses = np.stack([make_transform(FORWARD, (way, 0, 0.8)) for way in (0.5, 1.0, 2.0)])
     arguments = situation(), poses, np.array([0.5, 1.0, 2.0])
     ratios = error(*arguments) / drift(*arguments)
@@ -59,8 +64,16 @@ def test_without_fiducials_it_is_of_the_size_of_odometry_drift() -> None:
 
 def test_fiducials_are_asked_for_once_for_each_choice() -> None:
     wall = Wall()
-    error = FiducialLocalisationError(RIG, 0.3, wall)
+    error = FiducialLocalizationError(RIG, wall)
     first, second = situation(), situation()
     for now in (first, first, second, second):
         error(now, views(), np.ones(2))
     assert wall.asked == 2
+    assert error.model == "12 fiducials"
+
+
+def test_where_nothing_localizes_by_fiducials_it_is_odometry_drift() -> None:
+    error, drift = FiducialLocalizationError(RIG, lambda: None), OdometryDrift()
+    arguments = situation(), views(), np.ones(2)
+    np.testing.assert_array_equal(error(*arguments), drift(*arguments))
+    assert error.model == "odometry drift"

@@ -178,7 +178,7 @@ def test_item_that_waited_too_long_is_dropped_with_the_reason():
 def test_full_queue_drops_the_oldest_and_tells():
     told = []
     waiting = WaitingQueue(
-        buffer(pose(1.0)).at, WaitingQueueConfig(capacity=2), lambda item, why: told.append(item)
+        buffer(pose(1.0)).at, WaitingQueueConfig(capacity=2), lambda item, *_: told.append(item)
     )
     for index, name in enumerate("abc"):
         waiting.push(round((1.1 + 0.1 * index) * SECOND), name)

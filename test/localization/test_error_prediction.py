@@ -12,12 +12,13 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import (
     OdometryRecord,
     PinholeCamera,
+    StereoRig,
     invert_transform,
     make_transform,
     skew,
 )
 from infomap_ros.geometry.transforms import perturb_transform
-from infomap_ros.localization.dead_reckoning import DeadReckoning
+from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from infomap_ros.localization.prediction.error_prediction import (
     ErrorPrediction,
     ErrorPredictionConfig,
@@ -26,7 +27,8 @@ from infomap_ros.localization.prediction.ways import Ways
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)
-SIGMA = 0.3 / (340.0 * 0.12)
+RIG = StereoRig(CAMERA, CAMERA, 0.12)
+SIGMA = 0.3 / (340.0 * 0.12)  # of the inverse depth, at the default disparity sigma [1/m]
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 START = make_transform(FORWARD, (0.0, 0.0, 0.8))
 BEFORE = np.diag([4e-4, 4e-4, 4e-4, 1e-5, 1e-5, 4e-5])
@@ -53,7 +55,7 @@ def end(
     points: np.ndarray, covariances: np.ndarray, poses: np.ndarray, before: np.ndarray = BEFORE
 ) -> np.ndarray:
     lengths = np.linalg.norm(poses[:, :3, 3] - START[:3, 3], axis=1)
-    prediction = ErrorPrediction(CAMERA, SIGMA, CONFIG)
+    prediction = ErrorPrediction(RIG, CONFIG)
     return prediction.predict(START, before, Ways(poses, lengths), (points, covariances))
 
 
@@ -73,7 +75,7 @@ def naive_end(points: np.ndarray, covariances: np.ndarray, pose: np.ndarray) -> 
         covariance[place, place] = covariances[n] - (shared - 1e-8) * np.eye(3)
     turn = Rotation.from_matrix(pose[:3, :3] @ START[:3, :3].T).as_rotvec()
     way = pose[:3, 3] - START[:3, 3]
-    length, angle, motion = np.linalg.norm(way), np.linalg.norm(turn), CONFIG.motion
+    length, angle, motion = np.linalg.norm(way), np.linalg.norm(turn), DeadReckoningConfig()
     position = motion.position_per_metre**2 * length / steps
     rotation = motion.rotation_per_metre**2 * length + motion.rotation_per_radian**2 * angle
     noise = np.diag([position] * 3 + [rotation / steps] * 3) + 1e-8 * np.eye(6)
@@ -127,7 +129,7 @@ def test_without_fiducials_it_is_dead_reckoning() -> None:
     nothing = np.empty((0, 3)), np.empty((0, 3, 3))
     pose = ahead(1.2)
     predicted = end(*nothing, pose, np.zeros((6, 6)))[0]
-    reckoning = DeadReckoning(CONFIG.motion)
+    reckoning = DeadReckoning(DeadReckoningConfig())
     for share in np.linspace(0.0, 1.0, CONFIG.waypoints + 1):
         place = make_transform(np.eye(3), START[:3, 3] + share * (pose[0, :3, 3] - START[:3, 3]))
         record = reckoning.add(OdometryRecord(1 + int(1e9 * share), "odom", place, None, "base"))
@@ -174,7 +176,7 @@ def test_fiducials_behind_the_camera_or_a_wall_do_not_count() -> None:
     screen = np.column_stack([np.full(y.size, 2.0), y.ravel(), z.ravel()])
     for _ in range(3):
         voxel_map.integrate(screen, np.eye(4))
-    prediction = ErrorPrediction(CAMERA, SIGMA, CONFIG)
+    prediction = ErrorPrediction(RIG, CONFIG)
     way = Ways(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
     hidden = prediction.predict(START, BEFORE, way, (points, spread(points)), (), voxel_map)[0]
     np.testing.assert_allclose(hidden, drift, rtol=1e-6, atol=1e-12)
@@ -189,7 +191,7 @@ def test_points_of_the_surface_hold_the_way_together_but_tell_nothing_of_the_map
         )
     way = Ways(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
     none = np.empty((0, 3)), np.empty((0, 3, 3))
-    prediction = ErrorPrediction(CAMERA, SIGMA, CONFIG)
+    prediction = ErrorPrediction(RIG, CONFIG)
     new = prediction.surface_points(voxel_map)
     tied = prediction.predict(START, BEFORE, way, none, new, voxel_map)[0]
     drift = prediction.predict(START, BEFORE, way, none)[0]
@@ -214,17 +216,15 @@ def test_a_part_of_many_fiducials_stands_for_all() -> None:
     config = ErrorPredictionConfig(waypoints=3, fiducials=30)
     way = Ways(ahead(0.5), np.array([0.5]))
     fiducials = points, spread(points)
-    part = ErrorPrediction(CAMERA, SIGMA, config).predict(START, BEFORE, way, fiducials)[0]
-    every = ErrorPrediction(CAMERA, SIGMA, ErrorPredictionConfig(waypoints=3, fiducials=60))
+    part = ErrorPrediction(RIG, config).predict(START, BEFORE, way, fiducials)[0]
+    every = ErrorPrediction(RIG, ErrorPredictionConfig(waypoints=3, fiducials=60))
     whole = every.predict(START, BEFORE, way, fiducials)[0]
     assert 0.8 < np.trace(part) / np.trace(whole) < 1.25
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    prediction = ErrorPrediction(CAMERA, SIGMA)
+    prediction = ErrorPrediction(RIG)
     with pytest.raises(InvalidInputError, match="lengths"):
         Ways(ahead(), np.ones(2))
     with pytest.raises(InvalidInputError, match="covariances"):
         prediction.predict(START, BEFORE, Ways(ahead(), np.ones(1)), (wall(2), spread(wall(3))))
-    with pytest.raises(InvalidInputError, match="inverse_depth_sigma"):
-        ErrorPrediction(CAMERA, 0.0)

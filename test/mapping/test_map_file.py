@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
+from infomap_ros.mapping.files.map_file import MAP_FILE_VERSION, read_map_file, write_map_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = {"voxel_size": 0.05, "threads": 2, "exact": True, "name": "café", "box": (1.0, 2.0)}
@@ -114,7 +114,7 @@ def test_foreign_bytes_are_refused(tmp_path_factory, content, start):
         read_map_file(path)
 
 
-def seal(header: object, payload: bytes = b"", version: int = 1) -> bytes:
+def seal(header: object, payload: bytes = b"", version: int = MAP_FILE_VERSION) -> bytes:
     """A file with a right checksum, by the layout that the module documents."""
     text = header if isinstance(header, bytes) else json.dumps(header).encode()
     length = 24 + len(text) + len(payload) + 32
@@ -165,9 +165,10 @@ def test_impossible_content_under_a_right_checksum_is_refused(tmp_path, case):
         read_map_file(path)
 
 
-def test_newer_version_is_named(tmp_path):
-    (tmp_path / "new.map").write_bytes(seal({"config": {}, "arrays": []}, version=3))
-    with pytest.raises(MapFileError, match=r"new\.map has version 3 .* reads 1 to 2"):
+@pytest.mark.parametrize("version", [MAP_FILE_VERSION - 1, MAP_FILE_VERSION + 1])
+def test_another_version_is_named(tmp_path, version):
+    (tmp_path / "new.map").write_bytes(seal({"config": {}, "arrays": []}, version=version))
+    with pytest.raises(MapFileError, match=rf"new\.map has version {version} .* reads 3"):
         read_map_file(tmp_path / "new.map")
 
 

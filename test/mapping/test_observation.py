@@ -7,10 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from infomap_ros.errors import CapacityError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.gaussians import empty_gaussians, with_gaussian_room
 from infomap_ros.stereo import StereoConfig
 
 from .naive import merged, point_covariance
@@ -64,21 +62,17 @@ def test_scans_merge_by_equation_4_in_any_order(rng):
             point_covariance(pose[:3, :3], arm, covariance, POSE_COVARIANCE, sight, SIZE)
         )
     mean, covariance = merged(list(targets), observed)
+    independent = PoseUncertainty(np.zeros((6, 6)), white=POSE_COVARIANCE)
     for order in itertools.permutations(range(3)):
         voxel_map = map_with_own_voxels()
         for i in order:
             voxel_map.integrate(
-                [point_at(poses[i], targets[i])], poses[i], noise[i][None], POSE_COVARIANCE
+                [point_at(poses[i], targets[i])], poses[i], noise[i][None], independent
             )
         found_mean, found_covariance = the_gaussian(voxel_map)
         np.testing.assert_allclose(found_mean, mean, atol=1e-7)
         np.testing.assert_allclose(found_covariance, covariance, rtol=2e-5, atol=1e-11)
         np.testing.assert_array_equal(found_covariance, found_covariance.T)
-
-
-def test_more_blocks_than_an_owner_can_number_are_refused():
-    with pytest.raises(CapacityError, match="blocks"):
-        with_gaussian_room(empty_gaussians(), 1, 2**23 + 1)
 
 
 def test_a_wall_of_a_hundred_thousand_voxels_keeps_each_point(rng):
@@ -211,3 +205,23 @@ def test_a_surface_is_where_occupancy_and_mean_agree():
     assert (np.abs(means - (indices + 0.5) * SIZE) <= 0.6 * SIZE + 1e-6).all()
     assert (voxel_map.log_odds((indices + 0.5) * SIZE) > 0.0).all()
     assert voxel_map.surface_voxels == len(indices)
+
+
+@pytest.mark.parametrize(("size", "sigma"), [(0.5, 1e-5), (10.0, 1e-3)])
+def test_points_that_are_far_better_known_than_their_voxel_is_wide_keep_their_mean(size, sigma):
+    camera = PinholeCamera(120, 96, 100.0, 100.0, 59.5, 47.5)
+    distance = 5.3 * size
+    turn = look_at(np.zeros(3), np.array([1.0, 0.3, 0.2]))
+    config = VoxelMapConfig(voxel_size=size, max_range=10.0 * size, default_sigma=sigma)
+    voxel_map = VoxelMap(config)
+    for _ in range(30):
+        points = camera.back_project(np.full((96, 120), distance))
+        voxel_map.integrate(points, turn, camera=camera)
+    indices, means, covariances = voxel_map.gaussians()
+    assert len(indices) > 5
+    off = (means - turn[:3, 3]) @ turn[:3, 2] - distance
+    sigmas = np.sqrt(turn[:3, 2] @ covariances @ turn[:3, 2])
+    inner = np.abs(off) < 0.1 * size  # beside them voxels at the border of the image
+    assert inner.sum() > 5
+    assert np.median(np.abs(off[inner])) < 2e-3 * size
+    assert (np.abs(off[inner]) < 5.0 * sigmas[inner] + 1e-4 * size).mean() > 0.9

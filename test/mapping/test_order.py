@@ -9,17 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 from .scenes import random_pose, random_scene, with_holes
 
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
 SCANS = 6
+INDEPENDENT = PoseUncertainty(np.zeros((6, 6)), white=np.eye(6) * 1e-5)
+"""What scans share depends a little on their order if clocks go back."""
 
 
 @cache
-def scans(seed: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+def scans(seed: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, PoseUncertainty]]:
     """Points, pose, point covariances and pose covariance of some looks around one scene."""
     rng = np.random.default_rng(seed)
     scene, looks = random_scene(rng), []
@@ -29,7 +31,7 @@ def scans(seed: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         points = points * rng.normal(1.0, 0.003, (*points.shape[:2], 1)).astype(np.float32)
         variance = np.nan_to_num((0.005 * points[..., 2]) ** 2, nan=1.0)
         covariances = variance[..., None, None] * np.eye(3, dtype=np.float32)
-        looks.append((points, pose, covariances, np.eye(6) * 1e-5))
+        looks.append((points, pose, covariances, INDEPENDENT))
     return looks
 
 

@@ -127,7 +127,7 @@ def test_the_map_follows_the_keyframes() -> None:
         within = np.allclose(scan.transform, pose)
         moved_little = np.linalg.norm(scan.transform[:3, 3] - pose[:3, 3]) < 0.08
         assert within or moved_little
-        integrate_record(expected, scan.record, scan.transform, scan.covariance)
+        integrate_record(expected, scan.record, scan.transform, scan.uncertainty)
     assert report is not None and report.scans_moved >= 8
     assert voxels_of(correctable.voxel_map) == voxels_of(expected)
     assert not correctable.begin_correction()
@@ -168,6 +168,6 @@ def test_scans_are_not_frozen_while_the_map_is_corrected() -> None:
     assert tight.store.frozen > 0
     expected = VoxelMap.from_state(CONFIG, tight.store.base.state())
     for scan in tight.store:
-        integrate_record(expected, scan.record, scan.transform, scan.covariance)
+        integrate_record(expected, scan.record, scan.transform, scan.uncertainty)
     evidence = [{i: v[0] for i, v in voxels_of(m).items()} for m in (tight.voxel_map, expected)]
     assert evidence[0] == evidence[1]

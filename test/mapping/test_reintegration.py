@@ -52,7 +52,7 @@ class Trip:
         """The map that the scans of the store make from where they are now."""
         fresh = VoxelMap.from_state(CONFIG, base.state()) if base else VoxelMap(CONFIG)
         for scan in self.store:
-            integrate_record(fresh, scan.record, scan.transform, scan.covariance)
+            integrate_record(fresh, scan.record, scan.transform, scan.uncertainty)
         return fresh
 
 
@@ -82,7 +82,7 @@ def test_the_map_is_that_of_the_corrected_poses_to_the_bit(seed: int) -> None:
     report = reintegrate(trip.map, trip.store, _true_poses(trip), ALWAYS)
     expected = VoxelMap(CONFIG)
     for scan, pose in zip(trip.store, trip.true, strict=True):
-        integrate_record(expected, scan.record, pose, SIGMA)
+        integrate_record(expected, scan.record, pose, scan.uncertainty)
     assert _is_same(trip.map, expected)
     assert report.scans_moved >= 4
     assert report.blocks_rebuilt > 0
@@ -138,7 +138,7 @@ def test_a_new_covariance_comes_with_the_new_pose() -> None:
     trip = _trip(4)
     better = {stamp: (pose, 0.01 * SIGMA) for stamp, pose in enumerate(trip.true)}
     reintegrate(trip.map, trip.store, better, ALWAYS)
-    assert all(np.allclose(s.covariance, 0.01 * SIGMA) for s in list(trip.store)[2:])
+    assert all(np.allclose(s.uncertainty.covariance, 0.01 * SIGMA) for s in list(trip.store)[2:])
     assert _is_same(trip.map, trip.made_anew())
 
 

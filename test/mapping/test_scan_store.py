@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.errors import CapacityError, InvalidInputError
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
@@ -153,9 +153,26 @@ def test_the_scan_with_the_best_known_pose_is_frozen_first() -> None:
     record = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA)
     store = ScanStore(CONFIG, ScanStoreConfig(memory=2.5 * record.memory_bytes() * 1e-9))
     for stamp, sigma in enumerate([0.3, 0.001, 0.2]):
-        store.add(stamp, record, pose, np.eye(6) * sigma**2)
+        store.add(stamp, record, pose, PoseUncertainty(np.eye(6) * sigma**2))
     store.freeze_excess()
     assert [scan.stamp for scan in store] == [0, 2]
+
+
+def test_a_scan_that_the_base_has_no_room_for_is_kept(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    cloud, pose = _cloud()
+    record = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA)
+    store = ScanStore(CONFIG, ScanStoreConfig(memory=0.5 * record.memory_bytes() * 1e-9))
+    store.add(1, record, pose)
+
+    def full(*_: object) -> None:
+        raise CapacityError("full")
+
+    monkeypatch.setattr(VoxelMap, "integrate", full)
+    assert store.freeze_excess() == 0
+    assert [scan.stamp for scan in store] == [1]
+    monkeypatch.undo()
+    assert store.freeze_excess() == 1
+    assert store.base.known_voxels > 0
 
 
 def test_without_memory_for_scans_nothing_is_kept() -> None:

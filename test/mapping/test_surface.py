@@ -1,4 +1,4 @@
-"""Gaussians as they are stored: codes, and records by block against a plain dictionary."""
+"""Gaussians as they are stored: rows by block against a plain dictionary."""
 
 from __future__ import annotations
 
@@ -6,191 +6,130 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from infomap_ros.errors import CapacityError
-from infomap_ros.mapping.voxels.records import (
-    growth_of_surface,
+from infomap_ros.mapping.voxels.surface import (
+    PAGE_BYTES,
+    ROW_BYTES,
+    count_new,
+    empty_surface,
     put_records,
     records_of,
-    surface_of,
-)
-from infomap_ros.mapping.voxels.surface import (
-    CHUNK,
-    FULL_BYTES,
-    MASK_BYTES,
-    empty_surface,
     surface_bytes,
-    with_pages,
+    surface_of,
+    with_records,
 )
-from infomap_ros.mapping.voxels.surface_code import (
-    CODE_BYTES,
-    decode,
-    decode_information,
-    encode,
-    encode_information,
-    is_isotropic,
+from infomap_ros.mapping.voxels.surface_kernels import (
+    CLOCK,
+    EXCESS,
+    ROW_SIZE,
+    add_observations,
+    inflation,
+    read_block,
+    read_information,
 )
 
 BLOCKS = 12
 SHEETS = 2 * BLOCKS
+HALF = 0.025
 
 
-def isotropic(weight: float, mean: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Information of an isotropic Gaussian, shape (9,)."""
-    return np.array([weight, 0, 0, weight, 0, weight, *(weight * mean)], np.float32)
-
-
-def code_of(weight: float, *mean: float) -> tuple[np.uint64, np.uint16]:
-    """Code of an isotropic Gaussian, in the types in which a map keeps it."""
-    word, tail = encode(weight, *mean)
-    return np.uint64(word), np.uint16(tail)
-
-
-def random_information(rng: np.random.Generator, full: float) -> NDArray[np.float32]:
-    """Of a point near a voxel's centre; not isotropic with probability `full`."""
-    mean = rng.uniform(-0.1, 0.1, 3)
-    if rng.random() >= full:
-        return isotropic(rng.uniform(50.0, 5000.0), mean)
+def random_row(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Of a point near a voxel's centre, with an excess."""
     factor = rng.normal(size=(3, 3)) * 30.0
-    matrix = factor @ factor.T + 100.0 * np.eye(3)
-    return np.r_[matrix[np.triu_indices(3)], matrix @ mean].astype(np.float32)
+    matrix, mean = factor @ factor.T + 100.0 * np.eye(3), rng.uniform(-0.01, 0.01, 3)
+    rest = rng.uniform(0.0, 1e5), rng.uniform(0.0, 10.0), rng.uniform(0.0, 5.0)
+    return np.r_[matrix[np.triu_indices(3)], matrix @ mean, rest].astype(np.float32)
 
 
-def scan(rng: np.random.Generator, full: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def scan(rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Observations of some voxels, in no order."""
     voxels = rng.choice(SHEETS * 512, rng.integers(1, 900), replace=False).astype(np.int64)
-    return voxels, np.array([random_information(rng, full) for _ in voxels])
+    return voxels, np.array([random_row(rng) for _ in voxels])
 
 
-@pytest.mark.parametrize("reach", [1e-4, 0.05, 3.0, 1000.0])
-def test_a_code_keeps_weight_and_mean(rng, reach):
-    for _ in range(300):
-        weight, mean = 10.0 ** rng.uniform(-4, 13), rng.uniform(-reach, reach, 3)
-        found = decode(*code_of(weight, *mean))
-        assert found[0] == pytest.approx(weight, rel=2.0**-19)
-        np.testing.assert_allclose(found[1:], mean, atol=np.abs(mean).max() * 2.0**-16 + 1e-11)
-
-
-def test_encoding_what_was_decoded_gives_the_same_code(rng):
-    information = np.empty(9, np.float32)
-    for _ in range(2000):
-        code = code_of(10.0 ** rng.uniform(-4, 13), *rng.uniform(-0.2, 0.2, 3))
-        decode_information(*code, information)
-        assert is_isotropic(information)
-        assert encode_information(information) == code
-
-
-def test_a_code_saturates_and_never_overflows():
-    assert decode(*code_of(1e30, 0.0, 0.0, 0.0))[0] == pytest.approx(2.0**46, rel=1e-5)
-    assert decode(*code_of(1.0, 9e9, 0.0, -9e9))[1:] == (65535 * 2.0**-5, 0.0, -65535 * 2.0**-5)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        [4, 0, 0, 4, 0, 5, 0, 0, 0],
-        [4, 1e-6, 0, 4, 0, 4, 0, 0, 0],
-        [1e-6, 0, 0, 1e-6, 0, 1e-6, 0, 0, 0],
-        [1e15, 0, 0, 1e15, 0, 1e15, 0, 0, 0],
-        [1, 0, 0, 1, 0, 1, 1e6, 0, 0],
-    ],
-)
-def test_what_a_code_cannot_tell_is_no_matter_of_codes(other):
-    assert not is_isotropic(np.array(other, np.float32))
-
-
-@pytest.mark.parametrize("full", [0.0, 0.02, 0.5])
-def test_sums_are_those_of_a_dictionary(rng, full):
+def test_sums_are_those_of_a_dictionary(rng):
     surface, sums = empty_surface(), {}
-    for _ in range(25):
-        voxels, information = scan(rng, full)
-        surface = put_records(surface, BLOCKS, voxels, information, adding=True)
-        for voxel, row in zip(voxels.tolist(), information.astype(np.float64), strict=True):
-            sums[voxel] = sums.get(voxel, np.zeros(9)) + row
+    for clock in range(25):
+        voxels, rows = scan(rng)
+        surface, places = with_records(surface, BLOCKS, voxels)
+        order = rng.permutation(len(voxels))
+        given = order, rows[:, :9], np.zeros(len(voxels), np.float32), float(clock)
+        add_observations(surface.rows, places[order], *given, 0, len(order))
+        for voxel, row in zip(voxels.tolist(), rows.astype(np.float64), strict=True):
+            sums[voxel] = sums.get(voxel, np.zeros(9)) + row[:9]
 
-    voxels, information = records_of(surface)
+    voxels, rows = records_of(surface)
 
     assert voxels.tolist() == sorted(sums)
     expected = np.array([sums[voxel] for voxel in voxels.tolist()])
     scale = np.abs(expected[:, :6]).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(information / scale, expected / scale, atol=3e-5)
+    np.testing.assert_allclose(rows[:, :9] / scale, expected / scale, atol=3e-6)
+    assert (rows[:, EXCESS] == 0.0).all() and (rows[:, CLOCK] == -np.inf).all()
 
 
-def test_order_does_not_matter_within_rounding(rng):
-    scans = [scan(rng, 0.05) for _ in range(8)]
-    found = []
-    for order in (range(8), rng.permutation(8)):
-        surface = empty_surface()
-        for i in order:
-            surface = put_records(surface, BLOCKS, *scans[i], adding=True)
-        found.append(records_of(surface))
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    scale = np.abs(found[0][1][:, :6]).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(found[0][1] / scale, found[1][1] / scale, atol=3e-5)
-
-
-def test_what_is_put_replaces_what_was_there_whatever_its_form(rng):
+def test_what_is_put_replaces_what_was_there(rng):
     voxels = rng.permutation(SHEETS * 512)[:500].astype(np.int64)
-    before = np.array([random_information(rng, 0.5) for _ in voxels])
-    after = np.array([random_information(rng, 0.5) for _ in voxels])
+    before, after = (np.array([random_row(rng) for _ in voxels]) for _ in range(2))
     fresh = surface_of(BLOCKS, voxels, after)
-    changed = put_records(surface_of(BLOCKS, voxels, before), BLOCKS, voxels, after, adding=False)
+    changed = put_records(surface_of(BLOCKS, voxels, before), BLOCKS, voxels, after)
     np.testing.assert_array_equal(records_of(changed)[1], records_of(fresh)[1])
 
 
-def test_a_bit_set_for_full_information_is_there_where_it_is_needed(rng):
-    voxels = np.arange(0, SHEETS * 512, 512)
-    codes = np.array([random_information(rng, 0.0) for _ in voxels])
-    plain = surface_bytes(surface_of(BLOCKS, voxels, codes), BLOCKS)
-    codes[5] = random_information(rng, 1.0)
-    mixed = surface_bytes(surface_of(BLOCKS, voxels, codes), BLOCKS)
-    assert mixed - plain == MASK_BYTES + CHUNK * (FULL_BYTES - CODE_BYTES)
+def test_a_record_without_information_is_none(rng):
+    voxels, rows = scan(rng)
+    surface = put_records(surface_of(BLOCKS, voxels, rows), BLOCKS, voxels[:1], np.zeros((1, 9)))
+    assert records_of(surface)[0].tolist() == sorted(voxels[1:].tolist())
 
 
-def test_records_survive_being_listed_and_built_again(rng):
-    surface = empty_surface()
+def test_records_survive_being_listed_and_built_again_in_any_order(rng):
+    surface = surface_of(BLOCKS, *scan(rng))
     for _ in range(4):
-        surface = put_records(surface, BLOCKS, *scan(rng, 0.2), adding=True)
-    listed = records_of(surface)
-    again = surface_of(BLOCKS, *listed)
-    for a, b in zip(listed, records_of(again), strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert surface_bytes(again, BLOCKS) <= surface_bytes(surface, BLOCKS)
-
-
-@pytest.mark.parametrize("full", [0.0, 1.0])
-def test_blocks_that_grow_together_leave_few_gaps(rng, full):
-    surface, sums = empty_surface(), {}
-    for _ in range(150):
-        voxels, information = (part[:40] for part in scan(rng, full))
-        surface = put_records(surface, BLOCKS, voxels, information, adding=True)
-        for voxel, row in zip(voxels.tolist(), information.astype(np.float64), strict=True):
-            sums[voxel] = sums.get(voxel, np.zeros(9)) + row
-        stored = len(sums) * (36 if full else CODE_BYTES)
-        assert surface_bytes(surface, BLOCKS) < 1.4 * stored + 120_000
-    assert records_of(surface)[0].tolist() == sorted(sums)
-    expected = np.array([sums[voxel] for voxel in sorted(sums)])
-    np.testing.assert_allclose(records_of(surface)[1], expected, rtol=1e-3, atol=0.3)
-
-
-def test_growth_is_not_above_what_was_foretold(rng):
-    surface = empty_surface()
-    for _ in range(20):
-        voxels, information = scan(rng, 0.3)
-        slots, blocks = np.unique(voxels >> 9, return_inverse=True)
-        used = surface_bytes(surface, BLOCKS)
-        bound = growth_of_surface(surface, slots, blocks, information)
-        surface = put_records(surface, BLOCKS, voxels, information, adding=True)
-        assert surface_bytes(surface, BLOCKS) - used <= bound
-
-
-def test_more_blocks_than_can_be_numbered_are_refused():
-    with pytest.raises(CapacityError, match="blocks"):
-        with_pages(empty_surface(), 2**23 + 1, 0)
-
-
-def test_rows_of_a_file_may_come_in_any_order(rng):
-    voxels, information = records_of(surface_of(BLOCKS, *scan(rng, 0.3)))
+        surface = put_records(surface, BLOCKS, *scan(rng))
+    voxels, rows = records_of(surface)
     order = rng.permutation(len(voxels))
-    shuffled = records_of(surface_of(BLOCKS, voxels[order], information[order]))
-    np.testing.assert_array_equal(shuffled[0], voxels)
-    np.testing.assert_array_equal(shuffled[1], information)
+    again = surface_of(BLOCKS, voxels[order], rows[order])
+    np.testing.assert_array_equal(records_of(again)[0], voxels)
+    np.testing.assert_array_equal(records_of(again)[1], rows)
+    assert surface_bytes(again, BLOCKS) == surface_bytes(surface, BLOCKS)
+
+
+def test_new_pages_and_rows_are_counted(rng):
+    surface = empty_surface()
+    for _ in range(10):
+        voxels, rows = scan(rng)
+        pages, more = count_new(surface, voxels >> 9, voxels & 511)
+        used = surface_bytes(surface, BLOCKS)
+        surface = put_records(surface, BLOCKS, voxels, rows)
+        assert surface_bytes(surface, BLOCKS) - used == pages * PAGE_BYTES + more * ROW_BYTES
+    assert count_new(surface, np.array([-2, -1, -2]), np.array([5, 5, 6])) == (2, 3)
+
+
+def test_the_excess_of_a_row_inflates_its_covariance():
+    for weight, across in ((1e6, 1e4), (1e4, 1e4), (1e8, 1e3)):
+        normal = np.array([0.6, 0.0, 0.8])
+        matrix = across * np.eye(3) + (weight - across) * np.outer(normal, normal)
+        row = np.r_[matrix[np.triu_indices(3)], np.zeros(6)]
+        assert inflation(row) == 1.0
+        row[EXCESS] = 3.0 * weight
+        assert inflation(row) == pytest.approx(4.0)
+
+
+def test_both_sides_of_a_voxel_and_its_block_are_read_alike(rng):
+    voxels, rows = scan(rng)
+    surface = surface_of(BLOCKS, voxels, rows)
+    one, other = np.zeros(ROW_SIZE, np.float32), np.zeros(ROW_SIZE, np.float32)
+    locals_, block = np.empty(512, np.int64), np.empty((512, ROW_SIZE), np.float32)
+    stored = dict(zip(voxels.tolist(), rows.astype(np.float64), strict=True))
+    for slot in range(BLOCKS + 1):
+        count = read_block(surface, slot, HALF, locals_, block, other)
+        found = dict(zip(locals_[:count].tolist(), block[:count], strict=True))
+        for local in range(512):
+            sides = [stored.get(1024 * slot + 512 * side + local) for side in (0, 1)]
+            there = [row for row in sides if row is not None]
+            assert read_information(surface, slot, local, HALF, one, other) == bool(there)
+            if not there:
+                assert local not in found
+                continue
+            total = np.sum(there, axis=0)
+            expected = total[:9] / inflation(total)
+            np.testing.assert_allclose(one[:9], expected, rtol=1e-4, atol=1e-3)
+            np.testing.assert_array_equal(found[local][:9], one[:9])

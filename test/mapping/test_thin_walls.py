@@ -59,18 +59,6 @@ def test_the_sides_survive_a_file(tmp_path):
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_state_without_sides_is_read():
-    state = wall().state()
-    front = state["gaussian_side"] == 0
-    old = {name: state[name] for name in state if name != "gaussian_side"}
-    old["gaussian_owner"] = state["gaussian_owner"][front]
-    old["gaussian_information"] = state["gaussian_information"][front]
-    restored = VoxelMap.from_state(wall().config, old).state()
-    np.testing.assert_array_equal(restored["gaussian_owner"], old["gaussian_owner"])
-    np.testing.assert_array_equal(restored["gaussian_information"], old["gaussian_information"])
-    assert not restored["gaussian_side"].any()
-
-
 def test_opposite_normals_have_different_sides(rng):
     for normal in rng.normal(size=(100, 3)):
         assert side_of(*normal) != side_of(*-normal)

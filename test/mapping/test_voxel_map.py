@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty
 from infomap_ros.mapping import (
     LOG_ODDS_QUANTUM,
     SHARED_LOG_ODDS_LIMIT,
@@ -29,10 +29,13 @@ def looks(seed: int, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(scene.points(CAMERA, pose), pose) for pose in poses]
 
 
+INDEPENDENT = PoseUncertainty(np.zeros((6, 6)), white=np.eye(6) * 1e-6)
+
+
 def integrate_all(voxel_map: VoxelMap, scans: list[tuple[np.ndarray, np.ndarray]]) -> VoxelMap:
     for number, (points, pose) in enumerate(scans):
         camera = CAMERA if number % 3 else None
-        voxel_map.integrate(points, pose, pose_covariance=np.eye(6) * 1e-6, camera=camera)
+        voxel_map.integrate(points, pose, pose_covariance=INDEPENDENT, camera=camera)
     return voxel_map
 
 
@@ -228,6 +231,9 @@ def test_state_is_a_copy(room):
         ("narrow", lambda a: a.astype(np.int16)),
         ("gaussian_owner", lambda a: a + np.uint32(2**30)),
         ("gaussian_information", lambda a: a * np.float32(np.nan)),
+        ("gaussian_excess", lambda a: a - np.float32(1.0)),
+        ("gaussian_memory", lambda a: a[:-1]),
+        ("offset", lambda a: a[:-1]),
         ("free_rows", None),
     ],
 )

@@ -34,22 +34,23 @@ def map_of(states: np.ndarray, first: tuple[int, int, int], size: float) -> Voxe
 
 
 def voxels_of(voxel_map: VoxelMap) -> dict[tuple[int, int, int], tuple[float, bytes]]:
-    """Evidence and information of every known voxel, to compare maps to the bit.
+    """Evidence, information and excess of every known voxel, to compare maps to the bit.
 
     Information of a voxel that is not known counts for nothing.
     """
     state = voxel_map.state()
     slots, locals_ = np.divmod(state["gaussian_owner"].astype(np.int64), 512)
     information = {}
-    for key, local, row in zip(
+    for key, local, row, excess in zip(
         state["block_keys"][slots].tolist(),
         locals_.tolist(),
         state["gaussian_information"],
+        state["gaussian_excess"],
         strict=True,
     ):
         x, y, z = unpack(key)
         index = (8 * x + (local & 7), 8 * y + ((local >> 3) & 7), 8 * z + (local >> 6))
-        information[index] = information.get(index, b"") + (row.tobytes() if row[0] else b"")
+        information[index] = information.get(index, b"") + row.tobytes() + excess.tobytes()
     indices, evidence = voxel_map.voxels()
     places = [tuple(index) for index in indices.tolist()]
     return {

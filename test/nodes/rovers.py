@@ -53,6 +53,7 @@ class PaperRover:
 
     Attributes:
         is_located: whether it publishes its camera_pose; if not, odometry.
+        pose_covariance: that it publishes with its camera_pose, shape (6, 6).
     """
 
     is_located = True
@@ -62,7 +63,7 @@ class PaperRover:
         self.text = find_share("config/rover.urdf").read_text()
         self.model = RobotModel.from_urdf(self.text, FRAMES["left"], "base_link")
         self.joints = {joint.name: 0.1 for joint in self.model.joints}
-        self.base, self.obeys = np.eye(4), True
+        self.base, self.obeys, self.pose_covariance = np.eye(4), True, 1e-6 * np.eye(6)
         self.paths: list[Path] = []
         self.trajectories: list[JointTrajectory] = []
         self.stamp = 1_000_000_000
@@ -82,7 +83,7 @@ class PaperRover:
 
     def publish(self) -> None:
         self.stamp += 50_000_000
-        pose = PoseRecord(self.stamp, "map", self.T_map_camera(), 1e-6 * np.eye(6))
+        pose = PoseRecord(self.stamp, "map", self.T_map_camera(), self.pose_covariance)
         if self.is_located:
             self.poses.publish(encode_pose(TYPES, pose))
         else:

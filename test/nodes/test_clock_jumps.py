@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import ImageRecord, PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBuffer
-from infomap_ros.nodes.common.clock_jumps import JumpingBuffer, JumpingPairs
+from infomap_ros.pipeline.clock_jumps import JumpingBuffer, JumpingPairs
 
 JUMP = 100
 PIXELS = np.zeros((1, 1), np.uint8)

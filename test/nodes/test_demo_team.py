@@ -11,7 +11,7 @@ from infomap_ros.errors import ProcessError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.live import demo_team
 from infomap_ros.nodes.live.demo_team import sum_of_maps
-from infomap_ros.nodes.live.kernels import compile_kernels
+from infomap_ros.nodes.live.kernels import STEPS, TEAM, compile_kernels
 from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.simulation.company.team_starts import TeamStart
 
@@ -55,25 +55,29 @@ def test_the_map_of_all_is_the_sum_of_what_each_saw(tmp_path: Path) -> None:
     np.testing.assert_allclose(shared.log_odds(places)[both], sums[both], atol=0.1)
 
 
-@pytest.mark.parametrize(("status", "complaint"), [(0, ""), (3, "out of disk")])
+@pytest.mark.parametrize("failing", ["", "map"])
 def test_it_is_told_what_is_compiled_and_why_it_could_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int, complaint: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
 ) -> None:
-    python = tmp_path / "python"
-    python.write_text(
-        f"#!/bin/sh\necho range; echo a warning; echo map {complaint}; exit {status}\n"
-    )
+    python, compiled, told = tmp_path / "python", tmp_path / "compiled", []
+    fails = f'[ "$3" != "{failing}" ] || {{ echo out of disk; exit 3; }}'
+    python.write_text(f"#!/bin/sh\n{fails}\necho $* >> {compiled}\n")
     python.chmod(0o755)
     monkeypatch.setattr("sys.executable", str(python))
-    told: list[str] = []
 
-    if status:
-        with pytest.raises(ProcessError, match="map out of disk"):
-            compile_kernels(told.append)
+    if failing:
+        with pytest.raises(ProcessError, match="out of disk"):
+            compile_kernels(told.append, TEAM)
     else:
-        compile_kernels(told.append)
+        compile_kernels(told.append, TEAM)
 
-    assert told == ["1 of 5, range", "2 of 5, map"][: 1 if status else 2]
+    stages = ["1 of 3, range", "2 of 3, map and localisation", "3 of 3, planning and sharing"]
+    assert told == stages[: 2 if failing else 3]
+    if not failing:
+        steps = [line.split()[-1] for line in compiled.read_text().splitlines()]
+        assert steps[0] == "range"
+        assert set(steps[1:3]) == {"map", "localisation"}
+        assert set(steps) == set(STEPS)
 
 
 def test_an_impossible_world_ends_with_one_line(

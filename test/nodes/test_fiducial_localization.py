@@ -15,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 from infomap_ros.errors import ConfigError, MapFileError
 from infomap_ros.geometry import ImageRecord, TransformRecord, invert_transform
 from infomap_ros.localization.saved_localisation import SavedLocalisation
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.messages import TF, decode_transforms, encode_image
 from infomap_ros.messages.keyframes import decode_keyframe_poses
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
@@ -24,6 +24,8 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from test.nodes.bag_stage import IMAGES, INFOS, MOTION, TYPES, BagStage
+from test.nodes.rovers import CAMERA as ROOM_CAMERA
+from test.nodes.rovers import room_scan, update_messages
 
 SECOND = 1_000_000_000
 CAMERA = "left_camera_optical_frame"
@@ -303,3 +305,38 @@ def test_a_node_does_not_start_with_an_impossible_parameter(graph: Any) -> None:
         graph.add(FiducialLocalizationNode, motion="wishes")
     with pytest.raises(ConfigError, match="fewest_fiducials"):
         graph.add(FiducialLocalizationNode, fewest_fiducials=300, wanted_fiducials=100)
+
+
+@pytest.mark.parametrize("use_map", [True, False])
+def test_fiducials_are_chosen_in_the_shared_map_where_it_is_wanted(
+    graph: Any, use_map: bool
+) -> None:
+    stage = Stage(graph, use_map=use_map)
+    follow, given = stage.node._follower.follow, []
+
+    def recorded(*arguments: Any) -> Any:
+        given.append(arguments[4])
+        return follow(*arguments)
+
+    stage.node._follower.follow = recorded
+    assert len(stage.run(1)) == 1
+    assert given == [None]
+
+    told = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    told.track_changes(True)
+    told.integrate(room_scan(np.eye(4)), np.eye(4), camera=ROOM_CAMERA)
+    updates = graph.publisher(PointCloud2, "map_updates", 200)
+    if use_map:
+        graph.connect(updates)
+        for message in update_messages(told):
+            updates.publish(message)
+        listener = stage.node._map
+        graph.spin_until(
+            lambda: (
+                (known := listener.known_map()) is not None
+                and known.known_voxels == told.known_voxels
+            ),
+            "the map",
+        )
+    assert len(stage.run(1, first=2)) == 1
+    assert given[1] is (stage.node._map.known_map() if use_map else None)

@@ -103,7 +103,7 @@ def test_a_corrected_map_is_as_sure_as_its_keyframes(graph: Any) -> None:
         bench.tell(record)
     bench.wait_for_correction()
     (scan,) = bench.node._keeper._corrected.store
-    assert np.allclose(scan.covariance, 9.0 * COVARIANCE, rtol=1e-6, atol=1e-12)
+    assert np.allclose(scan.uncertainty.covariance, 9.0 * COVARIANCE, rtol=1e-6, atol=1e-12)
 
 
 def test_what_is_in_a_map_is_moved_by_hand(graph: Any) -> None:

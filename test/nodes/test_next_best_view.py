@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,19 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.exploration.records.choice_text import choice_from_text, route_digest
 from infomap_ros.exploration.robot import Choice
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner import ViewPlannerConfig
+from infomap_ros.geometry import StereoRig
+from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
+from infomap_ros.localization.prediction.ways import Ways
+from infomap_ros.messages.fiducials import encode_fiducials
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.next_best_view import NextBestViewNode
+from infomap_ros.views import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
 
-from .rovers import PaperRover, update_messages
+from .rovers import BASELINE, CAMERA, TYPES, PaperRover, update_messages
 
 QUICK = {
     "choice__candidates__candidates": 200,
@@ -49,9 +59,12 @@ class Stage:
         latched, create = qos.latched(), graph.tester.create_publisher
         self.interest = create(MarkerArray, "interest", latched)
         self.status = create(DiagnosticStatus, "exploration_status", latched)
+        self.fiducials = create(PointCloud2, "fiducials", latched)
         self.said = {name: graph.collect(kind, name) for name, kind in OUTPUTS.items()}
         self.node = graph.add(NextBestViewNode, **{**QUICK, **parameters})
-        publishers = (self.rover.updates, self.team, self.interest, self.status)
+        publishers = (
+            self.rover.updates, self.team, self.interest, self.status, self.fiducials
+        )  # fmt: skip
         graph.connect(*publishers, *self.rover.infos.values())
 
     def call(self, name: str = "plan") -> Trigger.Response:
@@ -269,3 +282,77 @@ def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -
     stage.plan()
     assert stage.node._planner is not None
     np.testing.assert_array_equal(stage.node._planner.planner._motion._start.T_map_base, began)
+
+
+def rating_model(stage: Stage) -> str:
+    return stage.node.health.values().get("localization error by", "")
+
+
+def wall_fiducials() -> Fiducials:
+    """On the wall ahead of the rover, known to a millimeter."""
+    y, z = np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(0.2, 1.2, 4))
+    points = np.column_stack([np.full(y.size, 3.0), y.ravel(), z.ravel()])
+    return Fiducials(np.arange(len(points)), points, np.tile(1e-6 * np.eye(3), (y.size, 1, 1)))
+
+
+def test_views_are_rated_by_the_fiducials_that_are_published(stage: Stage) -> None:
+    """What the node says of the chosen view is what the prediction gives for it."""
+    stage.rover.pose_covariance = np.diag([4e-4] * 3 + [1e-5] * 3)
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    drift = stage.plan()
+    assert rating_model(stage) == "odometry drift"
+    assert drift.explanation["terms"]["localization_error"] > 0.0
+
+    known = wall_fiducials()
+    stage.fiducials.publish(encode_fiducials(TYPES, 1_000_000_000, "map", known))
+    stage.graph.spin_until(lambda: stage.node._fiducials.fiducials() is not None, "fiducials")
+    choice = stage.plan()
+    assert rating_model(stage) == f"{len(known)} fiducials"
+
+    terms, pose = choice.explanation["terms"], choice.pose
+    state, voxel_map = stage.node._tracker.state(), stage.node._map.voxel_map()
+    prediction = ErrorPrediction(StereoRig(CAMERA, CAMERA, BASELINE))
+    new = prediction.new_points(state.T_map_camera, known.positions, voxel_map)
+    assert pose is not None
+    straight = float(np.linalg.norm(pose[:3, 3] - state.T_map_camera[:3, 3]))
+    before = np.sqrt(np.trace(state.pose_covariance[:3, :3]))
+    growths = []
+    for length in (straight, 3.0 * straight):  # the way through free space is between these
+        after = prediction.predict(
+            state.T_map_camera, state.pose_covariance, Ways(pose[None], np.array([length])),
+            (known.positions, known.covariances), new, voxel_map,
+        )[0]  # fmt: skip
+        growths.append(np.sqrt(np.trace(after[:3, :3])) - before)
+    assert growths[0] - 1e-5 <= terms["localization_error"] <= growths[1] + 1e-5
+
+
+def test_fiducials_that_cannot_be_used_are_counted(stage: Stage) -> None:
+    stage.fiducials.publish(encode_fiducials(TYPES, 0, "odom", wall_fiducials()))
+    stage.wait_for_drops("wrong frame", 1)
+    known = wall_fiducials()
+    known.positions[0, 0] = np.nan
+    stage.fiducials.publish(encode_fiducials(TYPES, 0, "map", known))
+    stage.wait_for_drops("malformed message", 1)
+    assert stage.node._fiducials.fiducials() is None
+
+
+@pytest.mark.parametrize("predicts", [False, True])
+def test_unknown_voxels_are_predicted_where_that_is_asked_for(graph: Any, predicts: bool) -> None:
+    stage = Stage(graph, predict_unknown=predicts)
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    choice = stage.plan()
+    assert choice.pose is not None
+    task, planner = stage.node.config(TaskConfig), stage.node.config(ViewPlannerConfig)
+    told = {}
+    for predict in (False, True):
+        config = replace(
+            InformationConfig.of_stereo(StereoRig(CAMERA, CAMERA, BASELINE)),
+            wanted_sigma=task.mean_sigma,
+            predict_unknown=predict,
+        )
+        told[predict] = expected_information(
+            stage.node._map.voxel_map(), choice.pose[None], CAMERA, planner.max_range,
+            config=config, region=task.region,
+        )[0]  # fmt: skip
+    stated = choice.explanation["terms"]["information"]
+    assert abs(stated - told[predicts]) < 0.2 * abs(stated - told[not predicts])

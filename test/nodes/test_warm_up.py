@@ -19,15 +19,14 @@ def kernels():
 """
 
 MAP_FUSION = """
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
-from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, PoseRecord, Sphere
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.robot.robot_body import without_bodies
+from infomap_ros.pipeline.map_builder import MapBuilder
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
 
@@ -42,11 +41,10 @@ for step in range(3):
     covariances = np.broadcast_to(np.float32(1e-4) * np.eye(3, dtype=np.float32), (240, 320, 3, 3))
     record = PointCloudRecord(0, "camera", points, covariances, np.zeros(points.shape, np.uint8))
     cloud = decode_point_cloud(encode_point_cloud(RclpyMessageTypes(), record))
-    cloud = without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     pose = np.eye(4)
     pose[0, 3] = step
-    found = fit_pinhole_camera(cloud.points)
-    voxel_map.integrate(cloud.points, pose, cloud.covariances, 1e-6 * np.eye(6), found)
+    where = PoseRecord(0, "map", pose, 1e-6 * np.eye(6))
+    MapBuilder(voxel_map).fuse(Scan(cloud, where, [PlacedSolid(Sphere(0.1), np.eye(4))]))
     voxel_map.mark_changed(0, 5)
     parts = encode_update(MapUpdate.of_changes(voxel_map.take_changes(), 0.05, 1, step + 1))
     for part in parts:
@@ -58,11 +56,12 @@ for step in range(3):
 
 STEREO_RANGE = """
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
-from infomap_ros.nodes.ranging.range_sources import RangeSource
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.stereo import StereoConfig
 
-source = RangeSource.of_stereo(StereoConfig(), rectify=True)
-source.seconds_to_warm_up()
+estimator = StereoRangeEstimator(StereoConfig(), rectify=True)
+estimator.warm_up()
 before = kernels()
 K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
 for encoding, channels in (("mono8", ()), ("rgb8", (3,))):
@@ -74,7 +73,7 @@ for encoding, channels in (("mono8", ()), ("rgb8", (3,))):
         calibration = CameraCalibration(320, 240, "plumb_bob", distortion, K, np.eye(3), p)
         infos.append(CameraInfoRecord(0, "camera", calibration))
         images.append(ImageRecord(0, "camera", np.ascontiguousarray(pixels), encoding))
-    source.measure(tuple(images), tuple(infos))
+    estimator.measure(ImageSet(tuple(images), tuple(infos)))
 """
 
 

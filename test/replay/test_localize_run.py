@@ -49,8 +49,8 @@ def test_images_alone_begin_a_level_map_at_the_camera(hand_held):
     run = localised(hand_held)
     begin = np.eye(4)
     begin[:3, 3] = -pose(0)[:3, 3]
-    check_path(run.trajectory.transforms, begin)
-    check_path(run.corrected_trajectory.transforms, begin)
+    check_path(run.log.trajectory.transforms, begin)
+    check_path(run.log.corrected_trajectory.transforms, begin)
     summary = run.summary()
     assert (summary["views"], summary["tracking"], summary["lost"]) == (10, 10, 0)
     np.testing.assert_allclose(summary["path_length"], 9 * 0.025, atol=0.004)
@@ -59,11 +59,11 @@ def test_images_alone_begin_a_level_map_at_the_camera(hand_held):
 def test_odometry_gives_the_frame_of_the_map(robot):
     run = localised(robot)
     assert run.inputs.odometry_topic == "/odom"
-    check_path(run.trajectory.transforms, np.eye(4))
+    check_path(run.log.trajectory.transforms, np.eye(4))
     assert not run.without_motion
     alone = localised(robot, input=LocalizeInputConfig(motion="none"))
     assert alone.inputs.odometry_topic == ""
-    assert abs(alone.trajectory.transforms[0][0, 3]) < 1e-9
+    assert abs(alone.log.trajectory.transforms[0][0, 3]) < 1e-9
 
 
 def test_a_bag_without_poses_becomes_a_map(hand_held):

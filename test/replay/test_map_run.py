@@ -74,7 +74,7 @@ def test_depth_camera(tmp_path):
     assert summary["points"] == run.points > 10000
     assert summary["known_voxels"] == run.map.known_voxels
     assert summary["map_frame"] == "map"
-    assert run.assumed_poses == 0
+    assert run.builder.assumed_poses == 0
 
 
 def test_stereo_pair(tmp_path):
@@ -100,7 +100,7 @@ def test_every_frame_is_reported(tmp_path):
 def test_unknown_covariance_is_assumed_and_counted(tmp_path):
     entries = list(depth_frames(covariance=None))
     run = mapped(write(tmp_path / "bag", entries))
-    assert run.assumed_poses == 6
+    assert run.builder.assumed_poses == 6
     sure = mapped(write(tmp_path / "sure", depth_frames()))
     sigmas = [np.sqrt(r.map.gaussians()[2][:, 0, 0]).mean() for r in (run, sure)]
     assert sigmas[0] > 3 * sigmas[1]
@@ -146,8 +146,8 @@ def test_odometry_and_mounted_camera(tmp_path):
     entries.append(("/tf_static", TransformRecord(START, "base_link", "optical", T_base_camera)))
     run = mapped(write(tmp_path / "bag", sorted(entries, key=lambda e: e[1].stamp)))
     check_wall(run.map)
-    assert run.inputs.poses.map_frame == "odom"
-    assert run.assumed_poses == 0
+    assert run.inputs.map_frame == "odom"
+    assert run.builder.assumed_poses == 0
 
 
 def test_tf_alone(tmp_path):
@@ -161,8 +161,8 @@ def test_tf_alone(tmp_path):
         entries.append(("/tf", TransformRecord(stamp, "odom", "base_link", T_odom_base)))
     run = mapped(write(tmp_path / "bag", sorted(entries, key=lambda e: e[1].stamp)))
     check_wall(run.map)
-    assert run.inputs.poses.map_frame == "map"
-    assert run.assumed_poses == 6
+    assert run.inputs.map_frame == "map"
+    assert run.builder.assumed_poses == 6
 
 
 def with_hand(entries, place: float, joints: bool = True):
@@ -183,7 +183,7 @@ def test_robot_body_stays_out_of_the_map(tmp_path):
     path = write(tmp_path / "bag", with_hand(depth_frames(), 0.8))
     run = mapped(path)
     hand = [[0.6 + x, 0.0, 0.0] for x in np.linspace(0.0, 0.5, 11)]
-    assert run.inputs.body.dropped_points > 1000
+    assert run.builder.points_cut > 1000
     assert (run.map.probability(hand) < 0.6).all()
     kept = mapped(path, input=MapInputConfig(remove_body=False))
     assert (kept.map.probability(hand) > 0.6).any()
@@ -196,16 +196,16 @@ def test_joints_that_the_bag_does_not_hold_can_be_assumed(tmp_path):
     shape = '<link name="wheel"><collision><geometry><sphere radius="0.1"/></geometry></collision>'
     xml = ROBOT.replace("</robot>", f"{shape}</link>{wheel}</robot>")
     path = write(tmp_path / "bag", with_hand(depth_frames(), 0.8))
-    unaware = mapped(path, robot=xml)
-    assert "'roll'; if nobody reports it, name it in assumed_joints" in unaware.inputs.body.note
+    with pytest.raises(BagError, match="'roll'; if nobody reports it, name it in assumed_joints"):
+        mapped(path, robot=xml)
     run = mapped(path, robot=xml, description=DescriptionConfig(assumed_joints=("roll",)))
-    assert run.inputs.body.dropped_points > 1000
+    assert run.builder.points_cut > 1000
 
 
 def test_robot_without_joint_states_is_mapped_with_its_body(tmp_path):
     run = mapped(write(tmp_path / "bag", with_hand(depth_frames(), 0.8, joints=False)))
     assert run.frames == 6
-    assert run.inputs.body.note == "no joint states"
+    assert run.inputs.body_note == "no joint states"
 
 
 def test_calibration_that_does_not_fit_is_dropped_and_named(tmp_path):

@@ -10,9 +10,9 @@ import pytest
 
 from infomap_ros.errors import BagError, InvalidInputError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, rig_from_calibrations
+from infomap_ros.pipeline.pixels import intensity_pixels
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
-from infomap_ros.replay.measuring.pixels import intensity_pixels
 from infomap_ros.replay.sequences import FORMATS, convert
 from infomap_ros.stereo.rectification import StereoRectifier
 

@@ -68,17 +68,17 @@ def test_the_map_lies_where_the_target_says(explored: ExplorationRun) -> None:
     assert np.median(errors.distances) < 0.02
 
 
-def test_the_pose_error_that_the_scans_of_a_view_share_counts_once(
+def test_scans_are_kept_with_the_covariances_of_their_poses(
     explored: ExplorationRun,
 ) -> None:
     told = {pose.stamp: pose.pose.covariance for pose in explored.audit.poses}
-    kept = {scan.stamp: scan.covariance for scan in explored._robot._map.store}
+    kept = {scan.stamp: scan.uncertainty.covariance for scan in explored._robot._map.store}
     assert kept.keys() == told.keys()
     for stamp, covariance in told.items():
-        np.testing.assert_allclose(kept[stamp], 2 * covariance, rtol=1e-9)  # two scans per view
+        np.testing.assert_allclose(kept[stamp], covariance, rtol=1e-9)
 
 
-def test_views_were_chosen_by_predicted_localisation_errors(explored: ExplorationRun) -> None:
+def test_views_were_chosen_by_predicted_localization_errors(explored: ExplorationRun) -> None:
     predictions = explored.audit.predictions
     assert len(predictions) == 2
     for prediction in predictions:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.voxel_gains import VoxelGains
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.survey import survey
@@ -15,7 +16,7 @@ from infomap_ros.views.situation import Situation
 class Prescribed:
     """An information source with given values and given voxels per view, by camera position x."""
 
-    unit = "bits"
+    unit, config = "bits", InformationConfig()
 
     def __init__(self, gains: dict[float, dict[int, float]] | None = None, full: float = 100.0):
         self._gains, self._full = gains or {}, full

@@ -9,9 +9,11 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.ranking.localisation_error import OdometryDrift, OdometryDriftConfig
+from infomap_ros.views.ranking.localization_error import OdometryDrift, OdometryDriftConfig
 from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.pose_information import pose_information_loss
 from infomap_ros.views.ranking.rating import Rating, RatingConfig
 from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.sampling.candidates import find_candidates
@@ -46,14 +48,16 @@ def test_distance_is_eq_10(situation: Situation) -> None:
 
 
 def test_rating_is_eq_11(situation: Situation) -> None:
-    config = RatingConfig(information_weight=2.0, distance_weight=0.3, localisation_weight=0.7)
-    rating = Rating(config, localisation_error=lambda _, poses, lengths: 0.1 * np.ones(len(poses)))
+    config = RatingConfig(information_weight=2.0, distance_weight=0.3, localization_weight=0.7)
+    rating = Rating(config, localization_error=lambda _, poses, lengths: 0.1 * np.ones(len(poses)))
     poses = [facing(0.3, (2.45, 1.65, 1.45)), facing(0.3, (1.95, 2.25, 1.35))]
     rated = rating.rate(options_of(situation, poses, [50.0, 80.0], full=200.0))
     terms = rated.terms
     assert 0.0 < terms["risk"][0] < 0.06
+    loss = pose_information_loss(situation, InformationConfig(), [0.1])[0]
+    assert loss > 0.0
     for i, information in enumerate((50.0, 80.0)):
-        total = 2.0 * information / 200.0 - 0.3 * terms["distance"][i] - 0.7 * 0.1
+        total = 2.0 * information / 200.0 - 0.3 * terms["distance"][i] - 0.7 * loss
         assert rated.ratings[i] == pytest.approx(total * (1.0 - terms["risk"][i]))
 
 
@@ -172,7 +176,7 @@ def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:
     np.testing.assert_array_equal(rated.terms["sun"], [0.0, 1.0, 2.0])
 
 
-def test_localisation_error_is_that_of_a_random_walk() -> None:
+def test_localization_error_is_that_of_a_random_walk() -> None:
     """Against simulated motion with the drift that the configuration states."""
     config = OdometryDriftConfig(0.05, 0.0, 0.02, 0.0)
     rng = np.random.default_rng(0)
@@ -190,17 +194,6 @@ def test_localisation_error_is_that_of_a_random_walk() -> None:
     now = Situation(seen_room([], ROOM), CAMERA, 4.0, pose, covariance)
     error = OdometryDrift(config)(now, there[None], np.array([length]))[0]
     assert error == pytest.approx(np.sqrt(variance) - np.sqrt(0.02), rel=0.05)
-
-
-def test_localisation_error_in_bits_is_entropy() -> None:
-    config = OdometryDriftConfig(0.05, 0.0, 0.0, 0.0, unit="bits")
-    covariance = np.diag([1e-4] * 3 + [1e-9] * 3)
-    pose = facing(0.0, START)
-    now = Situation(seen_room([], ROOM), CAMERA, 4.0, pose, covariance)
-    error = OdometryDrift(config)(now, np.array([pose]), np.array([2.0]))[0]
-    heading = 2.0**2 * 1e-9
-    after = 1e-4 + (0.05**2 * 2.0 + heading) / 3.0
-    assert error == pytest.approx(0.5 * np.log2((after / 1e-4) ** 3))
 
 
 def test_standing_still_costs_nothing(situation: Situation) -> None:

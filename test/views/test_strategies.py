@@ -159,7 +159,7 @@ def ahead(
     source = Prescribed(gains)
     information = [sum(of.values()) for of in gains.values()]
     options = options_of(now, poses, information, full=100.0, source=source)
-    ratings = Rating(RatingConfig(localisation_weight=0.0, distance_weight=0.02)).rate(options)
+    ratings = Rating(RatingConfig(localization_weight=0.0, distance_weight=0.02)).rate(options)
     return options, ratings, LookAhead(config).score(options, ratings)
 
 

@@ -36,7 +36,7 @@ def ranked(now: Situation, gains: dict[float, dict[int, float]], config: ViewTou
     information = [sum(of.values()) for of in gains.values()]
     source = Prescribed(gains)
     options: Options = options_of(now, poses, information, full=100.0, source=source)
-    rating = Rating(RatingConfig(localisation_weight=0.0, distance_weight=0.02))
+    rating = Rating(RatingConfig(localization_weight=0.0, distance_weight=0.02))
     return ViewTour(config).score(options, rating.rate(options))
 
 

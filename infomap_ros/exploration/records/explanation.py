@@ -20,6 +20,7 @@ def explain(decision: ViewDecision, state: RobotState) -> dict[str, Any]:
     return {
         "pose": None if chosen is None else chosen.pose.ravel(),
         "base": planar_pose(state.T_map_base),
+        "position_sigma": float(np.sqrt(np.trace(state.pose_covariance[:3, :3]))),
         "strategy": decision.strategy,
         "rating": None if chosen is None else chosen.rating,
         "terms": {} if chosen is None else chosen.terms,

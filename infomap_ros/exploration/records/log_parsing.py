@@ -97,6 +97,7 @@ def _decision(time: float, fields: Fields) -> Decision:
         candidates,
         _count(fields, "considered") if "considered" in fields else least,
         rejections,
+        _number(fields, "position_sigma", math.nan),
     )
 
 

@@ -7,6 +7,7 @@ frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -103,6 +104,8 @@ class Decision:
         candidates: that were considered, or a choice of them.
         considered: number of all candidates.
         rejections: how many of all candidates were rejected, by reason.
+        position_sigma: root of the trace of the camera's position covariance at the choice [m];
+            NaN where not told.
     """
 
     time: float
@@ -117,6 +120,7 @@ class Decision:
     candidates: tuple[Candidate, ...]
     considered: int
     rejections: Mapping[str, int]
+    position_sigma: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ Every line has ``t``, seconds since the start, and ``kind``:
 - ``progress``: views, distance [m], known_fraction, entropy_bits, mean_sigma [m], surface_voxels,
   known_voxels, state
 - ``decision``: view (index), pose (16 numbers, row by row, ``T_map_camera``) or null, base (x, y,
-  yaw), strategy, rating, terms, reason, seconds (by stage), candidates
+  yaw), position_sigma [m], strategy, rating, terms, reason, seconds (by stage), candidates
 - ``motion``: action, outcome (empty when it succeeded), path (points [m])
 - ``message``: text, level
 - ``end``: reason, detail

@@ -60,7 +60,7 @@ def missing_surface(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) -
     window = voxel_map.window(box[0] - margin, box[1] + margin)
     seen_free = window.states(OccupancyThresholds(surface_margin=0)) == FREE
     about = _free_about(window, np.asarray(inside, dtype=np.float64))
-    _, means, covariances = voxel_map.gaussians()
+    _, means, covariances = voxel_map.gaussians(relative=True)
     inside_box = _within(means, box)
     faces = _faces(means[inside_box], covariances[inside_box], window, about, seen_free)
     places, normals = _continued(*faces, window.voxel_size)

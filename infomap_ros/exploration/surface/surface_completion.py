@@ -51,7 +51,7 @@ class SurfaceCompletion:
     needs_worth = True
 
     def __init__(self, sensor: InformationConfig, patience: float) -> None:
-        self._sensor, self._patience = sensor, patience
+        self.config, self._patience = sensor, patience
         odds = sensor.hiding_probability / (1.0 - sensor.hiding_probability)
         self._hiding = float(np.log(odds)) / LOG_ODDS_QUANTUM
         self._looks: dict[int, float] = {}
@@ -174,8 +174,8 @@ class SurfaceCompletion:
         """Chance that a voxel is told from each distance of a table."""
         grid = voxel_map.config
         distances = np.arange(0.0, max_range / grid.voxel_size, _STEP) * grid.voxel_size
-        shares = observed_share(distances, grid, self._sensor)
-        return np.where(distances < self._sensor.min_range, 0.0, shares)
+        shares = observed_share(distances, grid, self.config)
+        return np.where(distances < self.config.min_range, 0.0, shares)
 
 
 def _within_cone(axes: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform, float_array
+from infomap_ros.geometry import StereoRig, check_covariance, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.prediction import kernels
 from infomap_ros.localization.prediction.config import ErrorPredictionConfig
 from infomap_ros.localization.prediction.unseen import unseen_points
@@ -29,35 +29,40 @@ from infomap_ros.mapping import VoxelMap
 __all__ = ["ErrorPrediction", "ErrorPredictionConfig"]
 
 _FLOOR = FLOOR * np.eye(6)
+_NEAREST = 0.3
+"""Smallest depth at which a fiducial is measured [m]."""
+_BORDER = 10.0
+"""So near to the edge of the image nothing is tracked: half a template [px]."""
+_TOLERANCE = 6.0
+"""A ray may end so far before a fiducial: along flat lines of sight it meets the voxels of the
+fiducial's own surface early [voxels]."""
+_CELL = 0.5
+"""What hides a fiducial from a place hides it from all places in a cube of this size [m]."""
 
 
 class ErrorPrediction:
     """Predicts pose covariances at the ends of ways, for many ways at once.
 
     Args:
-        camera: the rectified left camera.
-        inverse_depth_sigma: standard deviation of a measured 1/z [1/m]: of stereo, that of the
-            disparity divided by focal length and baseline.
-        config: of ways and sightings.
-
-    Raises:
-        InvalidInputError: the sigma is not positive.
+        rig: the rectified stereo pair.
+        config: of paths and sightings.
+        motion: how far odometry and kinematics are trusted, as by the localizer.
     """
 
     def __init__(
         self,
-        camera: PinholeCamera,
-        inverse_depth_sigma: float,
+        rig: StereoRig,
         config: ErrorPredictionConfig | None = None,
+        motion: DeadReckoningConfig | None = None,
     ) -> None:
-        if not (np.isfinite(inverse_depth_sigma) and inverse_depth_sigma > 0.0):
-            raise InvalidInputError("inverse_depth_sigma", f"is {inverse_depth_sigma}")
         self.config = config or ErrorPredictionConfig()
-        border = self.config.border
+        self._motion = motion or DeadReckoningConfig()
+        camera = rig.left
         size = (float(camera.width), float(camera.height))
-        self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *size, border])
+        self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *size, _BORDER])
         pixel = self.config.pixel_sigma**-2
-        self._precisions = np.array([pixel, pixel, inverse_depth_sigma**-2])
+        inverse_depth = (camera.fx * rig.baseline / self.config.disparity_sigma) ** 2
+        self._precisions = np.array([pixel, pixel, inverse_depth])
 
     def surface_points(self, voxel_map: VoxelMap) -> FloatArray:
         """Points of the mapped surface that stand for fiducials still to be found, (S, 3) [m]."""
@@ -150,7 +155,7 @@ class ErrorPrediction:
     ) -> FloatArray:
         """Information of the poses of the way from the start and odometry, (M, 6 K, 6 K)."""
         ways, places, _ = centres.shape
-        motion, steps = self.config.motion, places - 1
+        motion, steps = self._motion, places - 1
         position = motion.position_per_metre**2 * lengths / steps
         turning = motion.rotation_per_metre**2 * lengths + motion.rotation_per_radian**2 * turns
         noise = np.repeat(np.stack([position, turning / steps], axis=1), 3, axis=1)
@@ -176,12 +181,12 @@ class ErrorPrediction:
     ) -> NDArray[np.bool_]:
         """Which points are seen from which waypoints, shape (M, K, N)."""
         sight = np.empty((*centres.shape[:2], len(points)), np.bool_)
-        limits = np.array([self.config.nearest, self.config.farthest])
+        limits = np.array([_NEAREST, self.config.farthest])
         kernels.in_view(centres, rotations, points, self._camera, limits, sight)
         if voxel_map is None or not sight.any():
             return sight
         cells, index = np.unique(
-            np.floor(centres.reshape(-1, 3) / self.config.cell).astype(np.int64),
+            np.floor(centres.reshape(-1, 3) / _CELL).astype(np.int64),
             axis=0,
             return_inverse=True,
         )
@@ -189,7 +194,7 @@ class ErrorPrediction:
         np.logical_or.at(of_cell, np.ravel(index), sight.reshape(-1, len(points)))
         origins = np.empty((len(cells), 3))
         origins[np.ravel(index)] = centres.reshape(-1, 3)  # any place in the cell
-        _hide(of_cell, origins, points, voxel_map, self.config.tolerance)
+        _hide(of_cell, origins, points, voxel_map)
         sight &= of_cell[np.ravel(index)].reshape(sight.shape)
         return sight
 
@@ -213,14 +218,13 @@ def _hide(
     origins: FloatArray,
     points: FloatArray,
     voxel_map: VoxelMap,
-    tolerance: float,
 ) -> None:
     """Clear what the map hides: of points (N, 3) from origins (C, 3), in `sight` (C, N)."""
     place, point = np.nonzero(sight)
     rays = points[point] - origins[place]
     distances = np.linalg.norm(rays, axis=1)
     reached, _ = voxel_map.cast_rays(origins[place], rays, float(distances.max()))
-    sight[place, point] = reached >= distances - tolerance * voxel_map.config.voxel_size
+    sight[place, point] = reached >= distances - _TOLERANCE * voxel_map.config.voxel_size
 
 
 def _thinned(

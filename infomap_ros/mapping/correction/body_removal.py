@@ -49,7 +49,7 @@ def forget_body(
     size = voxel_map.config.voxel_size
     indices, log_odds = voxel_map.voxels()
     occupied = indices[log_odds > 0.0]
-    surface, means, covariances = voxel_map.gaussians()
+    surface, means, covariances = voxel_map.gaussians(relative=True)
     has_surface = np.isin(pack_all(occupied.astype(np.int64)), pack_all(surface.astype(np.int64)))
     bare = occupied[~has_surface]
     anywhere = np.broadcast_to(size**2 / 12.0 * np.eye(3), (len(bare), 3, 3))

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_transform, float_array
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PlacedSolid,
+    PoseUncertainty,
+    check_transform,
+    float_array,
+)
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.correction.body_removal import forget_body
 from infomap_ros.mapping.correction.keyframe_covariances import KeyframeCovariances
@@ -66,7 +72,7 @@ class CorrectableMap:
         points: ArrayLike,
         T_map_sensor: ArrayLike,
         covariances: ArrayLike | None = None,
-        pose_covariance: ArrayLike | None = None,
+        pose_covariance: ArrayLike | PoseUncertainty | None = None,
         camera: PinholeCamera | None = None,
         error_correlation: float | None = None,
     ) -> IntegrationReport:
@@ -80,8 +86,7 @@ class CorrectableMap:
         report = self.store.integrate(self.voxel_map, stamp, *arguments)
         if self.store.config.memory:
             self._corrections.add(stamp, check_transform(T_map_sensor))
-            given = None if pose_covariance is None else float_array(pose_covariance, "covariance")
-            self._came[stamp] = given
+            self._came[stamp] = _covariance(pose_covariance)
         self._freeze()
         return report
 
@@ -185,3 +190,11 @@ class CorrectableMap:
         if self._work is None and self.store.freeze_excess():
             self._corrections.keep_only(scan.stamp for scan in self.store)
             self._came = {scan.stamp: self._came.get(scan.stamp) for scan in self.store}
+
+
+def _covariance(given: ArrayLike | PoseUncertainty | None) -> FloatArray | None:
+    """Of a pose as a whole, shape (6, 6)."""
+    if given is None:
+        return None
+    whole = given.covariance if isinstance(given, PoseUncertainty) else given
+    return float_array(whole, "pose_covariance")

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_covariance, check_transforms, skew
+from infomap_ros.geometry.pose_uncertainty import positive_part
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -76,10 +77,4 @@ class KeyframeCovariances:
         over = np.eye(6)
         over[:3, 3:] = -skew(transform[:3, 3] - self._places[place])
         now, then = self._now[place], self._first[int(self._stamps[place])]
-        return np.asarray(over @ now @ over.T + _positive(before - over @ then @ over.T))
-
-
-def _positive(matrix: FloatArray) -> FloatArray:
-    """The nearest positive semidefinite matrix to a symmetric one, shape (n, n)."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+        return np.asarray(over @ now @ over.T + positive_part(before - over @ then @ over.T))

@@ -151,8 +151,8 @@ class Reintegration:
         self._scans = scan.number + 1
         transform, covariance = self._moved.get(scan.number, (scan.transform, None))
         if scan.number in self._moved or self._is_affected(scan):
-            covariance = scan.covariance if covariance is None else covariance
-            integrate_record(self._fresh, scan.record, transform, covariance)
+            known = scan.uncertainty_of(covariance)
+            integrate_record(self._fresh, scan.record, transform, known)
             self._integrated += 1
         return True
 

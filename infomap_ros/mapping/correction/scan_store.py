@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform
+from infomap_ros.errors import CapacityError
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, PoseUncertainty, check_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import VoxelMapConfig
@@ -59,14 +60,20 @@ class KeptScan:
         stamp: [ns].
         record: the scan.
         transform: T_map_sensor, shape (4, 4).
-        covariance: of the pose, shape (6, 6), or None where unknown.
+        uncertainty: of the pose, or None where unknown.
     """
 
     number: int
     stamp: int
     record: ScanRecord
     transform: FloatArray
-    covariance: FloatArray | None
+    uncertainty: PoseUncertainty | None
+
+    def uncertainty_of(self, covariance: FloatArray | None) -> PoseUncertainty | None:
+        """That of its pose when the pose's covariance has become another; None: it has not."""
+        if covariance is None or self.uncertainty is None:
+            return self.uncertainty if covariance is None else PoseUncertainty(covariance)
+        return self.uncertainty.with_covariance(covariance)
 
     def view(self, config: VoxelMapConfig) -> ViewVolume:
         """Where the scan may have informed a map."""
@@ -74,9 +81,9 @@ class KeptScan:
 
     def expected_correction(self, reach: float) -> float:
         """How far a point at distance `reach` [m] may move by the pose's covariance [m]."""
-        if self.covariance is None:
+        if self.uncertainty is None:
             return 0.0
-        sigmas = np.sqrt(np.diag(self.covariance))
+        sigmas = np.sqrt(np.diag(self.uncertainty.covariance))
         distance = min(self.record.farthest, reach)
         return float(np.linalg.norm(sigmas[:3]) + distance * np.linalg.norm(sigmas[3:]))
 
@@ -132,7 +139,7 @@ class ScanStore:
         points: ArrayLike,
         T_map_sensor: ArrayLike,
         covariances: ArrayLike | None = None,
-        pose_covariance: ArrayLike | None = None,
+        pose_covariance: ArrayLike | PoseUncertainty | None = None,
         camera: PinholeCamera | None = None,
         error_correlation: float | None = None,
     ) -> IntegrationReport:
@@ -149,8 +156,9 @@ class ScanStore:
                 points, T_map_sensor, covariances, pose_covariance, camera, error_correlation
             )
         record = keep_scan(points, covariances, camera, error_correlation)
-        report = integrate_record(voxel_map, record, T_map_sensor, pose_covariance)
-        self.add(stamp, record, T_map_sensor, pose_covariance)
+        uncertainty = voxel_map.pose_uncertainty(pose_covariance, T_map_sensor)
+        report = integrate_record(voxel_map, record, T_map_sensor, uncertainty)
+        self.add(stamp, record, T_map_sensor, uncertainty)
         return report
 
     def add(
@@ -158,30 +166,34 @@ class ScanStore:
         stamp: int,
         record: ScanRecord,
         T_map_sensor: ArrayLike,
-        pose_covariance: ArrayLike | None = None,
+        uncertainty: PoseUncertainty | None = None,
     ) -> None:
         """Keep a scan that was integrated from `record`.
 
         Raises:
-            InvalidInputError: the pose or its covariance is none.
+            InvalidInputError: the pose is none.
         """
         transform = check_transform(T_map_sensor, "T_map_sensor")
-        covariance = None
-        if pose_covariance is not None:
-            covariance = check_covariance(pose_covariance, 6, "pose_covariance")
-        scan = KeptScan(self._number, stamp, record, transform, covariance)
+        scan = KeptScan(self._number, stamp, record, transform, uncertainty)
         self._scans[self._number] = scan
         self._number += 1
         self._bytes += record.memory_bytes()
 
     def freeze_excess(self) -> int:
-        """Give up the scans that do not fit into the memory; returns how many."""
+        """Give up the scans that do not fit into the memory; returns how many.
+
+        Where the base has no room for them they stay.
+        """
         before = self._frozen
         while self._bytes > self.config.memory * 1e9:
             number = min(self._scans, key=self._usefulness)
-            scan = self._scans.pop(number)
+            scan = self._scans[number]
+            try:
+                integrate_record(self._base, scan.record, scan.transform, scan.uncertainty)
+            except CapacityError:
+                break
+            del self._scans[number]
             self._bytes -= scan.record.memory_bytes()
-            integrate_record(self._base, scan.record, scan.transform, scan.covariance)
             self._frozen += 1
         return self._frozen - before
 
@@ -197,8 +209,8 @@ class ScanStore:
         """
         for number, (transform, covariance) in poses.items():
             old = self._scans[number]
-            kept = old.covariance if covariance is None else covariance
-            self._scans[number] = replace(old, transform=transform, covariance=kept)
+            known = old.uncertainty_of(covariance)
+            self._scans[number] = replace(old, transform=transform, uncertainty=known)
 
     def forget_body(
         self,
@@ -231,7 +243,7 @@ def integrate_record(
     voxel_map: VoxelMap,
     record: ScanRecord,
     T_map_sensor: ArrayLike,
-    pose_covariance: ArrayLike | None,
+    pose_covariance: ArrayLike | PoseUncertainty | None,
 ) -> IntegrationReport:
     """Add a kept scan to a map.
 

@@ -3,7 +3,7 @@ r"""The map file: named arrays and a configuration in one checked, versioned fil
 Layout, little endian::
 
     8 bytes    b"\x89INFOMAP"
-    uint32     version, 2 (1 has no side beside a Gaussian)
+    uint32     version, 3
     uint32     length of the header in bytes
     uint64     length of the whole file in bytes
     header     JSON: {"config": {...}, "arrays": [{"name", "dtype", "shape", "bytes"}, ...]}
@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import MapFileError
 
-MAP_FILE_VERSION = 2
-"""Version of the layout that is written; older ones are read, newer ones refused."""
+MAP_FILE_VERSION = 3
+"""Version of the layout; others are refused."""
 
 _MAGIC = b"\x89INFOMAP"
 _FIXED = struct.Struct("<8sIIQ")
@@ -152,9 +152,9 @@ def _checked_start(content: memoryview) -> int:
     if len(content) < _FIXED.size:
         raise _DefectError(f"is truncated: it ends after {len(content)} bytes")
     _, version, header_length, length = _FIXED.unpack(content[: _FIXED.size])
-    if not 1 <= version <= MAP_FILE_VERSION:
+    if version != MAP_FILE_VERSION:
         raise _DefectError(
-            f"has version {version} of the layout, this program reads 1 to {MAP_FILE_VERSION}"
+            f"has version {version} of the layout, this program reads {MAP_FILE_VERSION}"
         )
     if len(content) < length:
         raise _DefectError(f"is truncated: {len(content)} of {length} bytes are there")

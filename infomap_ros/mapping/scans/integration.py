@@ -20,10 +20,15 @@ from infomap_ros.mapping.scans.association import Sensor
 from infomap_ros.mapping.scans.cloud_gathering import CloudGatherer
 from infomap_ros.mapping.scans.gathered_scan import GatheredScan
 from infomap_ros.mapping.scans.image_gathering import ImageGatherer
-from infomap_ros.mapping.scans.observation import empty_observations, observe_rows
+from infomap_ros.mapping.scans.observation import observe_rows
 from infomap_ros.mapping.scans.scan_input import Scan
 from infomap_ros.mapping.scans.workers import Workers
-from infomap_ros.mapping.voxels.storage import MapStorage, Observations, ScanWriter
+from infomap_ros.mapping.voxels.storage import (
+    MapStorage,
+    Observations,
+    ScanWriter,
+    empty_observations,
+)
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,8 @@ class ScanIntegrator:
     ) -> Observations:
         """Observations of the voxels, and meanwhile the voxels through which the scan sees."""
         ends = np.cumsum([0, *(int(part.used[0]) for part in found.parts)]).tolist()
-        observed = Observations(found.parts, ends, *empty_observations(ends[-1]))
+        observed = empty_observations(found.parts, ends, measured.clock)
+        pose = np.stack([measured.pose_covariance, measured.drift])
         hit_quanta = self._config.hit_quanta
 
         def observe(part: int, first: int, last: int) -> None:
@@ -113,7 +119,7 @@ class ScanIntegrator:
             observe_rows(
                 found.parts[part],
                 sensor,
-                measured.pose_covariance,
+                pose,
                 correlation,
                 hit_quanta,
                 first,
@@ -121,6 +127,7 @@ class ScanIntegrator:
                 observed.information[rows],
                 observed.hits[rows],
                 observed.sides[rows],
+                observed.shares[rows],
             )
 
         parts = [(partial(observe, i), ends[i + 1] - ends[i]) for i in range(len(found.parts))]

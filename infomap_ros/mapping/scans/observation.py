@@ -19,6 +19,10 @@ of the patch within the voxel, s^2 / 12; it is not taken thinner than v, so that
 from scan to scan by their noise triangulate nothing either.
 
 Where a voxel holds an edge, no normal is known, and the covariance is A + B + s^2 / 12 I.
+
+How much of v is drift, n^T J C_drift J^T n, is told with each observation as b
+(`infomap_ros.mapping.voxels.surface`); of an edge, which has no normal, the means over all
+directions take the places of the two variances.
 """
 
 from __future__ import annotations
@@ -27,11 +31,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.association import pose_variance_along
-from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, inverse_symmetric
+from infomap_ros.mapping.voxels.gaussians import (
+    added,
+    inverse_symmetric,
+    plane_matrix,
+    rotate_symmetric,
+    variance_along,
+)
 from infomap_ros.mapping.voxels.keys import unpack
 from infomap_ros.mapping.voxels.surface import side_of
 
@@ -41,6 +50,10 @@ _AGREEMENT = 0.7
 _LEAST_VARIANCE = 1e-18
 """A variance along the normal of no more than this is what rounding left of one [m^2]."""
 
+_THINNEST = 1e-5
+"""A variance along the normal is taken for no less than this times that across it: information is
+kept in single precision, whose rounding would drown what is known across the normal."""
+
 _LEAST_SHARE = 0.03
 """Where a scan finds the surface in a voxel with less probability than this, the voxel learns
 nothing of it: such estimates take memory and hardly ever come to lie in their voxels. The rule asks
@@ -48,34 +61,6 @@ the scan alone, so that scans may come in any order."""
 
 _FAR_SIGMAS = 1.9
 """Beyond a voxel by this many standard deviations, a surface lies in it with less than that."""
-
-
-@kernel
-def _rotate_symmetric(r: Any, c: Any, scale: float) -> Any:
-    """``scale * R S R^T`` as (xx, xy, xz, yy, yz, zz); R row by row, S in the same order."""
-    ax, ay, az = (
-        r[0] * c[0] + r[1] * c[1] + r[2] * c[2],
-        r[0] * c[1] + r[1] * c[3] + r[2] * c[4],
-        r[0] * c[2] + r[1] * c[4] + r[2] * c[5],
-    )
-    bx, by, bz = (
-        r[3] * c[0] + r[4] * c[1] + r[5] * c[2],
-        r[3] * c[1] + r[4] * c[3] + r[5] * c[4],
-        r[3] * c[2] + r[4] * c[4] + r[5] * c[5],
-    )
-    cx, cy, cz = (
-        r[6] * c[0] + r[7] * c[1] + r[8] * c[2],
-        r[6] * c[1] + r[7] * c[3] + r[8] * c[4],
-        r[6] * c[2] + r[7] * c[4] + r[8] * c[5],
-    )
-    return (
-        scale * (ax * r[0] + ay * r[1] + az * r[2]),
-        scale * (ax * r[3] + ay * r[4] + az * r[5]),
-        scale * (ax * r[6] + ay * r[7] + az * r[8]),
-        scale * (bx * r[3] + by * r[4] + bz * r[5]),
-        scale * (bx * r[6] + by * r[7] + bz * r[8]),
-        scale * (cx * r[6] + cy * r[7] + cz * r[8]),
-    )
 
 
 @kernel
@@ -116,27 +101,6 @@ def _pose_covariance(p: Any, x: float, y: float, z: float) -> Any:
 
 
 @kernel
-def _variance_along(c: Any, nx: float, ny: float, nz: float) -> float:
-    """``n^T C n`` of C = (xx, xy, xz, yy, yz, zz)."""
-    variance = c[0] * nx * nx + c[3] * ny * ny + c[5] * nz * nz
-    return variance + 2.0 * (c[1] * nx * ny + c[2] * nx * nz + c[4] * ny * nz)
-
-
-@kernel
-def _plane_matrix(along: float, across: float, nx: float, ny: float, nz: float) -> Any:
-    """``along n n^T + across (I - n n^T)`` as (xx, xy, xz, yy, yz, zz)."""
-    d = along - across
-    return (
-        across + d * nx * nx,
-        d * nx * ny,
-        d * nx * nz,
-        across + d * ny * ny,
-        d * ny * nz,
-        across + d * nz * nz,
-    )
-
-
-@kernel
 def _covariance_sums(sums: Any, row: int) -> Any:
     """Sum of the points' covariances of a row, in double precision."""
     return (
@@ -150,16 +114,10 @@ def _covariance_sums(sums: Any, row: int) -> Any:
 
 
 @kernel
-def _sum(a: Any, b: Any) -> Any:
-    """Sum of two symmetric matrices given by their upper triangles."""
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5])
-
-
-@kernel
 def observe_rows(
     rows: Any,
     sensor: Any,
-    pose_covariance: Any,
+    pose: Any,
     correlation: float,
     hit_quanta: int,
     first: int,
@@ -167,13 +125,15 @@ def observe_rows(
     information: Any,
     hits: Any,
     sides: Any,
+    shares: Any,
 ) -> None:
     """Turn the rows [first, last) into observations.
 
     Args:
         rows: a `ScanRows`.
         sensor: a `Sensor`.
-        pose_covariance: shape (6, 6), convention of `geometry.transforms`.
+        pose: covariances of the pose, convention of `geometry.transforms`, shape (2, 6, 6): of all
+            that is not shared by the whole map, and of its drift alone.
         correlation: of the errors of the points of one voxel, in [0, 1].
         hit_quanta: evidence of a certain hit.
         first: first row.
@@ -183,6 +143,7 @@ def observe_rows(
             no points or its covariance is not positive definite.
         hits: receives the evidence of each row [quanta], int32.
         sides: receives the side from which the surface is seen, uint8.
+        shares: receives b = s / v of each row [1/m], float32; see above.
     """
     sums, t, size = rows.sums, sensor.position, sensor.size
     patch = size * size / 12.0
@@ -201,14 +162,18 @@ def observe_rows(
         if length > _AGREEMENT * count:
             normal = (nx / length, ny / length, nz / length)
             variance = _smooth_variance(sums, row, sensor.rotation, scatter, normal, patch)
-            variance += max(0.0, pose_variance_along(pose_covariance, arm, normal))
+            variance += max(0.0, pose_variance_along(pose[0], arm, normal))
             inside, inverse = _observe_smooth(offset, normal, variance, size, patch)
+            drift = pose_variance_along(pose[1], arm, normal)
+            shares[row] = math.sqrt(max(drift, 0.0)) / max(variance, _THINNEST * patch)
         else:
-            total = _sum(
-                _rotate_symmetric(sensor.rotation, _covariance_sums(sums, row), scatter),
-                _pose_covariance(pose_covariance, arm[0], arm[1], arm[2]),
+            total = added(
+                rotate_symmetric(sensor.rotation, _covariance_sums(sums, row), scatter),
+                _pose_covariance(pose[0], arm[0], arm[1], arm[2]),
             )
             inside, inverse = _observe_edge(total, min(1.0, np.float64(sums[row, 13])), patch)
+            drifts = _pose_covariance(pose[1], arm[0], arm[1], arm[2])
+            shares[row] = _edge_share(drifts, total, patch)
         if inverse[0] == 0.0:
             continue
         hits[row] = int(hit_quanta * inside + 0.5)
@@ -253,7 +218,7 @@ def _smooth_variance(sums: Any, row: int, r: Any, scale: float, normal: Any, pat
     x = r[0] * nx + r[3] * ny + r[6] * nz
     y = r[1] * nx + r[4] * ny + r[7] * nz
     z = r[2] * nx + r[5] * ny + r[8] * nz
-    return scale * max(0.0, _variance_along(total, x, y, z))
+    return scale * max(0.0, variance_along(total, x, y, z))
 
 
 @kernel
@@ -278,18 +243,18 @@ def _observe_smooth(offset: Any, normal: Any, variance: float, size: float, patc
     inside = 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
     if inside < _LEAST_SHARE:
         return 0.0, nothing
-    return inside, _plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
+    variance = max(variance, _THINNEST * patch)
+    return inside, plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
 
 
 @kernel
 def _observe_edge(total: Any, inside: float, patch: float) -> Any:
     """As `_observe_smooth`, for a voxel without a normal and the covariance of its points."""
-    return inside, inverse_symmetric(_sum(total, (patch, 0.0, 0.0, patch, 0.0, patch)))
+    return inside, inverse_symmetric(added(total, (patch, 0.0, 0.0, patch, 0.0, patch)))
 
 
-def empty_observations(
-    count: int,
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-    """Storage for `observe_rows`: information (count, 9), hits and sides (count,)."""
-    information = np.empty((count, INFORMATION_SIZE), np.float32)
-    return information, np.empty(count, np.int32), np.zeros(count, np.uint8)
+@kernel
+def _edge_share(drifts: Any, total: Any, patch: float) -> float:
+    """``s / v`` of an edge, from the upper triangles of the two covariances."""
+    drift = max(drifts[0] + drifts[3] + drifts[5], 0.0) / 3.0
+    return math.sqrt(drift) / ((total[0] + total[3] + total[5]) / 3.0 + patch)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform, float_array
+from infomap_ros.geometry import PinholeCamera, PoseUncertainty, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 
 Columns = tuple[int, int, int, int, int, int]
@@ -27,7 +27,9 @@ class Scan:
         covariances: shape (H * W or N, k), or (1, k) when all points share one [m^2].
         columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
         transform: T_map_sensor, shape (4, 4).
-        pose_covariance: shape (6, 6); zero where none was given.
+        pose_covariance: of drift and white noise, shape (6, 6); zero where none was given.
+        drift: of the drift, shape (6, 6); likewise.
+        clock: of the drift.
         camera: or None for an unorganised cloud.
         outside: points that the camera cannot have seen, beside its image or behind another point.
     """
@@ -37,6 +39,8 @@ class Scan:
     columns: Columns
     transform: FloatArray
     pose_covariance: FloatArray
+    drift: FloatArray
+    clock: float
     camera: PinholeCamera | None
     outside: int = 0
 
@@ -45,7 +49,7 @@ def checked_scan(
     points: ArrayLike,
     transform: ArrayLike,
     covariances: ArrayLike | None,
-    pose_covariance: ArrayLike | None,
+    uncertainty: PoseUncertainty | None,
     camera: PinholeCamera | None,
     default_sigma: float,
 ) -> Scan:
@@ -55,16 +59,15 @@ def checked_scan(
         InvalidInputError: names the argument and what is wrong with it.
     """
     pose = check_transform(transform, "T_map_sensor")
-    uncertainty = np.zeros((6, 6))
-    if pose_covariance is not None:
-        uncertainty = check_covariance(pose_covariance, 6, "pose_covariance")
+    known = uncertainty or PoseUncertainty(np.zeros((6, 6)))
+    errors = known.drift + known.white, known.drift, known.clock
     cloud = points if _is_float32(points) else float_array(points, "points", np.float32)
     if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
         raise InvalidInputError("points", f"shape {cloud.shape}, expected (N, 3) or (H, W, 3)")
     table, columns = _covariance_table(covariances, cloud.shape[:-1], default_sigma)
     cloud = np.ascontiguousarray(cloud)
     if camera is None:
-        return Scan(cloud.reshape(-1, 3), table, columns, pose, uncertainty, None)
+        return Scan(cloud.reshape(-1, 3), table, columns, pose, *errors, None)
     size = (camera.height, camera.width)
     if cloud.ndim == 3 and cloud.shape[:2] != size:
         raise InvalidInputError(
@@ -75,7 +78,57 @@ def checked_scan(
     outside = 0
     if cloud.ndim == 2 and len(cloud) != camera.height * camera.width:
         cloud, table, outside = _organise(cloud, table, camera)
-    return Scan(cloud.reshape(*size, 3), table, columns, pose, uncertainty, camera, outside)
+    return Scan(cloud.reshape(*size, 3), table, columns, pose, *errors, camera, outside)
+
+
+def checked_rays(
+    origins: ArrayLike, directions: ArrayLike, max_range: float, voxel_size: float
+) -> tuple[FloatArray, FloatArray]:
+    """Check the arguments of `VoxelMap.cast_rays`.
+
+    Returns:
+        Origins and unit directions, shape (N, 3) each.
+
+    Raises:
+        InvalidInputError: names the argument and what is wrong with it.
+    """
+    rays, starts = checked_points(directions, "directions"), float_array(origins, "origins")
+    if starts.shape not in ((3,), rays.shape):
+        raise InvalidInputError("origins", f"shape {starts.shape}, expected {rays.shape}")
+    lengths = np.linalg.norm(rays, axis=1, keepdims=True)
+    if not (np.isfinite(starts).all() and np.isfinite(rays).all() and (lengths > 0.0).all()):
+        raise InvalidInputError("rays", "hold NaN, infinity or a direction of length zero")
+    reach = np.abs(starts).max(initial=0.0) + max_range
+    if not (max_range > 0.0 and reach / voxel_size < 1e6):
+        raise InvalidInputError(
+            "max_range", f"is {max_range} m, expected a positive range within the map's limits"
+        )
+    return np.ascontiguousarray(np.broadcast_to(starts, rays.shape)), rays / lengths
+
+
+def checked_points(points: ArrayLike, name: str) -> FloatArray:
+    """Points as numbers, shape (N, 3).
+
+    Raises:
+        InvalidInputError: another shape, or no numbers.
+    """
+    places = float_array(points, name)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise InvalidInputError(name, f"shape {places.shape}, expected (N, 3)")
+    return places
+
+
+def checked_box(box: ArrayLike, name: str) -> FloatArray:
+    """A box as (low, high) corners, shape (2, 3).
+
+    Raises:
+        InvalidInputError: it is none.
+    """
+    corners = float_array(box, name)
+    is_box = corners.shape == (2, 3) and np.isfinite(corners).all()
+    if not is_box or (corners[1] < corners[0]).any():
+        raise InvalidInputError(name, f"is {corners.tolist()}, expected (low, high) corners")
+    return corners
 
 
 def _is_float32(values: object) -> TypeGuard[NDArray[np.float32]]:

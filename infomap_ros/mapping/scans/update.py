@@ -21,7 +21,7 @@ from infomap_ros.mapping.voxels.block_kernels import (
 )
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
-from infomap_ros.mapping.voxels.surface import SIDES
+from infomap_ros.mapping.voxels.surface_kernels import SIDES
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -104,11 +104,12 @@ def mark_merged(dirty: Any, owners: Any, information: Any) -> None:
 
 
 @kernel
-def block_keys(rows: Any, keys: Any) -> None:
-    """Keys of the blocks in which the rows of a scan lie."""
+def block_keys(rows: Any, keys: Any, locals_: Any) -> None:
+    """Keys of the blocks in which the rows of a scan lie, and their indices in there."""
     for row in range(len(keys)):
         x, y, z = unpack(rows.keys[row])
         keys[row] = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        locals_[row] = local_index(x, y, z)
 
 
 @kernel

@@ -11,8 +11,7 @@ from infomap_ros.mapping.voxels.block_kernels import quanta_of
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, UNSEEN
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, unpack
 from infomap_ros.mapping.voxels.queries import is_surface, voxel_of
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
-from infomap_ros.mapping.voxels.surface_reading import read_block
+from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, read_block
 
 NEVER_SEEN, OPEN, SOLID = 0, 1, 2
 """States of a cube: no voxel known, none occupied, at least one occupied."""
@@ -150,10 +149,10 @@ def refine_heights(
     weights, sums = np.zeros((nx, ny, depths)), np.zeros((nx, ny, depths))
     counts, has_surface = np.zeros((nx, ny, depths)), np.zeros((nx, ny), np.bool_)
     work, mean = np.empty(6), np.empty(3)
-    locals_, others = np.empty(2 * BLOCK_VOXELS, np.int64), np.empty(BLOCK_VOXELS, np.int64)
-    records = np.empty((2 * BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    locals_, other = np.empty(BLOCK_VOXELS, np.int64), np.empty(ROW_SIZE, np.float32)
+    records = np.empty((BLOCK_VOXELS, ROW_SIZE), np.float32)
     for slot in range(blocks.counts[BLOCK_COUNT]):
-        for row in range(read_block(gaussians, slot, 0.5 * size, locals_, records, others)):
+        for row in range(read_block(gaussians, slot, 0.5 * size, locals_, records, other)):
             voxel = slot * BLOCK_VOXELS + locals_[row]
             x, y, z = voxel_of(blocks, voxel)
             i, j = x // ratio - first[0], y // ratio - first[1]

@@ -30,10 +30,9 @@ from infomap_ros.mapping.voxels.blocks import (
     with_room,
 )
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES, SurfaceArrays
-from infomap_ros.mapping.voxels.surface_reading import read_record
+from infomap_ros.mapping.voxels.surface import SurfaceArrays, records_of, surface_of
+from infomap_ros.mapping.voxels.surface_kernels import EXCESS, ROW_SIZE, SIDES, read_record
 
 
 def exchange_blocks(
@@ -60,7 +59,7 @@ def exchange_blocks(
     _mark_gone(old, blocks, chosen, gone)
     if len(old.dirty):
         _mark_changes(old, storage.gaussians, blocks, gaussians, chosen)
-    return MapStorage(blocks, gaussians, gone)
+    return MapStorage(blocks, gaussians, gone, storage.offset)
 
 
 def _slots_of(old: BlockArrays, new: BlockArrays, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -93,7 +92,7 @@ def _chosen_gaussians(
     new_slots: NDArray[np.int64],
     blocks: int,
 ) -> SurfaceArrays:
-    (old_records, old_information), (records, information) = records_of(old), records_of(new)
+    (old_records, old_rows), (records, rows) = records_of(old), records_of(new)
     per_block = SIDES * BLOCK_VOXELS
     kept = ~chosen[old_records // per_block]
     slots = new_slots[records // per_block]
@@ -102,7 +101,7 @@ def _chosen_gaussians(
     return surface_of(
         blocks,
         np.concatenate([old_records[kept], moved]),
-        np.concatenate([old_information[kept], information[taken]]),
+        np.concatenate([old_rows[kept], rows[taken]]),
     )
 
 
@@ -188,13 +187,13 @@ def _mark_gone(old: Any, blocks: Any, chosen: Any, gone: Any) -> None:
 @njit(cache=True, nogil=True)
 def _differ(first: Any, second: Any, voxel: int) -> bool:
     """Whether the Gaussians of a voxel are not the same bits in two maps."""
-    one, other = np.empty((2, INFORMATION_SIZE), np.float32)
+    one, other = np.empty((2, ROW_SIZE), np.float32)
     record = (voxel >> 9) * SIDES * BLOCK_VOXELS + (voxel & 511)
     same = True
     for side in range(SIDES):
         one[:], other[:] = 0.0, 0.0
         read_record(first, record + side * BLOCK_VOXELS, one)
         read_record(second, record + side * BLOCK_VOXELS, other)
-        for i in range(INFORMATION_SIZE):
+        for i in range(EXCESS + 1):
             same &= one[i] == other[i]
     return not same

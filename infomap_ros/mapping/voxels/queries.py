@@ -28,8 +28,12 @@ from infomap_ros.mapping.voxels.keys import (
     pack,
     unpack,
 )
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE
-from infomap_ros.mapping.voxels.surface_reading import lies_in_voxel, read_block, read_information
+from infomap_ros.mapping.voxels.surface_kernels import (
+    ROW_SIZE,
+    lies_in_voxel,
+    read_block,
+    read_information,
+)
 
 _ONE = np.uint64(1)
 
@@ -106,7 +110,7 @@ def is_surface(
     Args:
         blocks: a `BlockArrays`.
         voxel: block slot * 512 + local index.
-        information: of its Gaussian, shape (9,).
+        information: of its Gaussian, shape (9,) or more.
         half: half a voxel [m].
         work: receives the covariance, shape (6,).
         mean: receives the mean relative to the voxel's centre, shape (3,).
@@ -125,12 +129,12 @@ def list_surface(
     Returns:
         Number of surface voxels.
     """
-    locals_, others = np.empty(2 * BLOCK_VOXELS, np.int64), np.empty(BLOCK_VOXELS, np.int64)
-    information = np.empty((2 * BLOCK_VOXELS, INFORMATION_SIZE), np.float32)
+    locals_, other = np.empty(BLOCK_VOXELS, np.int64), np.empty(ROW_SIZE, np.float32)
+    information = np.empty((BLOCK_VOXELS, ROW_SIZE), np.float32)
     work, mean, half = np.empty(6), np.empty(3), 0.5 * size
     found = 0
     for slot in range(blocks.counts[BLOCK_COUNT]):
-        for row in range(read_block(gaussians, slot, half, locals_, information, others)):
+        for row in range(read_block(gaussians, slot, half, locals_, information, other)):
             voxel = slot * BLOCK_VOXELS + locals_[row]
             if not is_surface(blocks, voxel, information[row], half, work, mean):
                 continue
@@ -242,7 +246,7 @@ def describe_surface(
 ) -> None:
     """Tell which of the voxels of `list_dirty` hold a surface, and describe it."""
     voxels, described = (indices, quanta, owners), (has_gaussian, means, covariances)
-    both, work = np.empty((2, INFORMATION_SIZE), np.float32), np.empty((2, 6))
+    both, work = np.empty((2, ROW_SIZE), np.float32), np.empty((2, 6))
     _describe_surface(gaussians, size, voxels, described, both, work)
 
 
@@ -250,7 +254,7 @@ def describe_surface(
 def _describe_surface(
     gaussians: Any, size: float, voxels: Any, described: Any, both: Any, scratch: Any
 ) -> None:
-    """`describe_surface` with memory to work with, shapes (2, 9) float32 and (2, 6)."""
+    """`describe_surface` with memory to work with, shapes (2, 12) float32 and (2, 6)."""
     indices, quanta, owners = voxels
     has_gaussian, means, covariances = described
     information, other, work, mean = both[0], both[1], scratch[0], scratch[1]

@@ -18,10 +18,11 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE_COUNT,
     BlockArrays,
 )
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, rehash
-from infomap_ros.mapping.voxels.records import records_of, surface_of
 from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES, SurfaceArrays
+from infomap_ros.mapping.voxels.surface import SurfaceArrays, records_of, surface_of
+from infomap_ros.mapping.voxels.surface_kernels import EXCESS, MEMORY, NOTHING, ROW_SIZE, SIDES
 
 _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "block_keys": ("int64", ()),
@@ -34,12 +35,17 @@ _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "gaussian_owner": ("uint32", ()),
     "gaussian_side": ("uint8", ()),
     "gaussian_information": ("float32", (INFORMATION_SIZE,)),
+    "gaussian_excess": ("float32", ()),
+    "offset": ("float64", (6,)),
 }
+
+MEMORY_ARRAY = "gaussian_memory"
+"""What scans to come need to know of those before; of two sessions they share nothing."""
 
 
 def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
     """Copies of the used parts of all arrays."""
-    blocks, (records, information) = storage.blocks, records_of(storage.gaussians)
+    blocks, (records, rows) = storage.blocks, records_of(storage.gaussians)
     sheets, locals_ = np.divmod(records, BLOCK_VOXELS)
     count, narrow, wide = (int(blocks.counts[i]) for i in (BLOCK_COUNT, NARROW_COUNT, WIDE_COUNT))
     return {
@@ -52,19 +58,20 @@ def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
         "free_rows": blocks.free_rows[: int(blocks.counts[NARROW_FREE])].copy(),
         "gaussian_owner": (sheets // SIDES * BLOCK_VOXELS + locals_).astype(np.uint32),
         "gaussian_side": (sheets % SIDES).astype(np.uint8),
-        "gaussian_information": information,
+        "gaussian_information": rows[:, :INFORMATION_SIZE].copy(),
+        "gaussian_excess": rows[:, EXCESS].copy(),
+        MEMORY_ARRAY: rows[:, MEMORY:].copy(),
+        "offset": storage.offset.copy(),
     }
 
 
 def storage_from_state(state: Mapping[str, NDArray[Any]]) -> MapStorage:
-    """Rebuild storage from `storage_state`.
+    """Rebuild storage from `storage_state`; without `MEMORY_ARRAY` scans to come begin anew.
 
     Raises:
         MapFileError: an array is missing, has a wrong type or shape, or refers to what is not
             there.
     """
-    if "gaussian_side" not in state and "gaussian_owner" in state:  # of a file of version 1
-        state = {**state, "gaussian_side": np.zeros(len(state["gaussian_owner"]), np.uint8)}
     arrays = {name: _checked(state, name) for name in _LAYOUT}
     _check_references(arrays)
     count = len(arrays["block_keys"])
@@ -87,13 +94,21 @@ def storage_from_state(state: Mapping[str, NDArray[Any]]) -> MapStorage:
         dirty=np.zeros((0, 8), np.uint64),
         counts=counts,
     )
-    return MapStorage(blocks, _gaussians(arrays))
+    surface = _gaussians(arrays, state.get(MEMORY_ARRAY))
+    return MapStorage(blocks, surface, offset=arrays["offset"])
 
 
-def _gaussians(arrays: Mapping[str, NDArray[Any]]) -> SurfaceArrays:
+def _gaussians(arrays: Mapping[str, NDArray[Any]], memory: NDArray[Any] | None) -> SurfaceArrays:
+    rows = np.tile(NOTHING, (len(arrays["gaussian_owner"]), 1))
+    rows[:, :INFORMATION_SIZE] = arrays["gaussian_information"]
+    rows[:, EXCESS] = arrays["gaussian_excess"]
+    if memory is not None:
+        if np.shape(memory) != (len(rows), ROW_SIZE - MEMORY) or np.isnan(memory).any():
+            raise MapFileError(f"map state: '{MEMORY_ARRAY}' is not valid")
+        rows[:, MEMORY:] = memory
     slots, locals_ = np.divmod(arrays["gaussian_owner"].astype(np.int64), BLOCK_VOXELS)
     records = (SIDES * slots + arrays["gaussian_side"]) * BLOCK_VOXELS + locals_
-    return surface_of(len(arrays["block_keys"]), records, arrays["gaussian_information"])
+    return surface_of(len(arrays["block_keys"]), records, rows)
 
 
 def _checked(state: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
@@ -128,5 +143,10 @@ def _check_references(arrays: Mapping[str, NDArray[Any]]) -> None:
         raise MapFileError("map state: a Gaussian belongs to no block")
     if len(sides) != len(owners) or (sides >= SIDES).any():
         raise MapFileError("map state: 'gaussian_side' is not valid")
+    excess, offset = arrays["gaussian_excess"], arrays["offset"]
     if not np.isfinite(arrays["gaussian_information"]).all():
         raise MapFileError("map state: a Gaussian is not finite")
+    if len(excess) != len(owners) or not (np.isfinite(excess).all() and (excess >= 0.0).all()):
+        raise MapFileError("map state: 'gaussian_excess' is not valid")
+    if offset.shape != (6, 6) or not np.isfinite(offset).all():
+        raise MapFileError("map state: 'offset' is not valid")

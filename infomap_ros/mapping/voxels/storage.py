@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.scans import update
 from infomap_ros.mapping.scans.scan import ScanRows
 from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels import surface
 from infomap_ros.mapping.voxels.block_kernels import find_block
 from infomap_ros.mapping.voxels.blocks import (
     BLOCK_BYTES,
@@ -25,16 +28,10 @@ from infomap_ros.mapping.voxels.blocks import (
     grown,
     with_room,
 )
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.records import growth_of_surface, with_arranged
-from infomap_ros.mapping.voxels.surface import (
-    SIDES,
-    SurfaceArrays,
-    empty_surface,
-    growth_bound,
-    surface_bytes,
-)
-from infomap_ros.mapping.voxels.surface_storing import store_rows
+from infomap_ros.mapping.voxels.surface import SurfaceArrays, empty_surface, surface_bytes
+from infomap_ros.mapping.voxels.surface_kernels import ROW_COUNT, SIDES, add_observations
 
 _RECORD_BITS = (SIDES * BLOCK_VOXELS).bit_length() - 1
 """Bits of a record's number below that of its block."""
@@ -64,6 +61,8 @@ class Observations:
             entry is 0 where there is none.
         hits: occupancy evidence of each row, shape (n,), int32 [quanta].
         sides: from which the surface is seen, shape (n,), uint8.
+        shares: how much of its variance is drift, b of `voxels.surface`, shape (n,), float32 [1/m].
+        clock: of the drift.
     """
 
     parts: list[ScanRows]
@@ -71,10 +70,35 @@ class Observations:
     information: NDArray[np.float32]
     hits: NDArray[np.int32]
     sides: NDArray[np.uint8]
+    shares: NDArray[np.float32]
+    clock: float
 
     def rows(self) -> Iterator[tuple[ScanRows, slice]]:
         """Each part, and which rows are its."""
         return zip(self.parts, map(slice, self.ends[:-1], self.ends[1:]), strict=True)
+
+
+def empty_observations(parts: list[ScanRows], ends: list[int], clock: float) -> Observations:
+    """Room for what a scan says of some voxels."""
+    count = ends[-1]
+    return Observations(
+        parts,
+        ends,
+        np.empty((count, INFORMATION_SIZE), np.float32),
+        np.empty(count, np.int32),
+        np.zeros(count, np.uint8),
+        np.zeros(count, np.float32),
+        float(np.float32(clock)),
+    )
+
+
+class Growth(NamedTuple):
+    """What a map may grow by, at the most."""
+
+    blocks: int
+    planes: int
+    pages: int
+    rows: int
 
 
 @dataclass
@@ -86,59 +110,78 @@ class MapStorage:
         gaussians: surface points.
         gone: bit set of the voxels that were known once and are not, if they were not observed
             since, uint64, shape (n, 8) for the first n blocks.
+        offset: covariance of the error that the whole map shares, at its origin, shape (6, 6).
     """
 
     blocks: BlockArrays = field(default_factory=empty_blocks)
     gaussians: SurfaceArrays = field(default_factory=empty_surface)
     gone: NDArray[np.uint64] = field(default_factory=lambda: np.zeros((0, 8), np.uint64))
+    offset: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
     def memory_bytes(self) -> int:
         """Memory in use [bytes]."""
-        surface = surface_bytes(self.gaussians, int(self.blocks.counts[BLOCK_COUNT]))
-        return block_bytes(self.blocks) + surface + self.gone.nbytes
+        gaussians = surface_bytes(self.gaussians, int(self.blocks.counts[BLOCK_COUNT]))
+        return block_bytes(self.blocks) + gaussians + self.gone.nbytes
 
     def check_capacity(self, observed: Observations, free: FreeBlocks, limit: float) -> None:
-        """Refuse a scan that could make the map larger than `limit` [bytes].
+        """Refuse a scan that could make the map larger than `limit` [bytes], or than its numbers.
 
         Raises:
             CapacityError: it could.
         """
-        rows, used = len(observed.hits), self.memory_bytes()
-        surface = growth_bound(self.gaussians, rows, rows)
-        growth = surface + growth_bytes(self, rows + len(free.bits), rows + len(free.bits))
-        if used + growth > limit:  # the scan alone does not tell; ask the map
-            counts = np.zeros(2, np.int64)
-            for part, own in observed.rows():
-                update.count_new_by_rows(self.blocks, part, observed.hits[own], counts)
-            update.count_new_by_free(self.blocks, free.coordinates, free.bits, counts)
-            surface = _surface_growth(self, observed)
-            growth = surface + growth_bytes(self, int(counts[0]), int(counts[1]))
-        if used + growth > limit:
+        rows = len(observed.hits)
+        growth = Growth(rows + len(free.bits), rows + len(free.bits), rows, rows)
+        try:
+            self.check_growth(growth, limit)
+        except CapacityError:  # the scan alone does not tell; ask the map
+            self.check_growth(_growth(self, observed, free), limit)
+
+    def check_growth(self, growth: Growth, limit: float = np.inf) -> None:
+        """Refuse to grow above `limit` [bytes], or above what can be numbered.
+
+        Raises:
+            CapacityError: it would.
+        """
+        blocks = int(self.blocks.counts[BLOCK_COUNT]) + growth.blocks
+        rows = int(self.gaussians.counts[ROW_COUNT]) + growth.rows
+        if blocks > surface.MAX_BLOCKS or rows > surface.MAX_ROWS:
             raise CapacityError(
-                f"the map holds {used / 1e9:.3g} GB and this scan could bring it to "
-                f"{(used + growth) / 1e9:.3g} GB, above the limit of {limit / 1e9:g} GB"
+                f"the map could need {blocks} blocks and {rows} Gaussians, the limits are "
+                f"{surface.MAX_BLOCKS} and {surface.MAX_ROWS}"
+            )
+        used, more = self.memory_bytes(), growth_bytes(self, growth)
+        if used + more > limit:
+            raise CapacityError(
+                f"the map holds {used / 1e9:.3g} GB and this could bring it to "
+                f"{(used + more) / 1e9:.3g} GB, above the limit of {limit / 1e9:g} GB"
             )
 
 
-def growth_bytes(storage: MapStorage, blocks: int, planes: int) -> int:
-    """What so many new blocks and planes add to the memory in use, at the most; no Gaussians."""
+def growth_bytes(storage: MapStorage, growth: Growth) -> int:
+    """What growing adds to the memory in use, at the most [bytes]."""
     table = storage.blocks.table
-    block_count = int(storage.blocks.counts[BLOCK_COUNT]) + blocks
-    table_growth = 4 * max(2 * block_count, 2 * len(table)) if 2 * block_count > len(table) else 0
-    per_block = BLOCK_BYTES + 4 + (DIRTY_BYTES if len(storage.blocks.dirty) else 0)
-    return blocks * per_block + planes * PLANE_BYTES + table_growth
+    count = int(storage.blocks.counts[BLOCK_COUNT]) + growth.blocks
+    table_growth = 4 * max(2 * count, 2 * len(table)) if 2 * count > len(table) else 0
+    per_block = BLOCK_BYTES + 4 * SIDES + (DIRTY_BYTES if len(storage.blocks.dirty) else 0)
+    occupancy = growth.blocks * per_block + growth.planes * PLANE_BYTES + table_growth
+    return occupancy + growth.pages * surface.PAGE_BYTES + growth.rows * surface.ROW_BYTES
 
 
-def _surface_growth(storage: MapStorage, observed: Observations) -> int:
-    """What observations add to the memory of the Gaussians, at the most [bytes]."""
-    blocks = np.empty(len(observed.hits), np.int64)
+def _growth(storage: MapStorage, observed: Observations, free: FreeBlocks) -> Growth:
+    """What a scan adds to a map, nearly."""
+    counts, keys = np.zeros(2, np.int64), np.empty(len(observed.hits), np.int64)
+    locals_ = np.empty(len(observed.hits), np.int64)
     for part, own in observed.rows():
-        update.block_keys(part, blocks[own])
-    keys, places = np.unique(blocks, return_inverse=True)
-    slots = np.array([find_block(storage.blocks, key) for key in keys], np.int64)
-    sheets = (SIDES * slots[:, None] + np.arange(SIDES)).ravel()
-    places = SIDES * places + observed.sides
-    return growth_of_surface(storage.gaussians, sheets, places, observed.information)
+        update.count_new_by_rows(storage.blocks, part, observed.hits[own], counts)
+        update.block_keys(part, keys[own], locals_[own])
+    update.count_new_by_free(storage.blocks, free.coordinates, free.bits, counts)
+    found, places = np.unique(keys, return_inverse=True)
+    slots = np.array([find_block(storage.blocks, key) for key in found], np.int64)
+    slots = np.where(slots < 0, -1 - np.arange(len(slots)), slots)
+    seen = observed.information[:, 0] > 0.0
+    sheets = SIDES * slots[places[seen]] + observed.sides[seen]
+    pages, rows = surface.count_new(storage.gaussians, sheets, locals_[seen])
+    return Growth(int(counts[0]), int(counts[1]), pages, rows)
 
 
 class ScanWriter:
@@ -151,44 +194,59 @@ class ScanWriter:
 
     def write(self, storage: MapStorage, observed: Observations, free: FreeBlocks) -> None:
         """Add the observations of a scan and the misses of the voxels it sees through."""
-        count, free_count = len(observed.hits), len(free.bits)
-        blocks = with_room(storage.blocks, count + free_count, count + free_count)
-        storage.blocks = blocks
-        self._hit_row = grown(self._hit_row, len(blocks.keys), -1)
-        hit_bits = np.empty((count, 8), np.uint64)
-        records = self._enter(blocks, observed, hit_bits)
-        information, entered = observed.information, int(blocks.counts[BLOCK_COUNT])
-        orders: list[NDArray[np.int64]] = []
-
-        def arrange() -> None:
-            update.mark_merged(blocks.dirty, records, information)
-            storage.gaussians, order = with_arranged(
-                storage.gaussians, entered, records, information, adding=True
-            )
-            orders.append(order)
-
-        def see_through() -> None:
-            update.free_voxels(
-                blocks, free.coordinates, free.bits, free_count, self._hit_row, hit_bits, self._miss
-            )
+        count = len(observed.hits) + len(free.bits)
+        storage.blocks = with_room(storage.blocks, count, count)
+        self._hit_row = grown(self._hit_row, len(storage.blocks.keys), -1)
+        records = np.zeros(len(observed.hits), np.int64)
+        try:
+            self._write(storage, observed, free, records)
+        finally:
             self._hit_row[records >> _RECORD_BITS] = -1
 
+    def _write(
+        self,
+        storage: MapStorage,
+        observed: Observations,
+        free: FreeBlocks,
+        records: NDArray[np.int64],
+    ) -> None:
+        blocks, information = storage.blocks, observed.information
+        hit_bits = np.empty((len(records), 8), np.uint64)
+        self._enter(blocks, observed, hit_bits, records)
+        order, entered = np.flatnonzero(information[:, 0]), int(blocks.counts[BLOCK_COUNT])
+        rows: list[NDArray[np.int64]] = []
+
+        def open_rows() -> None:
+            update.mark_merged(blocks.dirty, records, information)
+            arrays, found = surface.with_records(storage.gaussians, entered, records[order])
+            storage.gaussians = arrays
+            rows.append(found)
+
+        def see_through() -> None:
+            found = free.coordinates, free.bits, len(free.bits)
+            update.free_voxels(blocks, *found, self._hit_row, hit_bits, self._miss)
+
         if len(blocks.dirty):  # both write which voxels changed
-            arrange()
+            open_rows()
             see_through()
         else:
-            self._workers.together(arrange, see_through)
+            self._workers.together(open_rows, see_through)
 
-        def store(first: int, last: int) -> None:
-            store_rows(storage.gaussians, records, information, orders[0], first, last, True)
+        def add(first: int, last: int) -> None:
+            given = order, information, observed.shares, observed.clock
+            add_observations(storage.gaussians.rows, rows[0], *given, first, last)
 
-        self._workers.share((store, len(orders[0])))
+        self._workers.share((add, len(order)))
 
     def _enter(
-        self, blocks: BlockArrays, observed: Observations, hit_bits: NDArray[np.uint64]
-    ) -> NDArray[np.int64]:
-        """Add the hits; returns the record of each row."""
-        records, hit_blocks = np.empty(len(observed.hits), np.int64), 0
+        self,
+        blocks: BlockArrays,
+        observed: Observations,
+        hit_bits: NDArray[np.uint64],
+        records: NDArray[np.int64],
+    ) -> None:
+        """Add the hits, and note the record of each row."""
+        hit_blocks = 0
         for part, own in observed.rows():
             hit_blocks = update.enter_rows(
                 blocks,
@@ -203,4 +261,3 @@ class ScanWriter:
                 -self._miss,
                 self._hit,
             )
-        return records

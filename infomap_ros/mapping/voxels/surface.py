@@ -1,19 +1,25 @@
-"""One Gaussian per voxel in which a surface may lie, in information form.
-
-The information is a matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and a vector [1/m] of the surface point
-relative to the voxel's centre. Merging two estimates is a sum (eq. 4 of Sujan and Dubowsky 2005,
-https://doi.org/10.1177/0278364905051774, in its symmetric form ``C = (C1^-1 + C2^-1)^-1``), so the
-order of measurements does not matter.
+"""One Gaussian per voxel in which a surface may lie, and what its scans share.
 
 What is seen from one side of a thin wall must not be merged with what is seen from the other. A
 block therefore has two sheets, number ``2 * slot + side``, and a voxel up to two records, number
 ``512 * sheet + local index``; `side_of` a normal tells which. How they become one estimate is told
-in `surface_reading`.
+in `surface_kernels`.
 
-A sheet with records has a page: a bit set that tells which of its voxels are stored, and where.
-The records of a sheet stand side by side in the order of its voxels, so that a voxel's is found by
-counting bits. Isotropic ones take the ten bytes of `surface_code`. Others take nine float32; a page
-with such, which is rare where voxels are small, has a second bit set for them.
+A record is a row of twelve float32. Nine are the information of all scans
+(`infomap_ros.mapping.voxels.gaussians`), as if their errors were independent. Three say how far
+they are not. The error of a pose drifts: of two scans with clocks c and d it correlates by
+``exp(-|c - d|)`` (`infomap_ros.geometry.pose_uncertainty`). The mean of a voxel weighs observation
+k by the information I_k = 1 / v_k along its normal. Where s_k^2 of the variance v_k is drift, the
+variance of that mean is
+
+    (1 + E / I) / I,    I = sum of I_k,    E = sum over j != k of b_j b_k exp(-|c_j - c_k|),
+
+with b = s / v. A scan adds ``2 b m`` to E, m being the sum of the earlier b_j, each by now
+correlated by ``exp(-|c_j - c|)``: one number that is carried on from clock to clock. So the row
+holds E, m and the clock at which m was so. The covariance that a map claims is that of the nine
+numbers times ``1 + E / I``.
+
+A sheet with records has a page that names the row of each of its voxels.
 """
 
 from __future__ import annotations
@@ -23,29 +29,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.errors import CapacityError
 from infomap_ros.geometry.kernel import kernel
+from infomap_ros.mapping.voxels import surface_kernels as kernels
 from infomap_ros.mapping.voxels.blocks import grown
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface_code import CODE_BYTES
+from infomap_ros.mapping.voxels.surface_kernels import PAGE_COUNT, ROW_COUNT, ROW_SIZE, SIDES
 
-INFORMATION_SIZE = 9
-FULL_BYTES = 4 * INFORMATION_SIZE
-CHUNK = 8
-"""A sheet's records have room for a multiple of this."""
+PAGE_BYTES, ROW_BYTES = 4 * BLOCK_VOXELS, 4 * ROW_SIZE
+MAX_BLOCKS = 2**32 // BLOCK_VOXELS
+"""So many blocks a map file can number the voxels of."""
 
-SIDES = 2
+MAX_ROWS = 2**31 - 1
 _ACROSS = (0.262, 0.472, 0.841)
-
-PAGE_BYTES, MASK_BYTES = 8 * 8 + 3 * 4, 8 * 8
-MOST_CHUNKS = BLOCK_VOXELS // CHUNK
-PAGE_COUNT, CODE_COUNT, FULL_COUNT, CODE_GAPS, FULL_GAPS, MASK_COUNT = range(6)
-"""Places in `SurfaceArrays.counts`."""
-
-FULL_MASK = 2
-"""Column of `SurfaceArrays.starts`; before it are those of either kind of records."""
-
-_MAX_BLOCKS, _MAX_RECORDS = 2**32 // BLOCK_VOXELS, 2**27
 
 
 @kernel
@@ -63,26 +58,14 @@ class SurfaceArrays(NamedTuple):
 
     Attributes:
         page: of each sheet, or -1, int32.
-        masks: bit set of each page, uint64, shape (n, 8): the voxels with a code.
-        full_masks: bit sets of the voxels with full information, uint64, shape (m, 8).
-        starts: first record of each page, int32, shape (n, 3): code, full information; and its row
-            of `full_masks` or -1.
-        words: of the codes, uint64.
-        tails: of the codes, uint16.
-        information: full information, shape (n, 9), float32.
-        free: first unused room of so many chunks, or -1, int64, shape (2, 65); it names the next.
-        counts: pages, codes and rows of full information in use, how many of the latter two are
-            gaps between blocks, and rows of `full_masks` in use, int64.
+        places: of each page the rows of its voxels, or -1, int32, shape (n, 512).
+        rows: the records, float32, shape (m, 12); see `surface_kernels`.
+        counts: pages and rows in use, int64.
     """
 
     page: NDArray[np.int32]
-    masks: NDArray[np.uint64]
-    full_masks: NDArray[np.uint64]
-    starts: NDArray[np.int32]
-    words: NDArray[np.uint64]
-    tails: NDArray[np.uint16]
-    information: NDArray[np.float32]
-    free: NDArray[np.int64]
+    places: NDArray[np.int32]
+    rows: NDArray[np.float32]
     counts: NDArray[np.int64]
 
 
@@ -90,67 +73,95 @@ def empty_surface() -> SurfaceArrays:
     """Arrays of a map without surface."""
     return SurfaceArrays(
         page=np.full(512, -1, np.int32),
-        masks=np.empty((64, 8), np.uint64),
-        full_masks=np.empty((64, 8), np.uint64),
-        starts=np.empty((64, 3), np.int32),
-        words=np.empty(1024, np.uint64),
-        tails=np.empty(1024, np.uint16),
-        information=np.empty((1024, INFORMATION_SIZE), np.float32),
-        free=np.full((2, MOST_CHUNKS + 1), -1, np.int64),
-        counts=np.zeros(6, np.int64),
+        places=np.empty((64, BLOCK_VOXELS), np.int32),
+        rows=np.empty((1024, ROW_SIZE), np.float32),
+        counts=np.zeros(2, np.int64),
     )
 
 
-def with_pages(arrays: SurfaceArrays, blocks: int, pages: int) -> SurfaceArrays:
-    """Arrays for a map of so many blocks, with room for so many pages that are new or new in full.
+def surface_bytes(surface: SurfaceArrays, blocks: int) -> int:
+    """Memory in use by the Gaussians of a map of so many blocks [bytes]."""
+    pages, rows = int(surface.counts[PAGE_COUNT]), int(surface.counts[ROW_COUNT])
+    return 4 * SIDES * blocks + pages * PAGE_BYTES + rows * ROW_BYTES
 
-    Raises:
-        CapacityError: the map has more blocks than a voxel's number can tell.
+
+def with_records(
+    surface: SurfaceArrays, blocks: int, records: NDArray[np.int64]
+) -> tuple[SurfaceArrays, NDArray[np.int64]]:
+    """Make the records that are not there, without information.
+
+    Args:
+        surface: the arrays; new records are entered.
+        blocks: number of block slots of the map, at most `MAX_BLOCKS`.
+        records: 512 * sheet + local index, shape (n,).
+
+    Returns:
+        The arrays, larger ones where there was no room, and the row of each record.
     """
-    if blocks > _MAX_BLOCKS:
-        raise CapacityError(f"the map would need {blocks} blocks, the limit is {_MAX_BLOCKS}")
-    used, full = int(arrays.counts[PAGE_COUNT]), int(arrays.counts[MASK_COUNT])
-    return arrays._replace(
-        page=grown(arrays.page, SIDES * blocks, -1),
-        masks=grown(arrays.masks, used + pages, used=used),
-        full_masks=grown(arrays.full_masks, full + pages, used=full),
-        starts=grown(arrays.starts, used + pages, used=used),
+    before = int(surface.counts[PAGE_COUNT])
+    surface = surface._replace(page=grown(surface.page, SIDES * blocks, -1))
+    pages = int(kernels.open_pages(surface, records))
+    surface = surface._replace(
+        places=grown(surface.places, pages, used=before),
+        rows=grown(
+            surface.rows,
+            int(surface.counts[ROW_COUNT]) + len(records),
+            used=int(surface.counts[ROW_COUNT]),
+        ),
     )
+    surface.places[before:pages] = -1
+    found = np.empty(len(records), np.int64)
+    kernels.open_rows(surface, records, found)
+    return surface, found
 
 
-def with_records(arrays: SurfaceArrays, more: int) -> SurfaceArrays:
-    """Arrays with room for so many more records of either kind, behind those in use.
+def put_records(
+    surface: SurfaceArrays,
+    blocks: int,
+    records: NDArray[np.int64],
+    rows: NDArray[np.float32],
+) -> SurfaceArrays:
+    """Replace records.
 
-    Raises:
-        CapacityError: there are more records than can be numbered.
+    Args:
+        surface: the arrays; what they hold is changed.
+        blocks: number of block slots of the map, at most `MAX_BLOCKS`.
+        records: 512 * sheet + local index, shape (n,); each at most once.
+        rows: shape (n, 12), or (n, 9) for information of which nothing is shared with scans.
+
+    Returns:
+        The arrays, larger ones where there was no room.
     """
-    codes, full = int(arrays.counts[CODE_COUNT]), int(arrays.counts[FULL_COUNT])
-    if max(codes, full) + more > _MAX_RECORDS:
-        raise CapacityError(f"the map would need more than {_MAX_RECORDS} Gaussians")
-    return arrays._replace(
-        words=grown(arrays.words, codes + more, used=codes),
-        tails=grown(arrays.tails, codes + more, used=codes),
-        information=grown(arrays.information, full + more, used=full),
-    )
+    surface, places = with_records(surface, blocks, records)
+    surface.rows[places] = kernels.NOTHING
+    surface.rows[places, : rows.shape[1]] = rows
+    return surface
 
 
-def surface_bytes(arrays: SurfaceArrays, blocks: int) -> int:
-    """Memory in use by the Gaussians of a map of so many blocks [bytes]; unused room included."""
-    counts = arrays.counts
-    return int(
-        4 * SIDES * blocks
-        + counts[PAGE_COUNT] * PAGE_BYTES
-        + counts[MASK_COUNT] * MASK_BYTES
-        + counts[CODE_COUNT] * CODE_BYTES
-        + counts[FULL_COUNT] * FULL_BYTES
-        + arrays.free.nbytes
-    )
+def records_of(surface: SurfaceArrays) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """All records with information in the order of their numbers: numbers (n,), rows (n, 12)."""
+    count = int(surface.counts[ROW_COUNT])
+    records, rows = np.empty(count, np.int64), np.empty((count, ROW_SIZE), np.float32)
+    found = int(kernels.list_records(surface, records, rows))
+    return records[:found], rows[:found]
 
 
-def growth_bound(arrays: SurfaceArrays, rows: int, blocks: int) -> int:
-    """What observations of so many voxels in so many blocks add to that, at the most [bytes]."""
-    counts = arrays.counts
-    moved = min(blocks * SIDES * BLOCK_VOXELS, int(counts[CODE_COUNT])) * CODE_BYTES
-    moved += min(blocks * SIDES * BLOCK_VOXELS, int(counts[FULL_COUNT])) * FULL_BYTES
-    per_block = SIDES * (PAGE_BYTES + MASK_BYTES + CHUNK * (CODE_BYTES + FULL_BYTES))
-    return moved + rows * FULL_BYTES + blocks * per_block
+def surface_of(blocks: int, records: NDArray[np.int64], rows: NDArray[np.float32]) -> SurfaceArrays:
+    """The inverse of `records_of`, for a map of so many blocks."""
+    return put_records(empty_surface(), blocks, records, rows)
+
+
+def count_new(
+    surface: SurfaceArrays, sheets: NDArray[np.int64], locals_: NDArray[np.int64]
+) -> tuple[int, int]:
+    """How many pages and rows voxels would make.
+
+    Args:
+        surface: the arrays.
+        sheets: number of the sheet of each, shape (n,); negative ones are new, each its own.
+        locals_: indices of the voxels in their blocks, shape (n,).
+    """
+    known = (sheets >= 0) & (sheets < len(surface.page))
+    pages = np.where(known, surface.page[np.where(known, sheets, 0)], -1)
+    stored = (pages >= 0) & (surface.places[np.maximum(pages, 0), locals_] >= 0)
+    return len(np.unique(sheets[pages < 0])), int(np.count_nonzero(~stored))

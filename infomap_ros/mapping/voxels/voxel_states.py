@@ -22,13 +22,11 @@ from infomap_ros.mapping.voxels.block_kernels import (
     widen,
 )
 from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN, WIDE_UNKNOWN, with_room
-from infomap_ros.mapping.voxels.gaussians import invert_symmetric
+from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, invert_symmetric
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack
-from infomap_ros.mapping.voxels.records import put_records
-from infomap_ros.mapping.voxels.storage import MapStorage
-from infomap_ros.mapping.voxels.surface import INFORMATION_SIZE, SIDES
-from infomap_ros.mapping.voxels.surface_reading import copy, read_record
-from infomap_ros.mapping.voxels.surface_storing import canonical
+from infomap_ros.mapping.voxels.storage import Growth, MapStorage
+from infomap_ros.mapping.voxels.surface import put_records
+from infomap_ros.mapping.voxels.surface_kernels import EXCESS, ROW_SIZE, SIDES, read_record
 
 
 class VoxelStates(NamedTuple):
@@ -96,24 +94,27 @@ def information_of(
 def put_states(storage: MapStorage, states: VoxelStates) -> NDArray[np.bool_]:
     """Replace the states of voxels by others; each voxel at most once.
 
-    Evidence saturates as in every map (`infomap_ros.mapping.voxels.blocks`).
+    Evidence saturates as in every map (`infomap_ros.mapping.voxels.blocks`). With what scans see
+    later, surface points that are put share no errors.
 
     Returns:
         Which of them are other than before, shape (K,).
+
+    Raises:
+        CapacityError: there are more than can be numbered; the map is as it was.
     """
     count = len(states.quanta)
     changed = np.zeros(count, np.bool_)
-    rooms = count_block_changes(states.indices)
+    rooms = int(count_block_changes(states.indices))
+    storage.check_growth(Growth(rooms, rooms, min(rooms * SIDES, count), count))
     storage.blocks = with_room(storage.blocks, rooms, rooms)
     blocks, records = len(storage.blocks.keys), np.full((count, SIDES), -1, np.int64)
-    both = np.empty((2, INFORMATION_SIZE), np.float32)
-    _put_states(storage.blocks, storage.gaussians, *states, changed, records, both)
+    stored = np.empty(ROW_SIZE, np.float32)
+    _put_states(storage.blocks, storage.gaussians, *states, changed, records, stored)
     for side in range(SIDES):
         put = records[:, side] >= 0
         information = states.information[put] if side == 0 else _nothing(np.count_nonzero(put))
-        storage.gaussians = put_records(
-            storage.gaussians, blocks, records[put, side], information, adding=False
-        )
+        storage.gaussians = put_records(storage.gaussians, blocks, records[put, side], information)
     return changed
 
 
@@ -170,13 +171,12 @@ def _put_states(
     information: Any,
     changed: Any,
     records: Any,
-    both: Any,
+    stored: Any,
 ) -> None:
     """Put the evidence; list in `records` those whose information is other than before.
 
-    `both` is memory, shape (2, 9), float32.
+    `stored` is memory, shape (12,), float32.
     """
-    stored, new = both[0], both[1]
     kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
     narrow, wide, tracked = blocks.narrow, blocks.wide, len(blocks.dirty) > 0
     last_key, slot = np.int64(-1), np.int64(-1)
@@ -190,16 +190,15 @@ def _put_states(
         if known[row] != was[0] or quanta[row] != was[1]:
             changed[row] = True
             _put_quanta(blocks, slot, local, known[row], quanta[row])
-        copy(information[row], new)
-        canonical(new)
         for side in range(SIDES):  # the second is left empty
             record = (slot * SIDES + side) * BLOCK_VOXELS + local
             stored[:] = 0.0
             read_record(gaussians, record, stored)
+            same = stored[EXCESS] == 0.0
             for i in range(INFORMATION_SIZE):
-                if stored[i] != new[i]:
-                    changed[row], records[row, side] = True, record
-            new[:] = 0.0
+                same &= stored[i] == (information[row, i] if side == 0 else np.float32(0.0))
+            if not same:
+                changed[row], records[row, side] = True, record
         if tracked and changed[row]:
             mark_dirty(blocks, slot, local)
 

@@ -25,16 +25,17 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.fusion.map_keeper import KEYFRAME_POSES, MapKeeper
-from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
+from infomap_ros.pipeline.stamped_parts import StampedParts
 
 _COVARIANCES = "keyframe_covariances"
+_Covariances = tuple[NDArray[np.int64], FloatArray]  # stamps and covariances of keyframes
 
 
 class MapCorrections:
     """Listens to keyframe_poses and has the worker correct the map.
 
-    Covariances come beside the poses, with the same stamp; what has none when its poses come
-    keeps those that it had.
+    Covariances come beside the poses, with the same stamp, and poses wait for them.
 
     Args:
         node: that listens.
@@ -44,33 +45,35 @@ class MapCorrections:
 
     def __init__(self, node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
         self._node, self._keeper, self._worker = node, keeper, worker
-        self._frame = node.config(ScanGateConfig).map_frame
-        self._covariances: tuple[int, NDArray[np.int64], FloatArray] | None = None
+        self._frame = node.config(ScanSynchronizerConfig).map_frame
+        topic = node.resolve_topic_name(_COVARIANCES)
+        self._parts: StampedParts[KeyframePoses, _Covariances] = StampedParts(
+            lambda: node.count_publishers(topic) > 0
+        )
         stream = qos.stream()
         node.listen(PointCloud2, _COVARIANCES, self._on_covariances, stream, required=False)
         node.listen(Path, KEYFRAME_POSES, self._on_poses, stream, required=False)
 
     def _on_covariances(self, message: PointCloud2) -> None:
-        self._covariances = decode_keyframe_covariances(message)
-
-    def _with_covariances(self, poses: KeyframePoses) -> KeyframePoses:
-        if self._covariances is None:
-            return poses
-        stamp, stamps, covariances = self._covariances
-        is_same = stamp == poses.stamp and np.array_equal(stamps, poses.stamps)
-        return replace(poses, covariances=covariances) if is_same else poses
+        stamp, stamps, covariances = decode_keyframe_covariances(message)
+        self._hand_over(self._parts.add_part(stamp, (stamps, covariances)))
 
     def _on_poses(self, message: Path) -> None:
-        poses = self._with_covariances(decode_keyframe_poses(message))
+        poses = decode_keyframe_poses(message)
         if poses.frame_id != self._frame:
             raise FrameError(f"poses in frame '{poses.frame_id}', the map is '{self._frame}'")
-        self._worker.submit_always(
-            lambda: self._node.guard(KEYFRAME_POSES, partial(self._hear, poses))
-        )
+        self._hand_over(self._parts.add(poses.stamp, poses))
 
-    def _hear(self, poses: KeyframePoses) -> None:
+    def _hand_over(self, complete: list[tuple[KeyframePoses, _Covariances | None]]) -> None:
+        for poses, told in complete:
+            if told is not None and np.array_equal(told[0], poses.stamps):
+                poses = replace(poses, covariances=told[1])
+            correct = partial(self._node.guard, KEYFRAME_POSES, partial(self._correct, poses))
+            self._worker.submit_always(correct)
+
+    def _correct(self, poses: KeyframePoses) -> None:
         was_correcting = self._keeper.is_correcting
-        self._keeper.hear(poses)
+        self._keeper.add_keyframes(poses)
         if self._keeper.is_correcting and not was_correcting:
             self._worker.submit_always(self._correct_more)
 

@@ -7,18 +7,17 @@ and to keep one takes about as long as to integrate it.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+
+from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import InvalidInputError, MapFileError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.organised import fit_pinhole_camera
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
@@ -27,15 +26,14 @@ from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.fusion.map_outputs import MapOutputs
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
-from infomap_ros.nodes.fusion.scan_gate import Scan
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
-from infomap_ros.nodes.robot.robot_body import without_bodies
 from infomap_ros.nodes.team.map_moves import describe_move
 from infomap_ros.nodes.team.team_map import TeamMap
+from infomap_ros.pipeline.map_builder import MapBuilder
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.team.moving import moved_map
 
 KEYFRAME_POSES = "keyframe_poses"
-_NO_SCANS = ScanStoreConfig(memory=0.0)
 
 
 @dataclass(frozen=True)
@@ -68,19 +66,20 @@ class MapKeeper:
     def __init__(self, node: MonitoredNode) -> None:
         self._node = node
         self._config = node.config(MapKeeperConfig)
-        self._body_filter = node.config(BodyFilterConfig)
         self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
         self.team = TeamMap(node, self._updates, self._outputs.changed)
         self._path = Path(self._config.map_file).absolute()
-        self._keeps_scans = False
-        self._corrected = self._correctable(VoxelMap(node.config(VoxelMapConfig)))
+        self._builder = MapBuilder(
+            _tracked(VoxelMap(node.config(VoxelMapConfig))),
+            correction=node.config(ReintegrationConfig),
+            body=node.config(BodyFilterConfig),
+            assumed=node.config(AssumedPoseConfig),
+        )
         self._stamp = 0
-        self._assumed = False
-        self._corrections = 0
 
     @property
     def _map(self) -> VoxelMap:
-        return self._corrected.voxel_map
+        return self._builder.map
 
     @property
     def pictures_period(self) -> float:
@@ -100,28 +99,27 @@ class MapKeeper:
             self._node.get_logger().info(self.load())
             self._updates.resumed()
 
-    def integrate(self, scan: Scan) -> None:
+    def fuse(self, scan: Scan[PointCloud2]) -> None:
         """Add a scan and publish what it changed.
 
         Raises:
             InfomapError: the scan cannot be used; the map is as before.
         """
-        bodies = scan.body, scan.teammates, self._body_filter
-        cloud = without_bodies(decode_point_cloud(scan.message), *bodies)
-        camera = fit_pinhole_camera(cloud.points) if cloud.points.ndim == 3 else None
-        pose = scan.pose
-        covariance = self._assumed_covariance() if pose.covariance is None else pose.covariance
-        measured = cloud.points, pose.transform, cloud.covariances, covariance, camera
+        cloud = decode_point_cloud(scan.cloud)
+        if scan.pose.covariance is None and not self._builder.assumed_poses:
+            self._node.get_logger().warning(
+                "camera_pose has no covariance: default_position_sigma and "
+                "default_rotation_sigma stand in for it"
+            )
         self._keep_scans_if_wanted()
-        self._corrected.integrate(cloud.stamp, *measured)
+        self._builder.fuse(scan.with_cloud(cloud))
         self._stamp = cloud.stamp
-        self._outputs.changed()
         self._updates.publish(self._map, self._stamp)
+        self._outputs.changed()
 
     def forget_body(self, body: BodyInScan) -> None:
         """Take a teammate's body, placed in the map, out of what was fused before it was known."""
-        grown = replace(self._body_filter, margin=body.margin)
-        if forgotten := self._corrected.forget_body(body.solids, grown, body.ground):
+        if forgotten := self._builder.forget_body(body):
             self._node.get_logger().info(
                 f"took {forgotten} voxels of teammate {body.robot} out of the map"
             )
@@ -131,14 +129,12 @@ class MapKeeper:
     @property
     def is_correcting(self) -> bool:
         """Whether scans are being put elsewhere."""
-        return self._corrected.is_correcting
+        return self._builder.is_correcting
 
-    def hear(self, poses: KeyframePoses) -> None:
-        """Hear of corrected poses, and begin to correct the map where scans belong elsewhere."""
+    def add_keyframes(self, poses: KeyframePoses) -> None:
+        """Take corrected poses, and begin to correct the map where scans belong elsewhere."""
         self._keep_scans_if_wanted()
-        content = poses.stamps, poses.transforms, poses.covariances
-        self._corrected.hear(poses.stamp, *content)
-        self._corrected.begin_correction()
+        self._builder.add_keyframes(poses)
 
     def correct_more(self) -> None:
         """Do a part of the correction; with the last one, publish what has become other.
@@ -146,18 +142,16 @@ class MapKeeper:
         Raises:
             CapacityError: it does not fit into memory; the map is as before.
         """
-        report = self._corrected.correct_more()
+        report = self._builder.correct_more()
         if report is None:
             return
-        self._corrections += 1
-        self._node.health.note("corrections of the map", str(self._corrections))
+        self._node.health.note("corrections of the map", str(self._builder.corrections))
         self._node.get_logger().info(
             f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
             f"{report.blocks_rebuilt} blocks made again"
         )
         self._outputs.changed()
         self._updates.publish(self._map, self._stamp)
-        self._corrected.begin_correction()
 
     @property
     def behind(self) -> bool:
@@ -173,18 +167,21 @@ class MapKeeper:
         shown = self.team.voxel_map or self._map
         memory = self._map.memory_bytes() + self.team.memory_bytes()
         self._node.health.note("map memory [bytes]", str(memory))
-        store = self._corrected.store
+        store = self._builder.scans
         self._node.health.note("scans kept", str(len(store)))
         self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
         self._node.health.note("known voxels", str(shown.known_voxels))
         self._outputs.publish_pictures(shown, self._stamp)
 
     def save(self) -> str:
-        """Write the map file; returns a sentence.
+        """Finish corrections that have begun and write the map file; returns a sentence.
 
         Raises:
+            CapacityError: a correction does not fit into memory.
             MapFileError: it cannot be written.
         """
+        while self._builder.is_correcting:
+            self.correct_more()
         return _save(self._map, self._path)
 
     def save_team(self) -> str:
@@ -233,34 +230,21 @@ class MapKeeper:
 
     def _replace_by(self, other: VoxelMap) -> None:
         self._updates.replace(self._map)
-        self._corrected = self._correctable(other)
+        self._builder.replace(_tracked(other))
         self._outputs.changed()
         self.publish_more()
-
-    def _correctable(self, voxel_map: VoxelMap) -> CorrectableMap:
-        """The map with no scans yet; what it holds stays where it is."""
-        voxel_map.track_changes(True)
-        return self._without_scans(voxel_map)
-
-    def _without_scans(self, voxel_map: VoxelMap) -> CorrectableMap:
-        scans = self._node.config(ScanStoreConfig) if self._keeps_scans else _NO_SCANS
-        return CorrectableMap(voxel_map, scans, self._node.config(ReintegrationConfig))
 
     def _keep_scans_if_wanted(self) -> None:
         """Keep scans from now on if there is somebody who may correct them."""
         topic = self._node.resolve_topic_name(KEYFRAME_POSES)
-        if not self._keeps_scans and self._node.count_publishers(topic):
-            self._keeps_scans = True
-            self._corrected = self._without_scans(self._map)
+        if not self._builder.keeps_scans and self._node.count_publishers(topic):
+            self._builder.keep_scans(self._node.config(ScanStoreConfig))
 
-    def _assumed_covariance(self) -> FloatArray:
-        if not self._assumed:
-            self._assumed = True
-            self._node.get_logger().warning(
-                "camera_pose has no covariance: default_position_sigma and "
-                "default_rotation_sigma stand in for it"
-            )
-        return self._node.config(AssumedPoseConfig).covariance()
+
+def _tracked(voxel_map: VoxelMap) -> VoxelMap:
+    """The map, whose changes are to be told."""
+    voxel_map.track_changes(True)
+    return voxel_map
 
 
 def _save(voxel_map: VoxelMap, path: Path) -> str:

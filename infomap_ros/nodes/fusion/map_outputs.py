@@ -16,7 +16,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
-from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
+from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class MapOutputs:
 
     def __init__(self, node: MonitoredNode) -> None:
         self._config = node.config(MapOutputsConfig)
-        self._frame = node.config(ScanGateConfig).map_frame
+        self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
         self._outdated = {"voxel_map", "projected_map"}

@@ -5,16 +5,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, Sphere
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PlacedSolid,
+    PointCloudRecord,
+    PoseRecord,
+    Sphere,
+)
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
-from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
-from infomap_ros.nodes.robot.robot_body import without_bodies
+from infomap_ros.pipeline.map_builder import MapBuilder
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.stereo import DepthCameraSensor
 from infomap_ros.team import MapReplica, MapUpdate, encode_update
 
@@ -30,12 +36,11 @@ def warm_up(threads: int) -> None:
     colors = np.zeros(points.shape, np.uint8)
     record = PointCloudRecord(0, "warm_up", points, covariances, colors)
     cloud = decode_point_cloud(encode_point_cloud(RclpyMessageTypes(), record))
-    without_bodies(cloud, [PlacedSolid(Sphere(0.1), np.eye(4))], (), BodyFilterConfig())
     # Voxels so small that all tables grow.
     trial = VoxelMap(VoxelMapConfig(voxel_size=0.01, max_range=2.0, threads=threads))
     trial.track_changes(True)
-    camera = fit_pinhole_camera(cloud.points)
-    trial.integrate(cloud.points, np.eye(4), cloud.covariances, 1e-6 * np.eye(6), camera)
+    pose = PoseRecord(0, "map", np.eye(4), 1e-6 * np.eye(6))
+    MapBuilder(trial).fuse(Scan(cloud, pose, [PlacedSolid(Sphere(0.1), np.eye(4))]))
     trial.integrate(cloud.points.reshape(-1, 3)[::16], np.eye(4))
     replica, changes = MapReplica(trial.config), trial.take_changes()
     for version in (1, 2):

@@ -26,9 +26,9 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.fusion.map_contents import without_evidence
-from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.team import (
     MAX_MESSAGE_BYTES,
     OCCUPANCY_ROW,
@@ -56,7 +56,7 @@ class UpdateStream:
     def __init__(self, node: MonitoredNode) -> None:
         self._config = node.config(TeamIdentityConfig)
         self._sharing = node.config(TeamConfig)
-        self._frame = node.config(ScanGateConfig).map_frame
+        self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._types = RclpyMessageTypes()
         self._version = version_at(time.time_ns())
         self._budget = Budget(self._sharing.bandwidth * 1e6)

@@ -16,6 +16,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.status import Status
 
+from infomap_ros.exploration.records.pose_predictions import prediction_figures
+from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
@@ -33,11 +35,15 @@ from infomap_ros.nodes.live.demo_exploration import (
     task_parameters,
     write_summary,
 )
+from infomap_ros.nodes.live.kernels import PLANNING, SENSING, KernelProcess, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth, live_map_frame
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.pose_audit import pose_errors
 from infomap_ros.simulation.worlds.builder import World
+
+PICTURE_FILE = "map.png"
+_COMPILING = 1800.0  # [s] that kernels may take on a slow machine
 
 
 @dataclass(frozen=True)
@@ -85,12 +91,13 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
     status = Status(status_line({}), console=console)
     with status:
         with LiveExploration(out, _parameters(config, world)) as run:
-            observed = LiveTruth(run)
-            run.start()
+            observed, picture = LiveTruth(run), FirstPicture(run.map_file, out / PICTURE_FILE)
+            _start(run, picture, status, console)
             run.follow(lambda: status.update(status_line(run.figures)), config.timeout)
             console.print(run.call("map_fusion/save"), highlight=False)
             results: dict[str, object] = {"world": config.world, "seed": config.seed}
             results |= robot_results(run.figures) | drop_results(run.state)
+        results["seconds_to_first_picture"] = picture.seconds
         results["simulated_seconds"] = round(observed.simulated_seconds, 1)
         results["seconds"] = round(time.monotonic() - start, 1)
         status.update("comparing map and poses with the truth")
@@ -101,6 +108,61 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
         write_results(out, voxel_map, results)
     console.print(truth, highlight=False)
     return results
+
+
+class FirstPicture:
+    """Draws the map as soon as it has a surface, so that there is something to look at.
+
+    Args:
+        map_file: that map_fusion saves from time to time.
+        path: PNG file to write.
+
+    Attributes:
+        seconds: from when this was made until it was drawn; None before.
+    """
+
+    def __init__(self, map_file: Path, path: Path) -> None:
+        self._map_file, self._path, self._begin = map_file, path, time.monotonic()
+        self._tried = 0
+        self.seconds: float | None = None
+
+    def draw(self) -> bool:
+        """Draw if there is a new map and none was drawn before; whether it was drawn now.
+
+        Raises:
+            MapFileError: the map file cannot be used.
+            OSError: the picture cannot be written.
+        """
+        if self.seconds is not None or not self._map_file.is_file():
+            return False
+        saved = self._map_file.stat().st_mtime_ns
+        if saved == self._tried:
+            return False
+        self._tried = saved
+        voxel_map = VoxelMap.load(self._map_file)
+        if not voxel_map.surface_voxels:
+            return False
+        draw_map_views(voxel_map, self._path)
+        self.seconds = round(time.monotonic() - self._begin, 1)
+        return True
+
+
+def _start(run: LiveExploration, picture: FirstPicture, status: Status, console: Console) -> None:
+    """Start the nodes as soon as their kernels are compiled: those that map before the others."""
+
+    def show() -> None:
+        if picture.draw():
+            console.print(f"first picture of the map after {picture.seconds} s", highlight=False)
+
+    compile_kernels(
+        lambda stage: status.update(f"compiling kernels, minutes the first time: {stage}"), SENSING
+    )
+    run.start_sensing()
+    status.update("the robot maps what it sees, while the kernels of planning are compiled")
+    with KernelProcess(PLANNING) as planning:
+        run.spin_until(lambda: planning.done, "the kernels of planning", _COMPILING, show)
+    run.start_planning()
+    run.spin_until(lambda: picture.seconds is not None, "the first map", _COMPILING, show)
 
 
 def _parameters(config: DemoConfig, world: World) -> dict[str, dict[str, object]]:
@@ -121,12 +183,13 @@ def _parameters(config: DemoConfig, world: World) -> dict[str, dict[str, object]
 def write_results(out: Path, voxel_map: VoxelMap, results: dict[str, object]) -> None:
     """Write .ply, picture, summary and report from the map and the log of the run."""
     write_ply(voxel_map, out / PLY_FILE)
-    draw_map_views(voxel_map, out / "map.png")
+    draw_map_views(voxel_map, out / PICTURE_FILE)
     results |= {
         "known_voxels": voxel_map.known_voxels,
         "surface_voxels": voxel_map.surface_voxels,
         "memory_bytes": voxel_map.memory_bytes(),
         "voxel_size": voxel_map.config.voxel_size,
+        **prediction_figures(read_run(out / "exploration.jsonl")),
     }
     write_summary(out, results)
     write_report(

@@ -33,7 +33,7 @@ from infomap_ros.nodes.live.demo_exploration import (
     task_parameters,
     write_summary,
 )
-from infomap_ros.nodes.live.kernels import compile_kernels
+from infomap_ros.nodes.live.kernels import TEAM, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE
 from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
@@ -66,7 +66,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
             status.update(" | ".join(status_line(run.figures[n], n) for n in run.names))
 
         compile_kernels(
-            lambda step: status.update(f"compiling kernels, minutes the first time: {step}")
+            lambda step: status.update(f"compiling kernels, minutes the first time: {step}"), TEAM
         )
         ready = time.monotonic() - begin
         console.print(f"kernels are ready after {ready:.0f} s; starting twelve nodes")

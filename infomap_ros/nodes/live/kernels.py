@@ -1,14 +1,19 @@
 """Compile what the nodes need once, before several processes need it at the same time.
 
-Each process would compile by itself what is not in the cache yet; twelve of them get into each
-other's way. Where all is in the cache, this takes some seconds.
+Each node would compile by itself what is not in the cache yet, and several need the same. Where all
+is in the cache, this takes some seconds.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 
@@ -19,9 +24,13 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.fusion import map_warm_up
 from infomap_ros.nodes.locating import localization_warm_up
 from infomap_ros.nodes.planning import plan_warm_up
-from infomap_ros.nodes.ranging.range_sources import RangeSource
-from infomap_ros.stereo import StereoConfig
+from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
+from infomap_ros.stereo import DepthCameraSensor, StereoConfig
 from infomap_ros.team import TeamConfig, TeamMember
+
+Stages = tuple[tuple[tuple[str, ...], ...], ...]
+
+_POLL = 0.1  # [s]
 
 
 def _share() -> None:
@@ -49,46 +58,102 @@ def _share() -> None:
         robot.replica.hash()
 
 
+def _measure() -> None:
+    """Measure as both kinds of camera do."""
+    StereoRangeEstimator(StereoConfig(), rectify=True).warm_up()
+    camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    DepthCameraSensor(camera).measure(np.full((48, 64), 1.0))
+
+
 STEPS: Mapping[str, Callable[[], object]] = {
-    "range": lambda: RangeSource.of_stereo(StereoConfig(), rectify=True).seconds_to_warm_up(),
+    "range": _measure,
     "map": lambda: map_warm_up.warm_up(1),
     "sharing": _share,
     "localisation": localization_warm_up.warm_up,
     "planning": lambda: plan_warm_up.warm_up(ViewPlannerConfig(threads=1)),
 }
-"""What is compiled, in its order, by name."""
+"""What is compiled, by name. Localisation and map use range; sharing and planning use the map."""
+
+SENSING: Stages = ((("range",),), (("map",), ("localisation",)))
+"""What the nodes need that make a map: stages, one after the other, of groups, each a process."""
+PLANNING = ("planning",)
+"""What choosing a view needs, after `SENSING`."""
+TEAM: Stages = (*SENSING, (PLANNING, ("sharing",)))
+"""What all nodes of robots need that share a map."""
 
 
-def compile_kernels(tell: Callable[[str], None]) -> None:
-    """Run this module as a process of its own, whose memory is gone afterwards.
+class KernelProcess:
+    """Compiles some of `STEPS` in a process of its own, whose memory is gone afterwards; a context.
+
+    No kernel may be compiled by two of them at once: of two writers of one file in the cache the
+    later one wins, and what the other has compiled is compiled again.
 
     Args:
-        tell: told each step before it begins.
+        steps: names, in their order.
+    """
+
+    def __init__(self, steps: Sequence[str]) -> None:
+        self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed in __exit__)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "infomap_ros.nodes.live.kernels", *steps],
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def done(self) -> bool:
+        """Whether everything is compiled.
+
+        Raises:
+            ProcessError: it failed; with the last lines that it wrote.
+        """
+        status = self._process.poll()
+        if status:
+            self._output.seek(0)
+            lines = self._output.read().splitlines()[-5:]
+            raise ProcessError("kernels cannot be compiled:\n  " + "\n  ".join(lines))
+        return status is not None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._output.close()
+
+
+def compile_kernels(tell: Callable[[str], None], stages: Stages) -> None:
+    """Compile what is not in the cache yet, the groups of a stage at the same time.
+
+    Args:
+        tell: told each stage before it begins.
+        stages: of names in `STEPS`.
 
     Raises:
-        ProcessError: it failed; with the last lines that it wrote.
+        ProcessError: it failed; with the last lines that a process wrote.
     """
-    command = [sys.executable, "-m", "infomap_ros.nodes.live.kernels"]
-    lines: list[str] = []
-    with subprocess.Popen(
-        command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    ) as process:
-        for line in process.stdout or ():
-            lines.append(line.rstrip())
-            if lines[-1] in STEPS:
-                number = list(STEPS).index(lines[-1]) + 1
-                tell(f"{number} of {len(STEPS)}, {lines[-1]}")
-    if process.returncode:
-        raise ProcessError("kernels cannot be compiled:\n  " + "\n  ".join(lines[-5:]))
+    for number, groups in enumerate(stages, 1):
+        names = " and ".join(", ".join(steps) for steps in groups)
+        tell(f"{number} of {len(stages)}, {names}")
+        with ExitStack() as stack:
+            processes = [stack.enter_context(KernelProcess(steps)) for steps in groups]
+            while [process for process in processes if not process.done]:
+                time.sleep(_POLL)
 
 
-def main() -> int:
-    """Compile everything; prints each step's name before it."""
-    for name, compile_them in STEPS.items():
-        print(name, flush=True)
-        compile_them()
+def main(steps: Sequence[str]) -> int:
+    """Compile steps, in their order."""
+    for name in steps:
+        STEPS[name]()
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))

@@ -10,7 +10,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
 from infomap_ros.nodes.live.live_graph import LiveGraph
-from infomap_ros.nodes.simulated.simulated_localisation import IMAGE_RATE, simulated_localisation
+from infomap_ros.nodes.simulated.simulated_localisation import (
+    IMAGE_RATE,
+    simulated_localisation,
+    simulated_motion_noise,
+)
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
@@ -18,6 +22,7 @@ LOCALISATION_FILE = "localisation.infomap"
 _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
+_PLANNING = ("next_best_view", "explorer")
 _AUTOSAVE = 5.0  # [s]
 _MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 
@@ -65,7 +70,7 @@ def robot_parameters(
             "waiting.max_wait": _MAX_WAIT,
             **reliable("points2", "camera_pose", "joint_states"),
         },
-        "next_best_view": {**updates},
+        "next_best_view": {**simulated_motion_noise(), **updates},
         "explorer": {
             "autostart": True,
             "resume": True,
@@ -110,10 +115,21 @@ class LiveExploration(LiveGraph):
 
     def start(self) -> None:
         """Start all nodes; the explorer begins by itself when the others are there."""
+        self.start_sensing()
+        self.start_planning()
+
+    def start_sensing(self) -> None:
+        """Start the nodes that make a map of where the robot stands."""
+        for name in self._parameters:
+            if name not in _PLANNING:
+                self.start_node(name)
+
+    def start_planning(self) -> None:
+        """Start the nodes that choose views and move the robot there, after the others."""
         self.subscribe(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(depth=1)
         )
-        for name in self._parameters:
+        for name in _PLANNING:
             self.start_node(name)
 
     def start_node(self, name: str) -> None:

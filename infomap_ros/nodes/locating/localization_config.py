@@ -70,6 +70,11 @@ class FiducialLocalizationConfig:
         low=0.0,
         high=1.0,
     )
+    use_map: bool = parameter(
+        True,
+        "Choose fiducials by their certainty in the shared map, f(P) of eq. (19), once map_updates "
+        "have arrived; otherwise by the range's own sigma.",
+    )
     fiducials_period: float = parameter(
         1.0, "Shortest time between two publications of fiducials.", unit="s", low=0.0, high=60.0
     )

@@ -8,14 +8,14 @@ import numpy as np
 
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.localization.filter.records import KeptPoses
 from infomap_ros.localization.localizer import Localisation
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.locating.camera_follower import CameraFollower
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
 from infomap_ros.nodes.locating.odom_frame import OdomFrameBroadcaster
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.pipeline.camera_localizer import CameraLocalizer
+from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
 
 
 class LocalizationNews:
@@ -23,18 +23,18 @@ class LocalizationNews:
 
     Args:
         node: that tells.
-        follower: knows keyframes and fiducials.
+        localizer: knows keyframes and fiducials.
     """
 
-    def __init__(self, node: MonitoredNode, follower: CameraFollower) -> None:
-        self._node, self._follower = node, follower
+    def __init__(self, node: MonitoredNode, localizer: CameraLocalizer) -> None:
+        self._node, self._localizer = node, localizer
         self._config = node.config(FiducialLocalizationConfig)
         self._map = node.config(RobotTrackerConfig).map_frame
         self._outputs = LocalizationOutputs(node, self._map, publish_tf=self._config.publish_tf)
         tolerance = self._config.transform_tolerance
         self._odom_frame = OdomFrameBroadcaster(node, self._outputs.publish_frame, tolerance)
         self._state = ""
-        self._told: KeptPoses | None = None
+        self._changes = KeyframeChanges(self._config.least_correction)
         self._told_fiducials = -1e9
         node.health.condition("no image has been looked at yet")
 
@@ -77,23 +77,13 @@ class LocalizationNews:
 
     def _tell_keyframes(self, result: Localisation) -> None:
         """Keyframes, where there is a new one or one has moved."""
-        kept = self._follower.keyframes()
-        if kept is None or not len(kept):
-            return
-        if result.is_keyframe or self._told is None or self._have_moved(self._told, kept):
+        kept = self._changes.after(result, self._localizer.keyframes())
+        if kept is not None:
             self._outputs.publish_keyframes(result.stamp, kept)
-            self._told = kept
-
-    def _have_moved(self, before: KeptPoses, now: KeptPoses) -> bool:
-        _, old, new = np.intersect1d(before.stamps, now.stamps, return_indices=True)
-        change = now.transforms[new] - before.transforms[old]
-        way = np.linalg.norm(change[:, :3, 3], axis=1).max(initial=0.0)
-        turn = np.linalg.norm(change[:, :3, :3], axis=(1, 2)).max(initial=0.0) / np.sqrt(2.0)
-        return bool(max(way, turn) > self._config.least_correction)
 
     def _tell_fiducials(self, stamp: int) -> None:
         now = time.monotonic()
-        period, fiducials = self._config.fiducials_period, self._follower.fiducials()
+        period, fiducials = self._config.fiducials_period, self._localizer.fiducials()
         if fiducials is None or now - self._told_fiducials < period:
             return
         if self._outputs.fiducials_wanted:

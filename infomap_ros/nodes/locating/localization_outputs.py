@@ -15,30 +15,17 @@ from infomap_ros.geometry import PoseRecord, TransformRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localisation import Localisation
 from infomap_ros.messages import TF, encode_pose, encode_transforms
+from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
 from infomap_ros.messages.keyframes import (
     KeyframePoses,
     encode_keyframe_covariances,
     encode_keyframe_poses,
 )
 from infomap_ros.messages.pose_uncertainty import encode_pose_uncertainty
-from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
-
-FIDUCIAL_ROW = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("id", "<i4"),
-        ("sigma", "<f4"),
-        *((f"cov_{name}", "<f4") for name in ("xx", "xy", "xz", "yy", "yz", "zz")),
-    ]
-)
-"""A fiducial of the topic fiducials: position [m], id, largest standard deviation [m] and
-covariance [m^2], map frame."""
 
 _SIZE = 0.04  # of a marker [m]
 
@@ -108,11 +95,11 @@ class LocalizationOutputs:
 
     def publish_fiducials(self, stamp: int, fiducials: Fiducials) -> None:
         """Publish the scene's fiducials as they are known at `stamp` [ns]."""
-        rows = fiducial_rows(fiducials)
         if self._fiducials.get_subscription_count():
-            self._fiducials.publish(encode_rows(self._types, stamp, self._map, rows))
+            self._fiducials.publish(encode_fiducials(self._types, stamp, self._map, fiducials))
         if self._markers.get_subscription_count():
-            self._markers.publish(MarkerArray(markers=[self._marker(stamp, rows)]))
+            marker = self._marker(stamp, fiducial_rows(fiducials))
+            self._markers.publish(MarkerArray(markers=[marker]))
 
     def _marker(self, stamp: int, rows: NDArray[np.void]) -> Marker:
         """All fiducials as balls: green where they are known to a centimetre, red from 10 cm on."""
@@ -126,16 +113,3 @@ class LocalizationOutputs:
             marker.points.append(Point(x=float(row["x"]), y=float(row["y"]), z=float(row["z"])))
             marker.colors.append(ColorRGBA(r=share, g=1.0 - share, b=0.1, a=0.9))
         return marker
-
-
-def fiducial_rows(fiducials: Fiducials) -> NDArray[np.void]:
-    """Fiducials as rows of `FIDUCIAL_ROW`, shape (N,)."""
-    rows = np.zeros(len(fiducials.ids), FIDUCIAL_ROW)
-    rows["x"], rows["y"], rows["z"] = fiducials.positions.T
-    rows["id"] = fiducials.ids
-    if len(rows):
-        rows["sigma"] = np.sqrt(np.linalg.eigvalsh(fiducials.covariances)[:, -1])
-    names = ("xx", "xy", "xz", "yy", "yz", "zz")
-    for name, i, j in zip(names, *np.triu_indices(3), strict=True):
-        rows[f"cov_{name}"] = fiducials.covariances[:, i, j]
-    return rows

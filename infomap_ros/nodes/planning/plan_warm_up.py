@@ -32,7 +32,7 @@ def warm_up(config: ViewPlannerConfig) -> None:
     Once in a process: a second call with the same configuration does nothing.
 
     Args:
-        config: strategy, metric and threads are taken from it.
+        config: strategy, metric, prediction of the unknown and threads are taken from it.
 
     Raises:
         InfomapError: there is no such strategy or metric.
@@ -50,6 +50,7 @@ def warm_up(config: ViewPlannerConfig) -> None:
     small = ViewPlannerConfig(
         strategy=config.strategy,
         metric=config.metric,
+        predict_unknown=config.predict_unknown,
         threads=config.threads,
         arm_views=50,
         choice=few,

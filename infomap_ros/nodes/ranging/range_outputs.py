@@ -6,12 +6,11 @@ from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from infomap_ros.geometry import ImageRecord
-from infomap_ros.messages import encode_cloud_fields, encode_disparity, encode_image
+from infomap_ros.messages import encode_disparity, encode_image, encode_range_cloud
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.replay.measuring.range_meters import Measurement
-from infomap_ros.stereo import PACKED_FIELDS
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
 
 
 class RangeOutputs:
@@ -33,14 +32,12 @@ class RangeOutputs:
         publishers = (self._depth, self._disparity, self._points)
         return any(publisher.get_subscription_count() for publisher in publishers)
 
-    def publish(self, measurement: Measurement) -> None:
+    def publish(self, measurement: RangeMeasurement) -> None:
         """Publish a measurement; the points first, as others wait for them."""
         types, cloud = self._types, measurement.cloud
         stamp, frame = measurement.stamp, measurement.frame_id
         if self._points.get_subscription_count():
-            self._points.publish(
-                encode_cloud_fields(types, stamp, frame, PACKED_FIELDS, cloud.packed)
-            )
+            self._points.publish(encode_range_cloud(types, stamp, frame, cloud.packed))
         if self._depth.get_subscription_count():
             record = ImageRecord(stamp, frame, cloud.range_image, "32FC1")
             self._depth.publish(encode_image(types, record))

@@ -6,7 +6,7 @@ from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import JointStateRecord, OdometryRecord, PoseRecord
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.motion import RobotModel
-from infomap_ros.replay.measuring.robot_motion import RobotMotion
+from infomap_ros.pipeline.robot_motion import RobotMotion
 
 
 class CarriedPose:

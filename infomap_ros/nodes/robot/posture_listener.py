@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 from nav_msgs.msg import Odometry
@@ -9,7 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
-from infomap_ros.geometry import OdometryRecord, PlacedSolid
+from infomap_ros.geometry import JointStateRecord, OdometryRecord, PlacedSolid
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.messages import decode_joint_state, decode_odometry, decode_text
@@ -17,9 +18,10 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.replay.measuring.robot_motion import RobotMotion
+from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
+from infomap_ros.pipeline.robot_motion import RobotMotion
 
-_CLOCK_JUMP = 1_000_000_000  # [ns]
+_MOST_EARLY = 1000  # records that come before robot and camera are known
 
 
 class PostureListener:
@@ -40,6 +42,7 @@ class PostureListener:
         self._robot: RobotModel | None = None
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
+        self._early: deque[OdometryRecord | JointStateRecord] = deque(maxlen=_MOST_EARLY)
         self._newest = -1
         self._useless = ""
         self.odom_frame = ""
@@ -84,7 +87,7 @@ class PostureListener:
         try:
             return self._motion.posture(stamp)
         except PoseUnavailableError as error:
-            if stamp < self._newest - _CLOCK_JUMP:  # images have jumped back, odometry will
+            if stamp < self._newest - CLOCK_JUMP:  # images have jumped back, odometry will
                 raise PoseUnavailableError(str(error), error.reason, may_arrive=True) from error
             raise
         except RobotModelError as error:
@@ -98,20 +101,24 @@ class PostureListener:
         self._begin()
 
     def _on_joints(self, message: JointState) -> None:
-        if self._motion is not None:
-            self._motion.add(decode_joint_state(message))
-            self._on_news()
+        self._add(decode_joint_state(message))
 
     def _on_odometry(self, message: Odometry) -> None:
         odometry: OdometryRecord = decode_odometry(message)
         wanted = self._frames.base_frame
         if wanted and odometry.child_frame_id != wanted:
             raise FrameError(f"odometry of '{odometry.child_frame_id}', base_frame is '{wanted}'")
-        if odometry.stamp < self._newest - _CLOCK_JUMP:
+        if odometry.stamp < self._newest - CLOCK_JUMP:
             self._begin()
         self._newest, self.odom_frame = odometry.stamp, odometry.frame_id
-        if self._motion is not None:
-            self._motion.add(odometry)
+        self._add(odometry)
+
+    def _add(self, record: OdometryRecord | JointStateRecord) -> None:
+        """Use a record, or keep it until robot and camera are known."""
+        if self._motion is None:
+            self._early.append(record)
+        else:
+            self._motion.add(record)
             self._on_news()
 
     def _begin(self) -> None:
@@ -123,6 +130,8 @@ class PostureListener:
             self._give_up(f"robot '{self._robot.name}' has no frame '{self._camera_frame}'")
         else:
             self._motion = RobotMotion(self._camera_frame, self._robot, config=self._buffer)
+            while self._early:
+                self._motion.add(self._early.popleft())
 
     def _give_up(self, reason: str) -> None:
         """Say once why odometry is of no use."""

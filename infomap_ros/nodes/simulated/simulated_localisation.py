@@ -20,13 +20,16 @@ def simulated_localisation() -> dict[str, Any]:
     The target is the board of the simulated worlds.
     """
     config = SelfLocalisationConfig()
-    values: dict[str, Any] = {}
-    for value, usual, prefix in (
-        (config.localizer, LocalizerConfig(), ""),
-        (config.motion, DeadReckoningConfig(), "motion_noise."),
-        (config.target, TargetConfig(), "target."),
-    ):
-        defaults = parameter_values(usual, prefix)
-        given = parameter_values(value, prefix)
-        values |= {name: each for name, each in given.items() if each != defaults[name]}
-    return values
+    localizer = _unusual(config.localizer, LocalizerConfig(), "")
+    target = _unusual(config.target, TargetConfig(), "target.")
+    return localizer | simulated_motion_noise() | target
+
+
+def simulated_motion_noise() -> dict[str, Any]:
+    """Likewise how far its odometry is trusted, for every node that has ``motion_noise.``."""
+    return _unusual(SelfLocalisationConfig().motion, DeadReckoningConfig(), "motion_noise.")
+
+
+def _unusual(value: object, usual: object, prefix: str) -> dict[str, Any]:
+    defaults, given = parameter_values(usual, prefix), parameter_values(value, prefix)
+    return {name: each for name, each in given.items() if each != defaults[name]}

@@ -21,10 +21,10 @@ from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.nodes.fusion.scan_gate_config import ScanGateConfig
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
 from infomap_ros.team.digest import decode_digest
 
@@ -46,7 +46,7 @@ class TeamMap:
         self._node = node
         self._updates, self._on_change = updates, on_change
         self._config = node.config(VoxelMapConfig)
-        self._frame = node.config(ScanGateConfig).map_frame
+        self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._member: TeamMember | None = None
 
     def listen(self, worker: Worker) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from infomap_ros.errors import BagError
-from infomap_ros.geometry import TransformRecord
+from infomap_ros.geometry import TextRecord, TransformRecord
 from infomap_ros.messages import JOINT_STATE, STRING, TF
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import Topics, check_present
-from infomap_ros.replay.measuring.robot_body import description_among
 
 _TF_TYPES = (TF, "tf/msg/tfMessage")
 
@@ -61,4 +60,6 @@ def joint_topics_of(types: Topics, given: str = "") -> list[str]:
 def description_in(bag: BagReader, types: Topics) -> str:
     """The robot description that a bag holds, empty where it holds none."""
     topics = [n for n, kind in types.items() if kind == STRING and n.endswith("robot_description")]
-    return description_among(entry.record for entry in bag.records(topics)) if topics else ""
+    records = (entry.record for entry in bag.records(topics)) if topics else iter(())
+    texts = (record.text for record in records if isinstance(record, TextRecord))
+    return next((text for text in texts if "<robot" in text), "")

@@ -36,9 +36,9 @@ def write_localize_files(run: LocalizeRun, out: Path) -> dict[str, int | float |
         OSError: something cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    trajectory = run.trajectory
+    trajectory = run.log.trajectory
     write_tum(trajectory, out / TRAJECTORY_FILE)
-    write_tum(run.corrected_trajectory, out / CORRECTED_FILE)
+    write_tum(run.log.corrected_trajectory, out / CORRECTED_FILE)
     write_covariances(trajectory, out / COVARIANCE_FILE)
     draw_run(run, out / "trajectory.png")
     summary = run.summary()
@@ -79,7 +79,7 @@ def draw_run(run: LocalizeRun, path: Path) -> None:
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(2.0, 1.0))
-    then, now = run.trajectory, run.corrected_trajectory
+    then, now = run.log.trajectory, run.log.corrected_trajectory
     for column, (first, second, title) in enumerate(((0, 1, "from above"), (0, 2, "side"))):
         axes = figure.add_subplot(grid[0, column])
         _draw_path(axes, then, now, (first, second))
@@ -100,14 +100,14 @@ def _draw_path(axes: Axes, then: Trajectory, now: Trajectory, which: tuple[int, 
 
 
 def _draw_certainty(axes: Axes, run: LocalizeRun, trajectory: Trajectory) -> None:
-    start = run.localisations[0].stamp
+    start = run.log.localisations[0].stamp
     times = _times(trajectory.stamps, start)
     spread: NDArray[Any] = np.trace(trajectory.covariances[:, :3, :3], axis1=1, axis2=2)
     axes.plot(times, 1e3 * np.sqrt(spread), color="tab:blue")
     axes.set_xlabel("time [s]")
     axes.set_ylabel("position sigma [mm]")
     for state, color in _STATES.items():
-        stamps = np.array([o.stamp for o in run.localisations if o.state == state], np.int64)
+        stamps = np.array([o.stamp for o in run.log.localisations if o.state == state], np.int64)
         if len(stamps):
             axes.plot(_times(stamps, start), np.zeros(len(stamps)), "|", color=color, label=state)
     axes.grid(visible=True, alpha=0.3)

@@ -15,6 +15,13 @@ from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.messages import ODOMETRY
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.pipeline.perception import Perception
+from infomap_ros.pipeline.robot_motion import RobotMotion
+from infomap_ros.pipeline.view_estimator import (
+    DepthViewEstimator,
+    StereoViewEstimator,
+    ViewEstimator,
+)
 from infomap_ros.replay.bags.bag_contents import (
     description_in,
     frame_of,
@@ -24,12 +31,9 @@ from infomap_ros.replay.bags.bag_contents import (
     tf_topics_of,
     types_of,
 )
+from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import Topics, check_present
-from infomap_ros.replay.measuring.range_sources import Meter, RangeSource
-from infomap_ros.replay.measuring.robot_motion import RobotMotion
-from infomap_ros.replay.measuring.source_choice import ImageInputConfig, find_source
-from infomap_ros.replay.measuring.view_meters import DepthViewMeter, FramedView, StereoViewMeter
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 
@@ -94,7 +98,7 @@ class LocalizeInputs:
     """What was found.
 
     Attributes:
-        source: turns images into views.
+        perception: turns images into views.
         camera_frame: optical frame of the camera.
         motion: of the robot; None where it is not used.
         odometry_topic: empty where it is not used.
@@ -102,7 +106,7 @@ class LocalizeInputs:
         frames: number of images that should become views.
     """
 
-    source: RangeSource[FramedView]
+    perception: Perception
     camera_frame: str
     motion: RobotMotion | None
     odometry_topic: str
@@ -110,16 +114,19 @@ class LocalizeInputs:
     frames: int
 
 
-def find_localize_inputs(bag: BagReader, options: LocalizeOptions) -> LocalizeInputs:
-    """Look through a bag for what localisation needs.
+def find_localize_inputs(
+    bag: BagReader, options: LocalizeOptions, *, is_dense: bool = False
+) -> LocalizeInputs:
+    """Look through a bag for what localisation needs; `is_dense` as of `Perception`.
 
     Raises:
         BagError: it has no images with range, or lacks odometry that is asked for.
         RobotModelError: the robot description cannot be used.
     """
     types = types_of(bag)
-    source = _find_views(types, options)
-    camera_frame = frame_of(bag, source.image_topic)
+    perception = _find_views(types, options, is_dense)
+    image_topic = perception.sources.images[0]
+    camera_frame = frame_of(bag, image_topic)
     odometry = _find_odometry(types, options)
     tf_topics = tf_topics_of(types) if odometry else []
     joints = joint_topics_of(types, options.topics.get("joints", "")) if odometry else []
@@ -129,18 +136,22 @@ def find_localize_inputs(bag: BagReader, options: LocalizeOptions) -> LocalizeIn
         static = static_transforms(bag, tf_topics)
         motion = RobotMotion(camera_frame, robot, static, options.poses)
     moving = moving_tf_topics(tf_topics)
-    topics = dict.fromkeys([*source.topics, *([odometry] if odometry else []), *moving, *joints])
-    frames = bag.topics[source.image_topic].count
-    return LocalizeInputs(source, camera_frame, motion, odometry, tuple(topics), frames)
+    topics = dict.fromkeys(
+        [*perception.sources.names, *([odometry] if odometry else []), *moving, *joints]
+    )
+    frames = bag.topics[image_topic].count
+    return LocalizeInputs(perception, camera_frame, motion, odometry, tuple(topics), frames)
 
 
-def _find_views(types: Topics, options: LocalizeOptions) -> RangeSource[FramedView]:
-    def make_meter(kind: str, raw: bool) -> Meter[FramedView]:
+def _find_views(types: Topics, options: LocalizeOptions, is_dense: bool) -> Perception:
+    def make_estimator(kind: str, raw: bool) -> ViewEstimator:
         if kind == "stereo":
-            return StereoViewMeter(options.stereo, rectify=raw, sparse=options.sparse)
-        return DepthViewMeter(options.depth)
+            return StereoViewEstimator(options.stereo, rectify=raw, sparse=options.sparse)
+        return DepthViewEstimator(options.depth)
 
-    return find_source(types, options.input, options.topics, make_meter, color=True)
+    return find_images(
+        types, options.input, options.topics, make_estimator, color=True, is_dense=is_dense
+    )
 
 
 def _find_odometry(types: Topics, options: LocalizeOptions) -> str:

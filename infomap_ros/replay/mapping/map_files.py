@@ -8,7 +8,7 @@ from pathlib import Path
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.replay.mapping.map_run import MapRun
-from infomap_ros.replay.measuring.pictures import draw_depth, draw_sigma
+from infomap_ros.replay.mapping.range_pictures import draw_depth, draw_sigma
 
 MAP_FILE, PLY_FILE, SUMMARY_FILE = "map.infomap", "map.ply", "summary.json"
 

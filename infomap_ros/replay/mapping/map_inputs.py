@@ -15,8 +15,19 @@ from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.mapping import VoxelMapConfig
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
+from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.pipeline.camera_poses import CameraPoses
+from infomap_ros.pipeline.perception import Perception
+from infomap_ros.pipeline.range_estimator import (
+    DepthRangeEstimator,
+    RangeEstimator,
+    StereoRangeEstimator,
+)
+from infomap_ros.pipeline.robot_body import RobotBody
+from infomap_ros.pipeline.scan_synchronizer import LocatedPoses
 from infomap_ros.replay.bags.bag_contents import (
     description_in,
     frame_of,
@@ -26,24 +37,16 @@ from infomap_ros.replay.bags.bag_contents import (
     tf_topics_of,
     types_of,
 )
-from infomap_ros.replay.bags.camera_poses import CameraPoses
+from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import Topics, find_pose_topic
 from infomap_ros.replay.localizing.localize_inputs import (
     LocalizeInputConfig,
+    LocalizeInputs,
     LocalizeOptions,
     MotionInputConfig,
+    find_localize_inputs,
 )
-from infomap_ros.replay.localizing.trajectory_poses import TrajectoryPoses
-from infomap_ros.replay.measuring.range_meters import (
-    DepthMeter,
-    Measurement,
-    RangeMeter,
-    StereoMeter,
-)
-from infomap_ros.replay.measuring.range_sources import RangeSource
-from infomap_ros.replay.measuring.robot_body import RobotBody
-from infomap_ros.replay.measuring.source_choice import ImageInputConfig, find_source
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 _LOOKED_AT = 2000  # transforms from which the map frame is chosen
@@ -92,6 +95,8 @@ class MapOptions:
     waiting: WaitingQueueConfig = field(default_factory=WaitingQueueConfig)
     body: BodyFilterConfig = field(default_factory=BodyFilterConfig)
     description: DescriptionConfig = field(default_factory=DescriptionConfig)
+    scans: ScanStoreConfig = field(default_factory=ScanStoreConfig)
+    corrections: ReintegrationConfig = field(default_factory=ReintegrationConfig)
     motion: MotionInputConfig = field(default_factory=MotionInputConfig)
     odometry: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
@@ -106,20 +111,31 @@ class MapInputs:
     """What was found.
 
     Attributes:
-        source: turns images into range clouds.
+        perception: turns images into range clouds, or into views where they locate the camera.
         pose_topic: what tells the pose; empty where that is localisation.
-        poses: of the camera; with localisation they have to be found first.
+        poses: of the camera.
+        located: what localisation uses; None where the bag tells the poses.
+        camera_frame: optical frame of the camera.
         body: of the robot.
+        body_note: why no body is removed, empty where one is.
         topics: all topics that are to be read.
         frames: number of images that should become scans.
     """
 
-    source: RangeSource[Measurement]
+    perception: Perception
     pose_topic: str
-    poses: CameraPoses | TrajectoryPoses
+    poses: CameraPoses | LocatedPoses
+    located: LocalizeInputs | None
+    camera_frame: str
     body: RobotBody
+    body_note: str
     topics: tuple[str, ...]
     frames: int
+
+    @property
+    def map_frame(self) -> str:
+        """Frame of the map."""
+        return self.poses.map_frame
 
 
 def find_inputs(bag: BagReader, options: MapOptions) -> MapInputs:
@@ -130,20 +146,27 @@ def find_inputs(bag: BagReader, options: MapOptions) -> MapInputs:
         RobotModelError: the robot description cannot be used.
     """
     types = types_of(bag)
-    source = _find_source(types, options)
+    perception, located = _find_range(types, options), None
     pose_topic = _pose_topic(types, options)
-    tf_topics = tf_topics_of(types)
+    if not pose_topic:
+        located = find_localize_inputs(bag, localize_options(options), is_dense=True)
+        perception = located.perception
     joint_topics = joint_topics_of(types, options.topics.get("joints", ""))
-    moving = moving_tf_topics(tf_topics)
-    told = [pose_topic, *moving] if pose_topic else []
-    topics = dict.fromkeys([*source.topics, *told, *joint_topics])
+    told = [pose_topic, *moving_tf_topics(tf_topics_of(types))] if pose_topic else []
+    seen = perception.sources.names if located is None else located.topics
+    image_topic = perception.sources.images[0]
+    camera_frame = frame_of(bag, image_topic)
+    body, note = _find_body(bag, types, options, bool(joint_topics))
     return MapInputs(
-        source=source,
-        pose_topic=pose_topic,
-        poses=_find_poses(bag, options, frame_of(bag, source.image_topic), pose_topic),
-        body=_find_body(bag, types, options, bool(joint_topics)),
-        topics=tuple(topics),
-        frames=bag.topics[source.image_topic].count,
+        perception,
+        pose_topic,
+        _find_poses(bag, options, camera_frame, pose_topic),
+        located,
+        camera_frame,
+        body,
+        note,
+        topics=tuple(dict.fromkeys([*seen, *told, *joint_topics])),
+        frames=bag.topics[image_topic].count,
     )
 
 
@@ -161,9 +184,9 @@ def _pose_topic(types: Topics, options: MapOptions) -> str:
 
 def _find_poses(
     bag: BagReader, options: MapOptions, camera_frame: str, pose_topic: str
-) -> CameraPoses | TrajectoryPoses:
+) -> CameraPoses | LocatedPoses:
     if not pose_topic:
-        return TrajectoryPoses(camera_frame)
+        return LocatedPoses("map", options.poses)
     tf_topics = tf_topics_of(types_of(bag))
     by_tf = pose_topic in tf_topics
     return CameraPoses(
@@ -176,13 +199,13 @@ def _find_poses(
     )
 
 
-def _find_source(types: Topics, options: MapOptions) -> RangeSource[Measurement]:
-    def make_meter(kind: str, raw: bool) -> RangeMeter:
+def _find_range(types: Topics, options: MapOptions) -> Perception:
+    def make_estimator(kind: str, raw: bool) -> RangeEstimator:
         if kind == "stereo":
-            return StereoMeter(options.stereo, rectify=raw)
-        return DepthMeter(options.depth)
+            return StereoRangeEstimator(options.stereo, rectify=raw)
+        return DepthRangeEstimator(options.depth)
 
-    return find_source(types, options.input, options.topics, make_meter)
+    return find_images(types, options.input, options.topics, make_estimator)
 
 
 def _tf_map_frame(bag: BagReader, tf_topics: list[str]) -> str:
@@ -191,21 +214,19 @@ def _tf_map_frame(bag: BagReader, tf_topics: list[str]) -> str:
     return "map" if any(edge.frame_id == "map" for edge in edges) else ""
 
 
-def _find_body(bag: BagReader, types: Topics, options: MapOptions, has_joints: bool) -> RobotBody:
+def _find_body(
+    bag: BagReader, types: Topics, options: MapOptions, has_joints: bool
+) -> tuple[RobotBody, str]:
+    """The robot's body, and why there is none to be removed."""
     if not options.input.remove_body:
-        body = RobotBody(None)
-        body.note = "not wanted"
-        return body
-    if options.robot:
-        return RobotBody.from_description(options.robot, options.body, options.description)
-    description = description_in(bag, types)
+        return RobotBody(), "not wanted"
+    description = options.robot or description_in(bag, types)
     if not description:
-        return RobotBody(None)
-    body = RobotBody.from_description(description, options.body, options.description)
-    if body.needs_joints and not has_joints:
-        body = RobotBody(None)
-        body.note = "no joint states"
-    return body
+        return RobotBody(), "no robot description"
+    robot = options.description.read(description)
+    if robot.joints and not has_joints and not options.robot:
+        return RobotBody(), "no joint states"
+    return RobotBody(robot), ""
 
 
 def localize_options(options: MapOptions) -> LocalizeOptions:

@@ -1,27 +1,28 @@
-"""A recorded bag becomes a map: the offline counterpart of the nodes."""
+"""A recorded bag becomes a map."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 
-from infomap_ros.errors import BagError, CapacityError, InfomapError
-from infomap_ros.geometry import PoseRecord, WaitingQueue
+from infomap_ros.errors import BagError, CapacityError
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.pipeline.map_builder import MapBuilder
+from infomap_ros.pipeline.pipeline import Fused, Fusion, Localization, Located, Pipeline
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
+from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizer
 from infomap_ros.replay.bags.background import in_background
-from infomap_ros.replay.bags.reader import BagReader, BagRecord
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
-from infomap_ros.replay.localizing.trajectory_poses import TrajectoryPoses
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.localizing.localization_log import LocalizationLog
+from infomap_ros.replay.localizing.localize_run import make_localization, records_of
 from infomap_ros.replay.mapping.map_inputs import (
     MapInputs,
     MapOptions,
     find_inputs,
     localize_options,
 )
-from infomap_ros.replay.measuring.range_meters import Measurement
-from infomap_ros.replay.measuring.range_sources import measure_all
 
 Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
@@ -31,17 +32,15 @@ class MapRun:
     """Maps a bag, frame by frame as its records come.
 
     Attributes:
-        map: the voxel map.
         inputs: what the bag offers.
+        builder: of the map.
+        log: how the camera was located, empty where the bag tells its poses.
         frames: number of frames that are in the map.
         points: number of points that are in the map.
         dropped: frames that are not, by reason.
-        refused: poses and transforms that could not be used, by reason.
         first: the first measurement in the map.
         seconds: how long `run` took [s].
         full: why the map could not take more, empty while it could.
-        assumed_poses: number of poses whose covariance was assumed.
-        localisation: how the camera was located, None where the bag tells its poses.
     """
 
     def __init__(self, bag: BagReader, options: MapOptions | None = None) -> None:
@@ -51,26 +50,52 @@ class MapRun:
             BagError: it lacks what mapping needs.
             RobotModelError: its robot description cannot be used.
         """
-        self._bag = bag
-        self._options = options or MapOptions()
-        self.inputs: MapInputs = find_inputs(bag, self._options)
-        self.map = VoxelMap(self._options.map)
-        self.frames = self.points = self.assumed_poses = 0
+        self._bag, settings = bag, options or MapOptions()
+        self.inputs: MapInputs = find_inputs(bag, settings)
+        self.log = LocalizationLog()
+        self.frames = self.points = 0
         self.dropped: Counter[str] = Counter()
-        self.refused: Counter[str] = Counter()
-        self.first: Measurement | None = None
-        self.seconds = 0.0
-        self.full = ""
-        self.localisation: LocalizeRun | None = None
-        self._waiting: WaitingQueue[Measurement] = WaitingQueue(
-            self._pose_at, self._options.waiting
+        self.first: RangeMeasurement | None = None
+        self.seconds, self.full = 0.0, ""
+        localization = self._make_localization(settings)
+        store = settings.scans if localization is not None else None
+        self.builder = MapBuilder(
+            VoxelMap(settings.map), store, settings.corrections, settings.body, settings.assumed
         )
+        self._pipeline = Pipeline(localization, self._make_fusion(settings))
+
+    def _make_localization(self, options: MapOptions) -> Localization | None:
+        if self.inputs.located is None:
+            return None
+        views: Counter[str] = Counter()  # their clouds are counted
+        return make_localization(self.inputs.located, localize_options(options), views, views)
+
+    def _make_fusion(self, options: MapOptions) -> Fusion:
+        inputs = self.inputs
+        scans: ScanSynchronizer[RangeMeasurement] = ScanSynchronizer(
+            inputs.poses,
+            inputs.body,
+            camera_frame=inputs.camera_frame,
+            waiting=options.waiting,
+            on_drop=self._on_drop,
+        )
+        return Fusion(scans, inputs.body, self.builder)
+
+    @property
+    def map(self) -> VoxelMap:
+        """The voxel map."""
+        return self.builder.map
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Records that could not be used, by reason."""
+        return self._pipeline.refused
 
     def run(self, progress: Progress | None = None) -> None:
         """Read the whole bag.
 
-        One thread reads and measures range, this one fuses: both let go of the interpreter where
-        the work is.
+        One thread reads and measures range, this one locates and fuses: both let go of the
+        interpreter where the work is.
 
         Args:
             progress: told after every frame.
@@ -80,83 +105,41 @@ class MapRun:
             CapacityError: the first frame is too large for the map's memory limit.
         """
         start = time.perf_counter()
-        self._locate()
-        records = self._bag.records(self.inputs.topics)
-        with closing(in_background(measure_all(records, self.inputs.source))) as entries:
-            for entry in entries:
-                self._take(entry)
-                if progress is not None and isinstance(entry, Measurement):
+        try:
+            for done in self.results():
+                self._note(done)
+                if progress is not None and isinstance(done, Fused):
                     progress(self.frames + sum(self.dropped.values()), self.inputs.frames)
-                if self.full:
-                    break
+        except CapacityError as error:
+            self.full = str(error)
         self._finish()
         self.seconds = time.perf_counter() - start
 
-    def _locate(self) -> None:
-        """Find the camera's poses, where the bag does not tell them: as corrected in the end."""
-        if isinstance(self.inputs.poses, TrajectoryPoses):
-            self.localisation = LocalizeRun(self._bag, localize_options(self._options))
-            self.localisation.run()
-            self.inputs.poses.take(self.localisation.corrected_trajectory)
+    def results(self) -> Iterator[Located | Fused]:
+        """What becomes of the bag's records, one after the other.
 
-    def _take(self, entry: BagRecord | Measurement) -> None:
-        if isinstance(entry, Measurement):
-            self._push(entry)
-        else:
-            self.inputs.body.add(entry.record)
-            self._add_pose(entry)
-        for measurement, pose in self._waiting.take():
-            self._fuse(measurement, pose)
+        Raises:
+            CapacityError: a frame does not fit into the map's memory limit.
+        """
+        seen = self.inputs.perception.see(records_of(self._bag, self.inputs.topics))
+        with closing(in_background(seen)) as items:
+            for item in items:
+                yield from self._pipeline.process(item)
+        yield from self._pipeline.finish()
 
-    def _push(self, measurement: Measurement) -> None:
-        expected = self.inputs.poses.camera_frame
-        if measurement.frame_id == expected:
-            self._waiting.push(measurement.stamp, measurement)
-        else:
-            self.dropped[f"image in frame '{measurement.frame_id}', not '{expected}'"] += 1
+    def _note(self, done: Located | Fused) -> None:
+        self.log.add(done)
+        if isinstance(done, Fused):
+            self.frames += 1
+            self.points += done.report.points_used
+            self.first = self.first or done.scan.cloud
 
-    def _add_pose(self, entry: BagRecord) -> None:
-        try:
-            self.inputs.poses.add(entry.record)
-        except InfomapError as error:
-            self.refused[str(error)] += 1
-
-    def _pose_at(self, stamp: int) -> PoseRecord:
-        """Pose of the camera, once the place of the robot's body is known too."""
-        self.inputs.body.check_known_at(stamp, self.inputs.poses.camera_frame)
-        return self.inputs.poses.at(stamp)
-
-    def _fuse(self, measurement: Measurement, pose: PoseRecord) -> None:
-        try:
-            self._integrate(measurement, pose)
-        except CapacityError as error:
-            self.full = str(error)
-        except InfomapError as error:
-            self.dropped[str(error)] += 1
-
-    def _integrate(self, measurement: Measurement, pose: PoseRecord) -> None:
-        cloud = measurement.cloud
-        covariance = pose.covariance
-        if covariance is None:
-            covariance = self._options.assumed.covariance()
-            self.assumed_poses += 1
-        report = self.map.integrate(
-            self.inputs.body.remove(measurement),
-            pose.transform,
-            cloud.covariance_triangles,
-            covariance,
-            camera=cloud.camera,
-            error_correlation=cloud.error_correlation,
-        )
-        self.frames += 1
-        self.points += report.points_used
-        self.first = self.first or measurement
+    def _on_drop(self, reason: str, sentence: str) -> None:
+        self.dropped[sentence if reason == "robot description" else reason] += 1
 
     def _finish(self) -> None:
-        """Give up on what still waits, and count everything that was dropped on the way."""
-        self._waiting.take(now=2**63 - 1)
-        self.dropped.update(self._waiting.dropped)
-        self.dropped.update(self.inputs.source.dropped)
+        """Count everything that was dropped on the way."""
+        self.dropped.update(self.inputs.perception.dropped)
         if self.frames == 0 and self.full:
             raise CapacityError(f"not one frame fits: {self.full}")
         if self.frames == 0:
@@ -175,18 +158,19 @@ class MapRun:
             "memory_bytes": self.map.memory_bytes(),
             "frames_dropped": sum(self.dropped.values()),
             "voxel_size": self.map.config.voxel_size,
-            "map_frame": self.inputs.poses.map_frame,
-            "range_topic": self.inputs.source.image_topic,
+            "map_frame": self.inputs.map_frame,
+            "range_topic": self.inputs.perception.sources.images[0],
             "pose_topic": self.inputs.pose_topic or "(localisation)",
-            "assumed_poses": self.assumed_poses,
+            "assumed_poses": self.builder.assumed_poses,
             "poses_refused": sum(self.refused.values()),
-            "body_points_dropped": self.inputs.body.dropped_points,
+            "body_points_dropped": self.builder.points_cut,
             "messages_skipped": sum(self._bag.skipped.values()),
             "bag_problems": len(self._bag.problems),
         }
-        if self.localisation is not None:
-            located = self.localisation.summary()
+        if self.log.localisations:
+            located = self.log.figures()
             names = ("tracking", "coasting", "lost", "keyframes", "path_length")
             figures |= {f"localisation_{name}": located[name] for name in names}
+            figures["corrections"] = self.builder.corrections
         figures |= {f"dropped: {reason}": count for reason, count in self.dropped.items()}
         return figures

@@ -16,8 +16,10 @@ import numpy as np
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.control import Control
-from infomap_ros.exploration.fiducial_error import FiducialLocalisationError
+from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.records.pose_predictions import prediction_figures
+from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
@@ -87,8 +89,8 @@ class _MapPlanner:
     def choose(self, state: RobotState) -> Choice:
         choice = self._planner.choose(self._map, state)
         terms = choice.explanation.get("terms", {})
-        if "localisation_error" in terms:
-            self._audit.expect(state.pose_covariance, float(terms["localisation_error"]))
+        if "localization_error" in terms:
+            self._audit.expect(state.pose_covariance, float(terms["localization_error"]))
         return choice
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
@@ -152,7 +154,7 @@ class ExplorationRun:
         self._robot = SimulatedRobot(
             self.simulator, robot, self.map, options.robot, self.audit.note
         )
-        rig, error = self._robot.poses.rig, localisation_error(self._robot, options)
+        rig, error = self._robot.poses.rig, localization_error(self._robot, options)
         planner = ViewPlanner(robot, rig, task, options.planner, error)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
@@ -179,7 +181,7 @@ class ExplorationRun:
         """
         self.map.save(self._out / MAP_FILE)
         write_ply(self.map, self._out / PLY_FILE)
-        summary = self.summary(ending)
+        summary = self.summary(ending) | prediction_figures(read_run(self._out / LOG_FILE))
         text = json.dumps(summary, indent=1) + "\n"
         (self._out / SUMMARY_FILE).write_text(text, encoding="utf-8")
         world = self.options.world
@@ -272,20 +274,19 @@ def map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
     return np.asarray(world.T_world_target @ T_target_map)
 
 
-def localisation_error(
+def localization_error(
     robot: SimulatedRobot, options: ExplorationOptions
-) -> FiducialLocalisationError | None:
-    """What the rating takes for LE; None, for drift, where poses come from the simulator.
+) -> FiducialLocalizationError:
+    """What the rating takes for LE; drift, where poses come from the simulator.
 
     Args:
-        robot: that localises itself, or not.
+        robot: that localizes itself, or not.
         options: of its exploration.
     """
     poses = robot.poses
-    if not isinstance(poses, SelfLocalisation):
-        return None
-    sigma = options.robot.stereo.pixel_sigma
-    return FiducialLocalisationError(poses.rig, sigma, poses.fiducials, options.prediction)
+    known = poses.localizer.fiducials if isinstance(poses, SelfLocalisation) else lambda: None
+    motion = options.robot.localization.motion
+    return FiducialLocalizationError(poses.rig, known, options.prediction, motion)
 
 
 def _description(place: str) -> str:

@@ -192,13 +192,8 @@ class SimulatedRobot:
         return dict(zip(record.names, map(float, record.positions), strict=True))
 
     def _fuse(self, scan: PosedScan) -> None:
-        """One scan into the map, without the robot's own body and those of its teammates.
-
-        The map takes pose errors of scans to be independent. Where the n scans of a view share one,
-        each gets n times its covariance C: together they have C + R / n then, R of the ranges.
-        """
+        """One scan into the map, without the robot's own body and those of its teammates."""
         cloud, pose = scan.cloud, scan.pose
-        shared = self._config.scans_per_view if self.poses.shares_errors else 1
         points = cloud.organised_points
         body = self._robot.solids_in(self._robot.camera_frame, self._joints())
         on_body = body_mask(points, cloud.covariance_triangles, body, self._config.body)
@@ -211,7 +206,7 @@ class SimulatedRobot:
             points,
             pose.transform,
             cloud.covariance_triangles,
-            shared * pose.covariance,
+            pose.covariance,
             camera=cloud.camera,
             error_correlation=cloud.error_correlation,
         )

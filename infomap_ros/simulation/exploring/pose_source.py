@@ -59,13 +59,10 @@ class PoseSource(Protocol):
 
     Attributes:
         rig: the rectified stereo pair.
-        shares_errors: whether scans from one place are wrong by the same pose error.
     """
 
     @property
     def rig(self) -> StereoRig: ...  # noqa: D102
-    @property
-    def shares_errors(self) -> bool: ...  # noqa: D102
 
     def initialise(self) -> None:
         """Find out where the robot is before it moves for the first time.
@@ -117,8 +114,6 @@ class MeasuredPoses:
         simulator: knows the truth.
         stereo: how pairs are measured.
     """
-
-    shares_errors = False
 
     def __init__(self, simulator: Simulator, stereo: StereoConfig) -> None:
         self._simulator = simulator

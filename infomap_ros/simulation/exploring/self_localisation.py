@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import PlacedSolid, StereoRig, invert_transform
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
@@ -104,8 +103,6 @@ class SelfLocalisation:
         localizer: with its fiducials and keyframes.
         last: what the last pair told.
     """
-
-    shares_errors = True
 
     def __init__(
         self,
@@ -239,11 +236,6 @@ class SelfLocalisation:
         angle = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
         way = float(np.linalg.norm(motion[:3, 3]))
         return way > self.config.pair_distance or angle > self.config.pair_angle
-
-    def fiducials(self) -> tuple[FloatArray, FloatArray]:
-        """Positions (N, 3) [m, map] and covariances (N, 3, 3) of all that are known."""
-        known = self.localizer.fiducials()
-        return known.positions, known.covariances
 
     def _prior(self, posture: RobotPosture) -> MotionPrior | None:
         """Expected motion since the last pair.

@@ -46,7 +46,7 @@ def planar_choice(
         ),
         rating=RatingConfig(
             distance_weight=cost_of_range / max_range,
-            localisation_weight=0.0,
+            localization_weight=0.0,
             teammate_sigma=0.1 * max_range,
         ),
         selection=SelectionConfig(least_rating=-1e6, refined=_REFINED),

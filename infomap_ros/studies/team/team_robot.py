@@ -28,7 +28,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
-from infomap_ros.simulation.exploring.exploration_run import localisation_error
+from infomap_ros.simulation.exploring.exploration_run import localization_error
 from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
 from infomap_ros.simulation.exploring.pose_source import PosedScan
 from infomap_ros.simulation.simulator import Simulator
@@ -101,7 +101,7 @@ class TeamRobot:
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
         )
-        rig, error = self._robot.poses.rig, localisation_error(self._robot, options)
+        rig, error = self._robot.poses.rig, localization_error(self._robot, options)
         planner = ViewPlanner(outfit.model, rig, outfit.task, planning, error)
         self._teamwork = Teamwork(outfit.number, session, version)
         self._planner = TeamPlanner(

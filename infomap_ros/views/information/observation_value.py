@@ -74,17 +74,17 @@ def observed_share(
         grid: of the map: voxel size, correlation of the range errors of neighbouring pixels.
         config: noise law and angle between pixels.
     """
-    sigma, seen = _observation(distances, grid, config)
+    sigma, seen = voxel_observation(distances, grid, config)
     located = erf(grid.voxel_size / np.maximum(np.sqrt(8.0) * sigma, 1e-12 * grid.voxel_size))
     return np.asarray(located * seen)
 
 
-def _observation(
+def voxel_observation(
     distances: ArrayLike, grid: VoxelMapConfig, config: InformationConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Standard deviation of what a scan says of a voxel, along the ray [m], and how likely it does.
 
-    See `observed_share`.
+    Arguments as of `observed_share`; shapes as `distances`.
     """
     length = np.maximum(np.asarray(distances, dtype=np.float64), 1e-9)
     pixels = (grid.voxel_size / (config.pixel_angle * length)) ** 2
@@ -124,7 +124,7 @@ def surface_bits(
         grid: of the map.
         config: of the sensor.
     """
-    observed, seen = _observation(distances, grid, config)
+    observed, seen = voxel_observation(distances, grid, config)
     prior = np.asarray(sigma, dtype=np.float64)
     wanted = max(config.wanted_sigma, 1e-12)
     after = prior * observed / np.maximum(np.hypot(prior, observed), 1e-300)

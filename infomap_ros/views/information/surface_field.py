@@ -25,7 +25,7 @@ def with_surfaces(field: VisibleField, m: VoxelMap, book: CodeBook) -> VisibleFi
         m: the map.
         book: that the field was made with.
     """
-    indices, _, covariances = m.gaussians()
+    indices, _, covariances = m.gaussians(relative=True)
     levels, count = book.sigma_levels, len(book.sigma_levels)
     ratio = np.log(levels[-1] / book.wanted_sigma) / count
     sigmas = np.maximum(surface_sigmas(covariances), 1e-12)

@@ -10,6 +10,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.information.claimed import claimed_gains, shares_left
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.voxel_gains import VoxelGains
 from infomap_ros.views.information.wishes import Wishes, wishes_of
 from infomap_ros.views.sampling.glances import Glances, glance_at
@@ -24,10 +25,13 @@ class InformationSource(Protocol):
 
     Attributes:
         unit: in which it counts, for texts.
+        config: noise law of the sensor.
     """
 
     @property
     def unit(self) -> str: ...  # noqa: D102
+    @property
+    def config(self) -> InformationConfig: ...  # noqa: D102
 
     def quick(
         self, situation: Situation, positions: FloatArray, rotations: FloatArray

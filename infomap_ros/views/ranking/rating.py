@@ -10,13 +10,14 @@ import numpy as np
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.ranking.localisation_error import LocalisationError
+from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.pose_information import pose_information_loss
 from infomap_ros.views.ranking.terms import (
     Distance,
     Information,
     InterestTerm,
-    LocalisationErrorTerm,
+    LocalizationErrorTerm,
     RatingTerm,
     Repetition,
     Risk,
@@ -47,9 +48,9 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
-    localisation_weight: float = parameter(
-        0.05,
-        "w_LE of eq. (11): full views per metre of position sigma (or per bit) that the way costs.",
+    localization_weight: float = parameter(
+        1.0,
+        "w_LE of eq. (11), on the information that a scan loses by the growth of the pose's sigma.",
         low=0.0,
         high=1e6,
     )
@@ -135,15 +136,17 @@ class Ratings:
 class Rating:
     """Rates views by eq. (11), with more terms than its three where these are asked for.
 
-    ``RF = (sum_k w_k t_k) (1 - P)``. The printed product would rate a risky view higher than a
-    safe one wherever costs exceed gains; there the sum is multiplied by ``1 + P`` instead.
+    ``RF = (sum_k w_k t_k) (1 - P)``. LE counts by the information that it costs
+    (`infomap_ros.views.ranking.pose_information`). The printed product would rate a risky view
+    higher than a safe one wherever costs exceed gains; there the sum is multiplied by ``1 + P``
+    instead.
     """
 
     def __init__(
         self,
         config: RatingConfig | None = None,
         camera_radius: float = 0.1,
-        localisation_error: LocalisationError | None = None,
+        localization_error: LocalizationError | None = None,
         more_terms: Sequence[tuple[RatingTerm, float]] = (),
     ) -> None:
         """Set the terms up.
@@ -151,7 +154,7 @@ class Rating:
         Args:
             config: weights.
             camera_radius: of the ball that is looked at for risk [m].
-            localisation_error: model of LE; odometry drift where not given.
+            localization_error: model of LE; odometry drift where not given.
             more_terms: further terms with their weights: full views per unit of the term, or, for
                 a term in bits, a factor like `information_weight`; negative for costs.
         """
@@ -165,9 +168,9 @@ class Rating:
             (TeammatesTerm(), weight),
             (repetition, weight * self.config.repetition_weight),
             (distance, -self.config.distance_weight),
-            (LocalisationErrorTerm(localisation_error), -self.config.localisation_weight),
             *more_terms,
         ]
+        self._localization_error = LocalizationErrorTerm(localization_error)
         self._risk = Risk(camera_radius, self.config.teammate_sigma)
 
     def rate(self, options: Options) -> Ratings:
@@ -177,6 +180,10 @@ class Rating:
         for term, weight in self._terms:
             unit = options.full_view if term.unit == "bits" else 1.0
             total += weight * values[term.name] / unit
+        errors = values[self._localization_error.name] = self._localization_error(options)
+        if self.config.localization_weight > 0.0:
+            loss = pose_information_loss(options.situation, options.source.config, errors)
+            total -= self.config.localization_weight * loss
         risk = self._risk(options)
         values[self._risk.name] = risk
         shares = np.zeros(len(options))

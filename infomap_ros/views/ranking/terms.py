@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, LOG_ODDS_QUANTUM
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views.ranking.localisation_error import (
-    LocalisationError,
+from infomap_ros.views.ranking.localization_error import (
+    LocalizationError,
     OdometryDrift,
     rotation_vectors,
 )
@@ -169,12 +169,12 @@ class Distance:
         return np.hypot(moved, np.linalg.norm(turns * self._rotation, axis=1))
 
 
-class LocalisationErrorTerm:
+class LocalizationErrorTerm:
     """LE of eq. (11), by a model that can be replaced."""
 
-    name, unit = "localisation_error", "m"
+    name, unit = "localization_error", "m"
 
-    def __init__(self, model: LocalisationError | None = None) -> None:
+    def __init__(self, model: LocalizationError | None = None) -> None:
         self._model = model or OdometryDrift()
 
     def __call__(self, options: Options) -> FloatArray:

@@ -1,0 +1,74 @@
+"""Fiducials as rows of a ``sensor_msgs/PointCloud2``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import MalformedMessageError
+from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.messages.clouds import POINT_CLOUD
+from infomap_ros.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages.types import MessageTypes
+
+FIDUCIAL_ROW = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("id", "<i4"),
+        ("sigma", "<f4"),
+        *((f"cov_{name}", "<f4") for name in ("xx", "xy", "xz", "yy", "yz", "zz")),
+    ]
+)
+"""A fiducial: position [m], id, largest standard deviation [m] and covariance [m^2]."""
+
+_COVARIANCE = [name for name in FIDUCIAL_ROW.names or () if name.startswith("cov_")]
+_UPPER = np.triu_indices(3)
+_ROUNDING = 1e-6  # of a float32 eigenvalue, as a share of the largest
+
+
+def fiducial_rows(fiducials: Fiducials) -> NDArray[np.void]:
+    """Fiducials as rows of `FIDUCIAL_ROW`, shape (N,)."""
+    rows = np.zeros(len(fiducials), FIDUCIAL_ROW)
+    rows["x"], rows["y"], rows["z"] = fiducials.positions.T
+    rows["id"] = fiducials.ids
+    if len(rows):
+        rows["sigma"] = np.sqrt(np.linalg.eigvalsh(fiducials.covariances)[:, -1])
+    for name, i, j in zip(_COVARIANCE, *_UPPER, strict=True):
+        rows[name] = fiducials.covariances[:, i, j]
+    return rows
+
+
+def encode_fiducials(types: MessageTypes, stamp: int, frame_id: str, fiducials: Fiducials) -> Any:
+    """Build a ``sensor_msgs/PointCloud2`` of fiducials as they are known at `stamp` [ns]."""
+    return encode_rows(types, stamp, frame_id, fiducial_rows(fiducials))
+
+
+def decode_fiducials(message: object) -> tuple[int, str, Fiducials]:
+    """Read rows of `FIDUCIAL_ROW`.
+
+    Returns:
+        Stamp [ns], frame, and the fiducials.
+
+    Raises:
+        MalformedMessageError: it has other fields, a number is not finite, an id is there twice,
+            or a covariance is not positive.
+    """
+    stamp, frame_id, rows = decode_rows(message)
+    if rows.dtype != FIDUCIAL_ROW:
+        raise MalformedMessageError(POINT_CLOUD, "does not hold fiducials")
+    if not all(np.isfinite(rows[name]).all() for name in ("x", "y", "z", *_COVARIANCE)):
+        raise MalformedMessageError(POINT_CLOUD, "holds a fiducial with NaN or infinity")
+    positions = np.column_stack([rows[name] for name in "xyz"]).astype(np.float64)
+    covariances = np.empty((len(rows), 3, 3))
+    for name, i, j in zip(_COVARIANCE, *_UPPER, strict=True):
+        covariances[:, i, j] = covariances[:, j, i] = rows[name]
+    if len(np.unique(rows["id"])) < len(rows):
+        raise MalformedMessageError(POINT_CLOUD, "holds a fiducial twice")
+    variances = np.linalg.eigvalsh(covariances)
+    if len(rows) and not (variances[:, 0] > -_ROUNDING * variances[:, 2]).all():
+        raise MalformedMessageError(POINT_CLOUD, "holds a covariance that is not positive")
+    return stamp, frame_id, Fiducials(rows["id"].astype(np.int64), positions, covariances)

@@ -1,0 +1,95 @@
+"""What map_fusion fuses: clouds, poses, bodies, out of topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
+from infomap_ros.messages import POINT_CLOUD, decode_pose_with_covariance
+from infomap_ros.messages.fields import MessageFields
+from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.robot_body import listen_to_body
+from infomap_ros.nodes.team.team_bodies import TeamBodyListener
+from infomap_ros.pipeline.robot_body import RobotBody
+from infomap_ros.pipeline.scan_synchronizer import (
+    CLOCK_JUMPED,
+    LocatedPoses,
+    Scan,
+    ScanSynchronizer,
+    ScanSynchronizerConfig,
+)
+
+_UNCERTAINTY = "camera_pose_uncertainty"
+_REASONS = (CLOCK_JUMPED, "robot description")
+
+
+class ScanInputs:
+    """Listens to clouds, poses and bodies; see `ScanSynchronizer`.
+
+    Args:
+        node: that listens; has the configurations of frames, poses, queue and bodies.
+        on_scan: gets each complete scan, its cloud not yet decoded.
+        on_clock_jump: told when the clouds' clock has jumped back.
+        on_arrival: gets the body of a teammate that is new or back, placed in the map.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        on_scan: Callable[[Scan[PointCloud2]], None],
+        on_clock_jump: Callable[[], None],
+        on_arrival: Callable[[BodyInScan], None],
+    ) -> None:
+        self._node, self._on_scan, self._on_clock_jump = node, on_scan, on_clock_jump
+        frames, parts = node.config(ScanSynchronizerConfig), node.resolve_topic_name(_UNCERTAINTY)
+        self._poses = LocatedPoses(
+            frames.map_frame,
+            node.config(PoseBufferConfig),
+            lambda: node.count_publishers(parts) > 0,
+        )
+        body = RobotBody(config=node.config(JointBufferConfig))
+        news = self._take, on_arrival
+        self._scans: ScanSynchronizer[PointCloud2] = ScanSynchronizer(
+            self._poses,
+            body,
+            TeamBodyListener(node, frames.map_frame, *news),
+            frames.camera_frame,
+            node.config(WaitingQueueConfig),
+            self._on_drop,
+        )
+        listen_to_body(node, body, self._take)
+        stream = qos.sensor_data(depth=50)
+        node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
+        node.listen(PointCloud2, _UNCERTAINTY, self._on_uncertainty, stream, required=False)
+        node.listen(PoseWithCovarianceStamped, "camera_pose", self._on_pose, stream)
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        stamp, frame = MessageFields(message, POINT_CLOUD).header()
+        if self._scans.add_cloud(stamp, frame, message):
+            self._node.get_logger().warning(CLOCK_JUMPED)
+            self._on_clock_jump()
+        self._take()
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self._scans.add_pose(decode_pose_with_covariance(message))
+        self._take()
+
+    def _on_uncertainty(self, message: PointCloud2) -> None:
+        stamp, _, uncertainty = decode_pose_uncertainty(message)
+        self._poses.add_uncertainty(stamp, uncertainty)
+        self._take()
+
+    def _take(self) -> None:
+        for scan in self._scans.take():
+            self._on_scan(scan)
+
+    def _on_drop(self, reason: str, sentence: str) -> None:
+        self._node.drop(reason if reason in _REASONS else "no pose at the stamp", sentence)

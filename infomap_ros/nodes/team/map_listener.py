@@ -1,0 +1,136 @@
+"""The shared map as a node hears it from map_updates and team/map_updates."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.errors import ExplorationError, FrameError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.messages.rows import decode_rows
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+from infomap_ros.nodes.team.team_exchange import TeamExchange
+from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.team import TeamConfig, TeamMember, decode_update
+
+_GROWTH = 1.01  # by this factor the map must grow to count as growing
+
+
+@dataclass(frozen=True)
+class MapListenerConfig:
+    """How the map is heard.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    memory_limit: float = parameter(
+        8.0,
+        "An update that would make the map larger is dropped.",
+        unit="GB",
+        low=0.001,
+        high=1024.0,
+    )
+    arrival_pause: float = parameter(
+        1.0,
+        "After the start, plans are refused until the map has not grown by 1 % for so long: what "
+        "was known before a restart arrives bit by bit.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class MapListener:
+    """A replica of the map. Used by the worker thread, but for the listening.
+
+    Args:
+        node: that listens.
+        worker: applies the updates, in the order in which they come.
+        required: whether the node cannot work without the map: an update is then a result of it,
+            and that none comes is worth a warning.
+    """
+
+    def __init__(self, node: MonitoredNode, worker: Worker, *, required: bool = True) -> None:
+        self._required = required
+        self._node, self._config = node, node.config(MapListenerConfig)
+        self._frame = node.config(RobotTrackerConfig).map_frame
+        self._team = node.config(TeamIdentityConfig)
+        self._key = self._team.read_key()
+        self._member: TeamMember | None = None
+        self._known, self._grown, self._arrived = 0, 0.0, False
+        for topic in ("map_updates", UPDATES):
+
+            def receive(message: PointCloud2, topic: str = topic) -> None:
+                apply = partial(self._apply, message)
+                worker.submit_always(lambda: node.guard_peer(topic, apply))
+
+            is_missed = required and topic == "map_updates"
+            node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=is_missed)
+        TeamExchange(node, self._frame, worker, lambda: self._member)
+
+    def voxel_map(self) -> VoxelMap:
+        """The sum over all robots.
+
+        Raises:
+            ExplorationError: there is no map yet, or it is still arriving.
+        """
+        voxel_map = self.known_map()
+        if voxel_map is None:
+            raise ExplorationError("no map_updates have arrived yet")
+        self._arrived |= time.monotonic() - self._grown >= self._config.arrival_pause
+        if not self._arrived:
+            raise ExplorationError(f"the map is still arriving: {self._known} voxels so far")
+        return voxel_map
+
+    def known_map(self) -> VoxelMap | None:
+        """The sum over all robots as far as it has arrived; None where nothing has."""
+        if self._member is None or not self._member.replica.voxel_map.known_voxels:
+            return None
+        return self._member.replica.voxel_map
+
+    def _apply(self, message: PointCloud2) -> None:
+        """Learn what a robot has seen; the first update tells the size of the voxels.
+
+        Raises:
+            InfomapError: the update cannot be used; the map is as before.
+        """
+        _, frame, rows = decode_rows(message)
+        if frame != self._frame:
+            raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
+        if not len(rows):
+            return
+        if self._member is None:
+            genuine = rows if self._key is None else self._key.verify(rows)
+            self._member = self._make_member(decode_update(genuine).voxel_size)
+        self._member.hear_update(rows, time.monotonic())
+        if self._required:
+            self._node.health.produced()
+        if not self._arrived:
+            self._note_growth(self._member.replica.voxel_map.known_voxels)
+
+    def _make_member(self, voxel_size: float) -> TeamMember:
+        """A member of the team that only listens, and asks for what it missed."""
+        config, team = self._config, self._team
+        map_config = VoxelMapConfig(
+            voxel_size=round(voxel_size, 7), memory_limit=config.memory_limit
+        )
+        sharing = self._node.config(TeamConfig)
+        return TeamMember(
+            team.robot_id, 0, 1, map_config, sharing, team.team, tells=False, key=self._key
+        )
+
+    def _note_growth(self, known: int) -> None:
+        if known > _GROWTH * self._known:
+            self._known, self._grown = known, time.monotonic()

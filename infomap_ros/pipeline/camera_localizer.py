@@ -1,0 +1,154 @@
+"""The localizer with what it needs of the robot. Used by one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, make_transform
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
+from infomap_ros.localization.filter.records import Fiducials, KeptPoses
+from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.target.target import TargetDetector
+from infomap_ros.mapping import VoxelMap
+
+_LEAST_SIGMA = 1e-4
+"""Of a pose that defines the map [m and rad]: in messages a covariance of zero means unknown."""
+
+
+@dataclass(frozen=True)
+class CameraLocalizerConfig:
+    """What the localizer is made with.
+
+    Attributes:
+        localizer: its parameters.
+        motion: how far odometry and kinematics are to be trusted.
+        detector: of the target, None where there is none.
+        start_tilt: how far the camera looks down at the beginning, where neither odometry nor
+            target say what is up [rad].
+    """
+
+    localizer: LocalizerConfig
+    motion: KinematicMotion
+    detector: TargetDetector | None
+    start_tilt: float = 0.0
+
+
+class CameraLocalizer:
+    """Makes a localizer when the camera is known, and tells it how the robot has moved."""
+
+    def __init__(self, config: CameraLocalizerConfig) -> None:
+        self._config = config
+        self._localizer: Localizer | None = None
+        self._camera: PinholeCamera | None = None
+        self._posture: RobotPosture | None = None
+        self._saved: SavedLocalisation | None = None
+
+    def locate(
+        self,
+        view: RangeView,
+        posture: RobotPosture | None,
+        body: Sequence[PlacedSolid] = (),
+        others: Sequence[PlacedSolid] = (),
+        voxel_map: VoxelMap | None = None,
+    ) -> Localisation:
+        """Locate the camera.
+
+        Args:
+            view: later than those before.
+            posture: of the robot at that time, None where it is not known.
+            body: of the robot, placed in the camera's frame.
+            others: bodies of teammates, placed in the map.
+            voxel_map: for the certainty of new fiducials, eq. (19).
+
+        Raises:
+            InvalidInputError: the view is not later than those before.
+            MapFileError: what was saved does not fit; it is given up.
+        """
+        if self._localizer is None or view.camera != self._camera:
+            self._begin(view, posture)
+        assert self._localizer is not None
+        before, self._posture = self._posture, posture
+        prior = None
+        if before is not None and posture is not None:
+            prior = self._config.motion.between(before, posture)
+        return self._localizer.locate(view, prior, voxel_map, body=body, others=others)
+
+    def reset(self) -> None:
+        """Forget everything; the next view begins anew."""
+        self._localizer = self._posture = self._saved = None
+
+    def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+        """Put the map's frame elsewhere; see `Localizer.move_map`.
+
+        Raises:
+            InvalidInputError: there is no map yet, it is that of a target, or that is no move.
+        """
+        if self._localizer is None:
+            raise InvalidInputError("T_new_old", "there is no map yet")
+        self._localizer.move_map(T_new_old, covariance)
+
+    def lose_track(self) -> None:
+        """Keep the map; where the camera is in it has to be found out."""
+        saved = self.saved()
+        self.reset()
+        self._saved = saved.without_pose() if saved is not None else None
+
+    def saved(self) -> SavedLocalisation | None:
+        """What is known, for a file; None before the first view."""
+        if self._localizer is None:
+            return self._saved
+        return SavedLocalisation(self._localizer.state(), self._posture)
+
+    def resume(self, saved: SavedLocalisation) -> None:
+        """Go on from what was saved, with the next view."""
+        self.reset()
+        self._saved = saved
+
+    def keyframes(self) -> KeptPoses | None:
+        """The kept poses as they are known now, None before the first view."""
+        return None if self._localizer is None else self._localizer.keyframes()
+
+    def fiducials(self) -> Fiducials | None:
+        """The scene's fiducials as they are known now, None before the first view."""
+        return None if self._localizer is None else self._localizer.fiducials()
+
+    def _begin(self, view: RangeView, posture: RobotPosture | None) -> None:
+        """Make a localizer for a camera; it goes on from what was saved, if anything was."""
+        self._localizer, self._posture = self._make(view.camera, posture), None
+        self._camera = view.camera
+        saved, self._saved = self._saved, None
+        if saved is None:
+            return
+        if saved.stamp >= view.stamp:
+            saved = saved.without_pose()
+        saved.resume(self._localizer)
+        self._posture = saved.posture
+
+    def _make(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
+        """A localizer whose map is the target's frame, or odometry's, or level by assumption."""
+        start, sigmas = looking_along_x(self._config.start_tilt), [_LEAST_SIGMA] * 6
+        if posture is not None:
+            start, kinematics = posture.T_odom_camera, self._config.motion.config
+            sigmas = [kinematics.kinematics_position_sigma] * 3
+            sigmas += [kinematics.kinematics_rotation_sigma] * 3
+        covariance = np.diag(np.square(sigmas))
+        return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)
+
+
+def looking_along_x(tilt: float) -> FloatArray:
+    """Optical frame at the origin of a level map, looking along x and down by `tilt` [rad].
+
+    Returns:
+        ``T_map_camera``, shape (4, 4).
+    """
+    down = Rotation.from_euler("y", tilt).as_matrix()
+    return make_transform(down @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])

@@ -1,0 +1,175 @@
+"""Scans become a map, and the map follows what becomes known of their poses. For one thread."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan, on_bodies
+from infomap_ros.geometry import PointCloudRecord
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap
+from infomap_ros.mapping.correction.reintegration import ReintegrationConfig, ReintegrationReport
+from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
+from infomap_ros.mapping.scans.integration import IntegrationReport
+from infomap_ros.messages.keyframes import KeyframePoses
+from infomap_ros.pipeline.scan_synchronizer import Scan
+
+_MOST_WAITING = 20
+"""Corrections that wait for the one at hand; beyond that the oldest is left out, as a later one
+tells the poses of all keyframes anew."""
+_NO_SCANS = ScanStoreConfig(memory=0.0)
+
+
+class MapBuilder:
+    """Fuses scans without the bodies of robots, and corrects the map by keyframes.
+
+    A correction is carried out in full before the next one is looked at, so that the map does not
+    depend on how long it takes.
+
+    Args:
+        voxel_map: what it holds already stays where it is.
+        store: how many scans are kept, None for none.
+        correction: when scans follow corrected poses.
+        body: how far bodies are grown.
+        assumed: covariance of poses that have none.
+
+    Attributes:
+        points_cut: number of points that were left out as they may lie on a robot.
+        assumed_poses: number of poses whose covariance was assumed.
+        corrections: number of corrections that moved scans.
+    """
+
+    def __init__(
+        self,
+        voxel_map: VoxelMap,
+        store: ScanStoreConfig | None = None,
+        correction: ReintegrationConfig | None = None,
+        body: BodyFilterConfig | None = None,
+        assumed: AssumedPoseConfig | None = None,
+    ) -> None:
+        self._store, self._correction = store, correction or ReintegrationConfig()
+        self._body, self._assumed = body or BodyFilterConfig(), assumed or AssumedPoseConfig()
+        self._keyframes: deque[KeyframePoses] = deque(maxlen=_MOST_WAITING)
+        self.points_cut = self.assumed_poses = self.corrections = 0
+        self.replace(voxel_map)
+
+    @property
+    def map(self) -> VoxelMap:
+        """The map as it is now."""
+        return self._corrected.voxel_map
+
+    @property
+    def scans(self) -> ScanStore:
+        """The scans that are kept."""
+        return self._corrected.store
+
+    @property
+    def keeps_scans(self) -> bool:
+        """Whether scans are kept, so that corrections can move them."""
+        return self._store is not None
+
+    def keep_scans(self, store: ScanStoreConfig) -> None:
+        """Keep scans from now on."""
+        self._store = store
+        self.replace(self.map)
+
+    def replace(self, voxel_map: VoxelMap) -> None:
+        """Go on with another map, whose content stays where it is."""
+        store = self._store or _NO_SCANS
+        self._corrected = CorrectableMap(voxel_map, store, self._correction)
+        self._keyframes.clear()
+
+    def fuse(self, scan: Scan[PointCloudRecord]) -> IntegrationReport:
+        """Add a scan.
+
+        Raises:
+            InfomapError: the scan cannot be used; the map is as before.
+        """
+        cloud, pose = scan.cloud, scan.pose
+        points = self.without_bodies(cloud, scan)
+        camera = fit_pinhole_camera(points) if points.ndim == 3 else None
+        covariance = pose.covariance if pose.uncertainty is None else pose.uncertainty
+        if covariance is None:
+            covariance = self._assumed.covariance()
+            self.assumed_poses += 1
+        return self._corrected.integrate(
+            cloud.stamp,
+            points,
+            pose.transform,
+            cloud.covariances,
+            covariance,
+            camera,
+            cloud.error_correlation,
+        )
+
+    def forget_body(self, body: BodyInScan) -> int:
+        """Take a teammate's body, placed in the map, out of what was fused before it was known.
+
+        Returns:
+            Number of occupied voxels that are unknown now.
+        """
+        grown = replace(self._body, margin=body.margin)
+        return self._corrected.forget_body(body.solids, grown, body.ground)
+
+    @property
+    def is_correcting(self) -> bool:
+        """Whether scans are being put elsewhere, or it is to be seen whether they have to be."""
+        return self._corrected.is_correcting or bool(self._keyframes)
+
+    def add_keyframes(self, keyframes: KeyframePoses) -> None:
+        """Take the poses of all keyframes as they are known now; `correct_more` acts on them.
+
+        Raises:
+            InvalidInputError: a pose or a covariance is none, or the stamps do not fit.
+        """
+        self._keyframes.append(keyframes)
+        self._begin_correction()
+
+    def correct_more(self) -> ReintegrationReport | None:
+        """Do a part of the correction, as long as about one scan takes.
+
+        Returns:
+            What was done when this was the last part of a correction, else None.
+
+        Raises:
+            CapacityError: it does not fit into memory; the map is as before.
+        """
+        report = self._corrected.correct_more()
+        if report is not None:
+            self.corrections += 1
+            self._corrected.begin_correction()  # of scans that came late
+        self._begin_correction()
+        return report
+
+    def correct(self) -> None:
+        """Carry out all corrections; raises as `correct_more`."""
+        while self.is_correcting:
+            self.correct_more()
+
+    def _begin_correction(self) -> None:
+        """Look at the next keyframes that move scans."""
+        while self._keyframes and not self._corrected.is_correcting:
+            heard = self._keyframes.popleft()
+            self._corrected.hear(heard.stamp, heard.stamps, heard.transforms, heard.covariances)
+            self._corrected.begin_correction()
+
+    def without_bodies(self, cloud: PointCloudRecord, scan: Scan[Any]) -> NDArray[np.float32]:
+        """The points of a scan's cloud, NaN where they may lie on a robot."""
+        if not scan.body and not scan.teammates:
+            return cloud.points
+        on_body = body_mask(cloud.points, cloud.covariances, scan.body, self._body)
+        on_body |= on_bodies(cloud.points, cloud.covariances, scan.teammates, self._body)
+        if not on_body.any():
+            return cloud.points
+        self.points_cut += int(on_body.sum())
+        points = cloud.points.copy()
+        points[on_body] = np.nan
+        return points

@@ -1,0 +1,243 @@
+"""Clouds wait here until the places of camera, robot and teammates at their stamps are known.
+
+When the clock jumps back (a bag that loops), clouds from before the jump still get the poses from
+before it, and those after it never do. What still waits when the clouds have jumped is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+from infomap_ros.errors import FrameError, RobotModelError
+from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.geometry import PlacedSolid, PoseRecord, PoseUncertainty, Record
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
+from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.pipeline.clock_jumps import JumpingBuffer
+from infomap_ros.pipeline.robot_body import RobotBody
+from infomap_ros.pipeline.stamped_parts import StampedParts
+
+Cloud = TypeVar("Cloud")
+Other = TypeVar("Other")
+
+CLOCK_JUMPED = "time went backwards"
+
+
+@dataclass(frozen=True)
+class ScanSynchronizerConfig:
+    """Which frames clouds and poses must have.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
+    camera_frame: str = parameter(
+        "",
+        "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
+        "Empty: that of the first cloud.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan(Generic[Cloud]):
+    """A cloud that can be fused.
+
+    Attributes:
+        cloud: as it was added.
+        pose: of the camera at its stamp.
+        body: the robot's solids in the frame of the cloud at its stamp.
+        teammates: their bodies there.
+    """
+
+    cloud: Cloud
+    pose: PoseRecord
+    body: Sequence[PlacedSolid] = ()
+    teammates: Sequence[BodyInScan] = ()
+
+    def with_cloud(self, cloud: Other) -> Scan[Other]:
+        """The scan with its cloud in another form."""
+        return Scan(cloud, self.pose, self.body, self.teammates)
+
+
+class Teammates(Protocol):
+    """Knows where teammates were."""
+
+    def check_known_at(self, stamp: int, newest: int) -> None:
+        """Raises `PoseUnavailableError` where it may still become known; times [ns]."""
+
+    def bodies_in(self, camera: PoseRecord) -> Sequence[BodyInScan]:
+        """Their bodies, placed for a scan from a pose of the camera in the map."""
+
+
+class NoTeammates:
+    """A robot on its own; see `Teammates`."""
+
+    def check_known_at(self, stamp: int, newest: int) -> None:
+        """Nothing has to be known."""
+
+    def bodies_in(self, camera: PoseRecord) -> Sequence[BodyInScan]:
+        """None."""
+        return ()
+
+
+class CameraPoseSource(Protocol):
+    """Poses of the camera by time."""
+
+    def add(self, record: Record) -> object:
+        """Take a record that says where the camera was; others are ignored."""
+
+    def at(self, stamp: int) -> PoseRecord:
+        """The pose at a time [ns]; raises `PoseUnavailableError`."""
+
+    def others_have_jumped(self, stamp: int) -> None:
+        """The clock of the clouds has jumped back to `stamp` [ns]."""
+
+
+class LocatedPoses:
+    """Poses of the camera in the map, as localization publishes them; see `CameraPoseSource`.
+
+    Args:
+        map_frame: frame in which they have to be.
+        config: of the buffer.
+        are_parts_published: whether the parts of their covariances come beside them.
+
+    Attributes:
+        map_frame: as above.
+    """
+
+    def __init__(
+        self,
+        map_frame: str,
+        config: PoseBufferConfig | None = None,
+        are_parts_published: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.map_frame, limits = map_frame, config or PoseBufferConfig()
+        self._poses = JumpingBuffer(lambda: PoseBuffer(limits), round(limits.max_gap * 1e9))
+        self._parts: StampedParts[PoseRecord, PoseUncertainty] = StampedParts(are_parts_published)
+
+    def add(self, record: Record) -> None:
+        """Take a pose; other records are ignored.
+
+        Raises:
+            FrameError: it is in another frame than the map.
+        """
+        if not isinstance(record, PoseRecord):
+            return
+        if record.frame_id != self.map_frame:
+            text = f"pose in frame '{record.frame_id}', the map is '{self.map_frame}'"
+            raise FrameError(text)
+        if record.uncertainty is not None:
+            self._poses.add(record)
+        else:
+            self._keep(self._parts.add(record.stamp, record))
+
+    def add_uncertainty(self, stamp: int, uncertainty: PoseUncertainty) -> None:
+        """Take the parts of the covariance of the pose of a stamp [ns]."""
+        self._keep(self._parts.add_part(stamp, uncertainty))
+
+    def at(self, stamp: int) -> PoseRecord:
+        """See `PoseBuffer.at`."""
+        return self._poses.at(stamp)
+
+    def others_have_jumped(self, stamp: int) -> None:
+        """See `CameraPoseSource`."""
+        self._poses.others_have_jumped(stamp)
+
+    def _keep(self, complete: list[tuple[PoseRecord, PoseUncertainty | None]]) -> None:
+        for pose, uncertainty in complete:
+            self._poses.add(replace(pose, uncertainty=uncertainty))
+
+
+class ScanSynchronizer(Generic[Cloud]):
+    """Gives out scans in order of time, each when it is complete.
+
+    Args:
+        poses: of the camera.
+        body: of the robot.
+        teammates: of the others.
+        camera_frame: optical frame of which `poses` are; empty for that of the first cloud.
+        waiting: how long clouds wait.
+        on_drop: called with the reason, in short and in a sentence, of each cloud that is dropped.
+    """
+
+    def __init__(
+        self,
+        poses: CameraPoseSource,
+        body: RobotBody,
+        teammates: Teammates | None = None,
+        camera_frame: str = "",
+        waiting: WaitingQueueConfig | None = None,
+        on_drop: Callable[[str, str], None] = lambda *_: None,
+    ) -> None:
+        self._poses, self._body = poses, body
+        self._teammates = teammates or NoTeammates()
+        self._camera_frame, self._on_drop = camera_frame, on_drop
+        limits = waiting or WaitingQueueConfig()
+        self._jump = round(limits.max_wait * 1e9)
+        self._newest = self._pose_stamp = 0
+        self._waiting: WaitingQueue[Cloud] = WaitingQueue(
+            self._pose_at, limits, lambda _, reason, sentence: on_drop(reason, sentence)
+        )
+
+    def add_cloud(self, stamp: int, frame: str, cloud: Cloud) -> bool:
+        """Add a cloud.
+
+        Args:
+            stamp: of the cloud [ns].
+            frame: of the cloud.
+            cloud: whatever is to be given out, decoded or not.
+
+        Returns:
+            Whether the clock of the clouds has jumped back.
+
+        Raises:
+            FrameError: it is in another frame than the poses.
+        """
+        self._camera_frame = self._camera_frame or frame
+        if frame != self._camera_frame:
+            raise FrameError(f"cloud in frame '{frame}', camera_pose is of '{self._camera_frame}'")
+        has_jumped = stamp < self._newest - self._jump
+        if has_jumped:
+            self._newest = stamp
+            self._waiting.drop_all(CLOCK_JUMPED)
+            self._poses.others_have_jumped(stamp)
+            self._body.others_have_jumped(stamp)
+        self._newest = max(self._newest, stamp)
+        self._waiting.push(stamp, cloud)
+        return has_jumped
+
+    def add_pose(self, record: Record) -> None:
+        """Add a record that says where the camera was; raises as `CameraPoseSource.add`."""
+        self._poses.add(record)
+        self._pose_stamp = record.stamp
+
+    def take(self, now: int | None = None) -> list[Scan[Cloud]]:
+        """The scans that are complete by now.
+
+        Args:
+            now: time of the data [ns]; that of the newest cloud where not given.
+        """
+        scans = []
+        for cloud, pose in self._waiting.take(now):
+            try:
+                body = self._body.solids_in(self._camera_frame, pose.stamp)
+            except RobotModelError as error:
+                self._on_drop("robot description", str(error))
+                continue
+            scans.append(Scan(cloud, pose, body, self._teammates.bodies_in(pose)))
+        return scans
+
+    def _pose_at(self, stamp: int) -> PoseRecord:
+        """The camera's pose, once the places of the body and of teammates' are known too."""
+        self._body.check_known_at(stamp)
+        pose = self._poses.at(stamp)
+        newest = max(self._newest, self._pose_stamp, self._body.newest_stamp)
+        self._teammates.check_known_at(stamp, newest)
+        return pose

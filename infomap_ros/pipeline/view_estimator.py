@@ -1,0 +1,105 @@
+"""Views for localization from the images of one moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from infomap_ros.errors import BagError
+from infomap_ros.geometry import StereoRig
+from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
+from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.pixels import intensity_pixels
+from infomap_ros.pipeline.range_estimator import (
+    DepthRangeEstimator,
+    PairRectifier,
+    RangeMeasurement,
+)
+from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+
+
+@dataclass(frozen=True, eq=False)
+class FramedView:
+    """A view with its origin.
+
+    Attributes:
+        stamp: of the first image [ns].
+        frame_id: optical frame of the camera.
+        view: image and range.
+        rig: the stereo rig; None for a depth camera.
+        search: smallest and largest disparity that the dense matcher searches [px].
+    """
+
+    stamp: int
+    frame_id: str
+    view: RangeView
+    rig: StereoRig | None = None
+    search: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def measurement(self) -> RangeMeasurement:
+        """The dense range cloud with its origin, worked out when it is first asked for."""
+        return RangeMeasurement(self.stamp, self.frame_id, self.view.cloud(), self.rig, self.search)
+
+
+class ViewEstimator(Protocol):
+    """Makes a view of the images of one moment."""
+
+    def measure(self, images: ImageSet) -> FramedView:
+        """The view; its stamp and frame are those of the first image.
+
+        Raises:
+            InfomapError: images or calibrations cannot be used.
+        """
+
+
+class StereoViewEstimator:
+    """Views of a pair of cameras, left and right.
+
+    Args:
+        config: of the dense sensor.
+        rectify: the images are raw.
+        sparse: how single pixels are matched.
+    """
+
+    def __init__(
+        self, config: StereoConfig, *, rectify: bool, sparse: SparseStereoConfig | None = None
+    ) -> None:
+        self._pairs = PairRectifier(config, rectify=rectify)
+        self._sparse = sparse or SparseStereoConfig()
+
+    def measure(self, images: ImageSet) -> FramedView:
+        """Rectify a pair; nothing is matched yet.
+
+        Raises:
+            InfomapError: images or calibrations cannot be used.
+        """
+        left, right, sensor = self._pairs.prepare(images)
+        view = StereoView(images.stamp, left, right, sensor, self._sparse)
+        search = (float(sensor.search.minimum), float(sensor.search.maximum))
+        return FramedView(view.stamp, images.frame_id, view, sensor.rig, search)
+
+
+class DepthViewEstimator:
+    """Views of a depth camera with an image that is registered to it.
+
+    Args:
+        config: of the depth camera.
+    """
+
+    def __init__(self, config: DepthCameraConfig) -> None:
+        self._depth = DepthRangeEstimator(config)
+
+    def measure(self, images: ImageSet) -> FramedView:
+        """Depth and image of one moment, in this order.
+
+        Raises:
+            BagError: there is no image beside the depth.
+            InfomapError: images or calibrations cannot be used.
+        """
+        if len(images.images) < 2:
+            raise BagError("a depth camera without a registered image cannot be followed")
+        measurement = self._depth.measure(replace(images, images=images.images[:1]))
+        view = DepthView(measurement.stamp, intensity_pixels(images.images[1]), measurement.cloud)
+        return FramedView(measurement.stamp, measurement.frame_id, view)

@@ -1,0 +1,5 @@
+"""The ROS graph of the node tests."""
+
+from test.nodes.conftest import graph
+
+__all__ = ["graph"]

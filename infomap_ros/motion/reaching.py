@@ -108,10 +108,7 @@ class WholeBodyReach:
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._planner_before = None if previous is None else previous._last_planner
-        self._ik = IkConfig(
-            position_tolerance=self.config.position_tolerance,
-            rotation_tolerance=self.config.direction_tolerance,
-        )
+        self._ik = IkConfig(self.config.position_tolerance, self.config.direction_tolerance)
 
     @cached_property
     def planner(self) -> BasePlanner:
@@ -184,7 +181,11 @@ class WholeBodyReach:
         return self._approach(view, finder.wishes(view), reason)
 
     def with_arm_alone(
-        self, T_map_camera: ArrayLike, position_tolerance: float, angle_tolerance: float
+        self,
+        T_map_camera: ArrayLike,
+        position_tolerance: float,
+        angle_tolerance: float,
+        planned: FloatArray | None = None,
     ) -> ReachResult:
         """Plan the motion of the arm that brings the camera to a view, or as near as can be.
 
@@ -194,15 +195,16 @@ class WholeBodyReach:
             T_map_camera: shape (4, 4).
             position_tolerance: how near the camera must come [m].
             angle_tolerance: and its viewing direction, the roll being free [rad].
+            planned: way of the arm to the view from a place nearby, shape (K, n).
 
         Returns:
-            The route. Where it does not get within the tolerances there is a reason, too; without
-            a route the arm can move nowhere.
+            The route, with a reason where it ends beside the tolerances; none if nothing is free.
         """
         view = check_transform(T_map_camera, "T_map_camera")
         half = IkConfig(0.5 * position_tolerance, 0.5 * angle_tolerance)
-        there, _ = self._routes.arm_to_view(view, half)
-        return there or self._routes.arm_near_view(view, position_tolerance, angle_tolerance)
+        there, _ = self._routes.arm_to_view(view, half, planned)
+        within = position_tolerance, angle_tolerance
+        return there or self._routes.arm_near_view(view, *within, planned)
 
     def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
         """Plan the motion to a place of the base and a posture of the arm.
@@ -212,9 +214,8 @@ class WholeBodyReach:
             joints: positions by name [rad or m], brought within the limits; joints of the arm that
                 are missing stay.
         """
-        goal = float_array(base, "base")
-        named = {**self._whole.chain.by_name(self._q), **joints}
-        chain = self._whole.chain
+        goal, chain = float_array(base, "base"), self._whole.chain
+        named = {**chain.by_name(self._q), **joints}
         q = np.clip(chain.positions(named), chain.lower, chain.upper)
         turn = math.remainder(goal[2] - self._xyyaw[2], 2.0 * math.pi)
         if np.hypot(*(goal[:2] - self._xyyaw[:2])) < 0.02 and abs(turn) < 0.05:
@@ -291,9 +292,8 @@ class WholeBodyReach:
         result = self._routes.with_base(path, q)
         if result.route is None:
             return ReachResult(f"{reason}; nor nearer: {result.reason}")
-        return replace(
-            result, reason=reason, partial=True, route=replace(result.route, partial=True)
-        )
+        route = replace(result.route, partial=True)
+        return replace(result, reason=reason, partial=True, route=route)
 
     def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
         away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)

@@ -15,7 +15,7 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import ArmPath, Route
 
-_ARM_MOTIONS = 3  # planned to one view: each begins nearer, so that errors of motion shrink
+_MOTIONS = 4  # planned again to one view: arm, and where need be base, arm, and arm once more
 
 
 class CameraMover:
@@ -23,12 +23,18 @@ class CameraMover:
 
     Args:
         robot: that moves.
-        planner: plans the arm's last motion from where the base has come to stand.
+        planner: plans the rest of the way from where the base has come to stand.
         task: how near the camera must come to a view.
         mission: whose distance grows.
         log: receives every motion.
         on_motion: called after each motion.
+
+    Attributes:
+        miss: why the camera has come only near to the last view, and how near; empty where it has
+            arrived.
     """
+
+    miss = ""
 
     def __init__(
         self,
@@ -50,9 +56,10 @@ class CameraMover:
     def bring_camera(self, route: Route, view: FloatArray, interrupted: Interrupted) -> str:
         """Follow a route until the camera is within the task's tolerances of a view.
 
-        The base may stop beside the end of its path: the arm's last motion is planned, and checked
+        The base may stop beside the end of its path: the rest of the way is planned, and checked
         for collisions, from where it really stands. Where the camera cannot be brought within the
-        tolerances, the log says why and how far off it is, and it stays as near as it came.
+        tolerances, `miss` and the log say why and how far off it is, and it stays as near as it
+        came.
 
         Args:
             route: that was planned to the view.
@@ -62,26 +69,33 @@ class CameraMover:
         Returns:
             Empty, or why a motion did not come to its end.
         """
-        problem = self._approach(route, interrupted)
-        if not problem and not route.moves_base:
-            problem = self._move_arm(route.arm_after, interrupted)
+        self.miss, is_unfolded = "", not route.moves_base
+        problem = self._carry_out(route, interrupted)
         if not route.arm_after.moves:  # of a partial route: the arm stays folded
             return problem
-        reason = f"after {_ARM_MOTIONS} motions of the arm"
-        for motions in range(_ARM_MOTIONS):
+        reason = f"after {_MOTIONS} motions"
+        for _ in range(_MOTIONS):
             if problem or interrupted():
                 return problem
-            if (motions or not route.moves_base) and self._has_arrived(view):
+            if is_unfolded and self._has_arrived(view):
                 return ""
             plan = self._planner.plan_arm(self._robot.state(), view)
-            reason = plan.reason
+            reason = plan.reason or reason
             if plan.route is not None:
-                problem = self._move_arm(plan.route.arm_after, interrupted)
-            if reason:
+                problem = self._carry_out(plan.route, interrupted)
+                is_unfolded = not plan.route.moves_base
+            if plan.reason:
                 break
         if not problem and not self._has_arrived(view):
             self._note_miss(view, reason)
         return problem
+
+    def _carry_out(self, route: Route, interrupted: Interrupted) -> str:
+        """Drive, or move the arm alone: after a drive its motion is planned again."""
+        problem = self._approach(route, interrupted)
+        if problem or route.moves_base:
+            return problem
+        return self._move_arm(route.arm_after, interrupted)
 
     def _approach(self, route: Route, interrupted: Interrupted) -> str:
         """Fold the arm and drive; returns empty, or why that did not come to its end."""
@@ -107,8 +121,8 @@ class CameraMover:
 
     def _note_miss(self, view: FloatArray, reason: str) -> None:
         away, turned = camera_error(self._robot.state().T_map_camera, view)
-        text = f"the camera is {away:.3f} m and {turned:.3f} rad off the view: {reason}"
-        self._log.write("message", text=text, level="info")
+        self.miss = f"the camera is {away:.3f} m and {turned:.3f} rad off the view: {reason}"
+        self._log.write("message", text=self.miss, level="info")
 
 
 def camera_error(T_map_camera: FloatArray, view: FloatArray) -> tuple[float, float]:

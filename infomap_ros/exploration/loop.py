@@ -104,6 +104,7 @@ class Exploration:
             BudgetSpent(task, self.mission),
             PlanOnly() if plan_only else self._unproductive,
         ]
+        self._missed: FailedView | None = None  # the last view, where the camera came only near
         self._route_monitor = RouteMonitor(robot, planner)
         self._monitors = [DriftMonitor(robot, task.most_drift), self._route_monitor]
 
@@ -189,7 +190,11 @@ class Exploration:
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)
-        return choice
+        missed, self._missed = self._missed, None
+        if missed is None or not self._unproductive.is_last_vain:
+            return choice
+        self._planner.failed(missed)  # else it promises the same again
+        return self._choose()
 
     def _move_and_look(self, choice: Choice) -> None:
         """Move the camera to the view that was chosen, and look from there."""
@@ -209,8 +214,11 @@ class Exploration:
             self._log.write("message", text=problem, level="info")
             self.look()
             return
+        views = self.mission.views
         if not problem:
             self.look()
+            if self._mover.miss and self.mission.views > views:
+                self._missed = FailedView(choice.pose, self._mover.miss)
         if self._return.is_due:
             self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
 

@@ -131,15 +131,16 @@ class Planner(Protocol):
         """The way to where the robot has stood, as it stood there."""
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
-        """A motion of the arm alone that brings the camera to a view, from where the base stands.
+        """The rest of the way to a view, from where the base has come to stand.
 
         Args:
             state: where the robot is now.
             T_map_camera: the view that was planned last, shape (4, 4).
 
         Returns:
-            The route; its reason says why the camera comes only near to the view, and is empty
-            where it gets there. No route where the arm cannot move at all.
+            The route, of the arm alone or with a short drive; its reason says why the camera comes
+            only near to the view, and is empty where it gets there. No route where the arm cannot
+            move at all.
         """
 
     def route_problem(self, state: RobotState) -> str:

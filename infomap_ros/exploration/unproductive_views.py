@@ -39,6 +39,14 @@ class UnproductiveViews(StopRule):
         self._known, self._sigma = progress.known_fraction, progress.mean_sigma
         self._surface = max(self._surface, progress.surface_voxels)
 
+    @property
+    def is_last_vain(self) -> bool:
+        """Whether the last view alone has brought less than is asked of several."""
+        if not self._gains:
+            return False
+        gain, growth = self._gains[-1]
+        return gain < self._task.least_gain and growth < self._task.least_growth
+
     def ending(self, choice: Choice | None) -> Ending | None:
         """NOTHING_LEFT, with what the last views have brought."""
         reason = "" if choice is None else self.reason()

@@ -172,7 +172,7 @@ class ViewPlanner:
         T_map_camera: FloatArray,
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
-        """A motion of the arm alone to a view, or nearest to it, from where the base stands."""
+        """The rest of the way to a view, or as near as can be, from where the base stands."""
         result = self._motion.plan_arm(voxel_map, state, T_map_camera, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         progress = self._measured or self._progress(voxel_map, state)

@@ -14,7 +14,11 @@ _WITHIN = 0.8  # share of the tolerances within which these views lie: the rest 
 
 
 def postures_near(
-    whole: WholeBody, T_base_camera: FloatArray, position_tolerance: float, angle_tolerance: float
+    whole: WholeBody,
+    T_base_camera: FloatArray,
+    position_tolerance: float,
+    angle_tolerance: float,
+    start: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Postures by how far the camera is from a view; nothing is said of what they touch.
 
@@ -25,10 +29,11 @@ def postures_near(
         T_base_camera: the view, shape (4, 4).
         position_tolerance: [m].
         angle_tolerance: of the viewing direction [rad]; the roll is free.
+        start: a posture, shape (n,), like which some of the solutions are to be.
 
     Returns:
-        Postures, shape (M, n) [rad or m], the nearest first; and their errors, shape (M,): the
-        larger of both errors as a share of its tolerance, at most 1 within both.
+        Postures, shape (M, n) [rad or m], the nearest first; and their errors, shape (M,): at most
+        1 within both tolerances, else more.
     """
     postures, view = whole.postures, T_base_camera
     flat, azimuths = np.cos(postures.steepness), postures.azimuths
@@ -44,6 +49,8 @@ def postures_near(
         restarts=0,
     )
     starts = np.resize(nearest, (_SOLVED, nearest.shape[1]))
+    if start is not None:
+        starts[::4] = start
     solved = solve_ik_batch(
         whole.chain, views, direction_only=True, q_start=starts, config=config
     ).q
@@ -59,10 +66,15 @@ def postures_near(
 def _errors(
     positions: FloatArray, directions: FloatArray, view: FloatArray, away: float, turned: float
 ) -> FloatArray:
-    """The larger of the errors of position and direction as shares of their tolerances, (M,)."""
-    distances = np.linalg.norm(positions - view[:3, 3], axis=1)
-    angles = np.arccos(np.clip(directions @ view[:3, 2], -1.0, 1.0))
-    return np.maximum(distances / away, angles / turned)
+    """Errors of position and direction as shares of their tolerances, shape (M,).
+
+    The larger one where that is at most 1. Beside the tolerances both count: a camera that is a
+    little nearer shows less of what was to be seen where it looks elsewhere.
+    """
+    distances = np.linalg.norm(positions - view[:3, 3], axis=1) / away
+    angles = np.arccos(np.clip(directions @ view[:3, 2], -1.0, 1.0)) / turned
+    larger = np.maximum(distances, angles)
+    return np.where(larger <= 1.0, larger, np.hypot(distances, angles))
 
 
 def _views_about(view: FloatArray, away: float, turned: float) -> FloatArray:

@@ -62,6 +62,9 @@ class WholeBodyReach:
         sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives and
             the arm are taken for wider accordingly [m].
 
+    Attributes:
+        near: the map as its collision checks see it.
+
     Raises:
         RobotModelError: a joint of the arm is missing, or the robot has no camera frame or wheels.
     """
@@ -85,7 +88,7 @@ class WholeBodyReach:
         self._whole = WholeBody.of(robot, self.config, joints)
         chain = self._whole.chain
         self._q = np.clip(chain.positions(joints), chain.lower, chain.upper)  # encoders are noisy
-        self._near = NearSpace(
+        self.near = NearSpace(
             voxel_map,
             self._whole.body,
             self._base,
@@ -100,15 +103,12 @@ class WholeBodyReach:
         self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
         self._routes = RoutePlanner(
-            self._whole, self._near, self.config, past.after(self._base, self._q, sent)
+            self._whole, self.near, self.config, past.after(self._base, self._q, sent)
         )
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._planner_before = None if previous is None else previous._last_planner
-        self._ik = IkConfig(
-            position_tolerance=self.config.position_tolerance,
-            rotation_tolerance=self.config.direction_tolerance,
-        )
+        self._ik = IkConfig(self.config.position_tolerance, self.config.direction_tolerance)
 
     @cached_property
     def planner(self) -> BasePlanner:
@@ -129,7 +129,7 @@ class WholeBodyReach:
     @property
     def is_wider(self) -> bool:
         """Whether the robot keeps more room than a sure pose would ask for."""
-        return self.planner.vehicle.wider > 0.0 or self._near.wider > 0.0
+        return self.planner.vehicle.wider > 0.0 or self.near.wider > 0.0
 
     @property
     def terrain(self) -> Terrain:
@@ -171,7 +171,7 @@ class WholeBodyReach:
         here, why_not = self._routes.arm_to_view(view, self._ik)
         if here is not None:
             return here
-        finder = StanceFinder(self._whole, self.planner, self._near, self.config, self._xyyaw)
+        finder = StanceFinder(self._whole, self.planner, self.near, self.config, self._xyyaw)
         if self._routes.why_not_folded:
             return ReachResult(f"{self._routes.why_not_folded}; the arm alone: {why_not}")
         stances = finder.find(view)
@@ -181,7 +181,11 @@ class WholeBodyReach:
         return self._approach(view, finder.wishes(view), reason)
 
     def with_arm_alone(
-        self, T_map_camera: ArrayLike, position_tolerance: float, angle_tolerance: float
+        self,
+        T_map_camera: ArrayLike,
+        position_tolerance: float,
+        angle_tolerance: float,
+        planned: FloatArray | None = None,
     ) -> ReachResult:
         """Plan the motion of the arm that brings the camera to a view, or as near as can be.
 
@@ -191,15 +195,16 @@ class WholeBodyReach:
             T_map_camera: shape (4, 4).
             position_tolerance: how near the camera must come [m].
             angle_tolerance: and its viewing direction, the roll being free [rad].
+            planned: way of the arm to the view from a place nearby, shape (K, n).
 
         Returns:
-            The route. Where it does not get within the tolerances there is a reason, too; without
-            a route the arm can move nowhere.
+            The route, with a reason where it ends beside the tolerances; none if nothing is free.
         """
         view = check_transform(T_map_camera, "T_map_camera")
         half = IkConfig(0.5 * position_tolerance, 0.5 * angle_tolerance)
-        there, _ = self._routes.arm_to_view(view, half)
-        return there or self._routes.arm_near_view(view, position_tolerance, angle_tolerance)
+        there, _ = self._routes.arm_to_view(view, half, planned)
+        within = position_tolerance, angle_tolerance
+        return there or self._routes.arm_near_view(view, *within, planned)
 
     def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
         """Plan the motion to a place of the base and a posture of the arm.
@@ -209,9 +214,8 @@ class WholeBodyReach:
             joints: positions by name [rad or m], brought within the limits; joints of the arm that
                 are missing stay.
         """
-        goal = float_array(base, "base")
-        named = {**self._whole.chain.by_name(self._q), **joints}
-        chain = self._whole.chain
+        goal, chain = float_array(base, "base"), self._whole.chain
+        named = {**chain.by_name(self._q), **joints}
         q = np.clip(chain.positions(named), chain.lower, chain.upper)
         turn = math.remainder(goal[2] - self._xyyaw[2], 2.0 * math.pi)
         if np.hypot(*(goal[:2] - self._xyyaw[:2])) < 0.02 and abs(turn) < 0.05:
@@ -245,7 +249,7 @@ class WholeBodyReach:
                 self._whole.chain, T_base_camera[near], direction_only=True, q_start=self._q,
                 config=self._ik,
             )  # fmt: skip
-            free = self._near.checker_at(self._base).are_free(batch.q, self._base, base=False)
+            free = self.near.checker_at(self._base).are_free(batch.q, self._base, base=False)
             found[near] = batch.converged & free
         return found
 
@@ -288,9 +292,8 @@ class WholeBodyReach:
         result = self._routes.with_base(path, q)
         if result.route is None:
             return ReachResult(f"{reason}; nor nearer: {result.reason}")
-        return replace(
-            result, reason=reason, partial=True, route=replace(result.route, partial=True)
-        )
+        route = replace(result.route, partial=True)
+        return replace(result, reason=reason, partial=True, route=route)
 
     def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
         away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)

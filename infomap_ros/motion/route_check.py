@@ -7,12 +7,13 @@ when the route was planned, by the same checks, does not count.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
@@ -57,6 +58,7 @@ class RouteCheck:
         T_map_base: where the base was then, shape (4, 4).
         joints: positions then, by name [rad or m].
         start: space that was declared clear.
+        known_free: further space that was taken for free although it was never seen [map].
     """
 
     def __init__(
@@ -68,7 +70,9 @@ class RouteCheck:
         T_map_base: FloatArray,
         joints: Mapping[str, float],
         start: ClearStart | None = None,
+        known_free: Sequence[PlacedSolid] = (),
     ) -> None:
+        self._known_free = known_free
         self._whole, self._config, self._start = whole, config, start
         self._base, self._joints = T_map_base, dict(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
@@ -160,10 +164,10 @@ class RouteCheck:
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
         body, config = self._whole.body, self._config
         body = replace(body, config=replace(body.config, free_probability=_BLOCKED))
-        space = () if self._start is None else (self._start.space(body.robot),)
+        start = () if self._start is None else (self._start.space(body.robot),)
         near = NearSpace(
             voxel_map, body, self._base, self._joints, self._whole.radius, config.clear_body,
-            space, self._whole.foot,
+            (*self._known_free, *start), self._whole.foot,
         )  # fmt: skip
         return near.checker_at(self._base)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
@@ -13,6 +14,7 @@ from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik
 from infomap_ros.motion.arm.trajectory import time_path
 from infomap_ros.motion.base.base_path import BasePath
+from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.postures_near import postures_near
 from infomap_ros.motion.reaching_config import ReachingConfig
@@ -21,7 +23,9 @@ from infomap_ros.motion.whole_body import WholeBody
 
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
-_NEAREST_TRIED = 3  # postures near a view to which a way is sought
+_NEAREST_TRIED = 6  # postures near a view to which a way is sought
+_ALIKE = 0.3  # [rad or m]; where no way leads to a posture, none leads to one so near to it
+_OUT_OF_REACH = "the arm does not reach it from where the base stands"
 _THERE = 1e-6  # [rad or m]
 _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
@@ -58,12 +62,16 @@ class RoutePlanner:
         checker, config = self.near.checker_at(T_map_base), self.config
         return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)
 
-    def arm_to_view(self, view: FloatArray, ik: IkConfig) -> tuple[ReachResult | None, str]:
+    def arm_to_view(
+        self, view: FloatArray, ik: IkConfig, planned: FloatArray | None = None
+    ) -> tuple[ReachResult | None, str]:
         """The motion of the arm alone to a view, or None and why not.
 
         Args:
             view: ``T_map_camera``, shape (4, 4).
             ik: tolerances; the roll about the optical axis is free.
+            planned: way to the view from a place nearby, shape (K, n): the view is reached in a
+                posture like the last one where that can be, and along this way.
         """
         base, touched = self.trail.T_map_base, []
         checker = self.near.checker_at(base)
@@ -74,18 +82,22 @@ class RoutePlanner:
             return report.free
 
         found = solve_ik(
-            self.whole.chain, np.linalg.inv(base) @ view, direction_only=True, q_start=self.q,
-            config=ik, is_valid=is_valid,
+            self.whole.chain, np.linalg.inv(base) @ view, direction_only=True,
+            q_start=self.q if planned is None else planned[-1], config=ik, is_valid=is_valid,
         )  # fmt: skip
         if not found.converged:
             return None, f"touches {touched[-1]}" if touched else found.reason
-        arm = self.arm_from_here(found.q)
+        arm = self._arm_along(planned, found.q) or self.arm_from_here(found.q)
         if not arm.converged:
             return None, arm.reason
         return self.with_arm_alone(arm), ""
 
     def arm_near_view(
-        self, view: FloatArray, position_tolerance: float, angle_tolerance: float
+        self,
+        view: FloatArray,
+        position_tolerance: float,
+        angle_tolerance: float,
+        planned: FloatArray | None = None,
     ) -> ReachResult:
         """The motion of the arm alone as near to a view as it can come.
 
@@ -93,19 +105,23 @@ class RoutePlanner:
             view: ``T_map_camera``, shape (4, 4).
             position_tolerance: [m].
             angle_tolerance: of the viewing direction [rad].
+            planned: as for `arm_to_view`.
 
         Returns:
             With a reason where that is not within both tolerances; no route without any motion.
         """
         base, tolerances = self.trail.T_map_base, (position_tolerance, angle_tolerance)
-        qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances)
+        start = None if planned is None else planned[-1]
+        qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances, start)
         checker = self.near.checker_at(base)
         free = np.flatnonzero(checker.are_free(qs, base, base=False))
         reason = "no posture near the view is free"
         if len(free):
-            reason = f"the nearest posture touches {checker.check(qs[0], base, base=False).what}"
-        for row in free[:_NEAREST_TRIED]:
-            arm = self.arm_from_here(qs[row])
+            touched = checker.check(qs[0], base, base=False).what
+            reason = f"the nearest posture touches {touched}" if touched else _OUT_OF_REACH
+        for row in _apart(qs, free):
+            from_here = self.arm_from_here if row == free[0] else self._quick_arm
+            arm = self._arm_along(planned, qs[row]) or from_here(qs[row])
             if arm.converged:
                 return replace(
                     self.with_arm_alone(arm), reason="" if errors[row] <= 1.0 else reason
@@ -163,6 +179,36 @@ class RoutePlanner:
         angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
         return np.asarray(qs[int(np.argmin(away + angles))])
 
+    def _arm_along(self, planned: FloatArray | None, goal: FloatArray) -> ArmPath | None:
+        """A way along one that was planned from a place nearby, as far as that is free here."""
+        if planned is None or np.abs(planned[0] - self.q).max() > _ALIKE:
+            return None
+        base, chain = self.trail.T_map_base, self.whole.chain
+        checker, way = self.near.checker_at(base), [self.q]
+        space, scratch = checker.departure(self.q, base), checker.body.scratch()
+
+        def is_free(first: FloatArray, second: FloatArray) -> bool:
+            return bool(first_on_way(space, first, second, scratch) < 0.0)
+
+        left = corners_of(planned)[1:]
+        while len(left):
+            ahead = [row for row in range(len(left)) if is_free(way[-1], left[row])]
+            if not ahead:
+                break
+            way.append(left[ahead[-1]])
+            left = left[ahead[-1] + 1 :]
+        on = plan_arm_path(checker, way[-1], goal, base, QUICK_SEARCH)
+        if not on.converged:
+            return None
+        corners = np.concatenate([way[:-1], corners_of(on.positions)])
+        return time_path(chain, corners, self.config.trajectory, is_free)
+
+    def _quick_arm(self, goal: FloatArray) -> ArmPath:
+        """A way of the arm from where it is, sought with less effort."""
+        base = self.trail.T_map_base
+        limits = self.config.trajectory
+        return plan_arm_path(self.near.checker_at(base), self.q, goal, base, QUICK_SEARCH, limits)
+
     @property
     def why_not_folded(self) -> str:
         """Why the arm cannot be brought to the driving posture, or empty."""
@@ -194,3 +240,14 @@ class RoutePlanner:
         deviation = min(trajectory.corner_deviation, _BESIDE)
         limits = replace(trajectory, corner_deviation=deviation)
         return time_path(self.whole.chain, way, limits, lambda first, second: True)
+
+
+def _apart(qs: FloatArray, rows: NDArray[np.intp]) -> list[int]:
+    """The first rows of postures, shape (M, n), that are not like an earlier one."""
+    kept: list[int] = []
+    for row in rows:
+        if len(kept) == _NEAREST_TRIED:
+            break
+        if not kept or np.abs(qs[kept] - qs[row]).max(axis=1).min() > _ALIKE:
+            kept.append(int(row))
+    return kept

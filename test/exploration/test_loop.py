@@ -14,11 +14,11 @@ from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.planar import planar_pose, way_length
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import make_transform
 
-from .fakes import FakePlanner, FakeRobot, Notes, nothing, view
+from .fakes import FakePlanner, FakeRobot, Notes, nothing, route_to, view
 
 
 class Run:
@@ -388,7 +388,7 @@ def test_the_arm_moves_until_the_camera_has_arrived_or_the_log_says_why_not() ->
 
     run.robot.drive = slip  # type: ignore[method-assign, assignment]
     run.exploration.run()
-    assert len(run.planner.aims) == 3
+    assert len(run.planner.aims) == 4
     (miss,) = run.notes.of("message")
     assert miss["text"].startswith("the camera is 0.200 m and 0.000 rad off the view")
     assert run.exploration.mission.views == 2
@@ -400,3 +400,55 @@ def test_where_the_arm_comes_only_near_the_view_is_taken_from_there() -> None:
     run.exploration.run()
     assert len(run.planner.aims) == 1
     assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]
+
+
+def stop_beside(run: Run, *gaps: float) -> None:
+    """Have the base come to stand so far beyond the ends of its paths, one after the other."""
+    drive, left = run.robot.drive, iter(gaps)
+
+    def slip(poses: np.ndarray, interrupted: Interrupted) -> Motion:
+        motion = drive(poses, interrupted)
+        run.robot.place = (run.robot.place[0] + next(left), 0.0)
+        return motion
+
+    run.robot.drive = slip  # type: ignore[method-assign]
+
+
+def test_a_short_drive_brings_the_camera_where_the_arm_does_not_reach() -> None:
+    run = Run(view(1.0), nothing())
+    stop_beside(run, 0.2, 0.05)
+    plan_arm = run.planner.plan_arm
+
+    def drive_first(state: RobotState, T_map_camera: np.ndarray) -> Choice:
+        choice = plan_arm(state, T_map_camera)
+        x = state.T_map_base[0, 3]
+        if len(run.planner.aims) == 1:
+            choice = dataclasses.replace(choice, route=route_to(1.0, start=(x, 0.0)))
+        return choice
+
+    run.planner.plan_arm = drive_first  # type: ignore[method-assign]
+    run.exploration.run()
+    assert run.robot.deeds == ["look", "arm", "drive", "arm", "drive", "arm", "look"]
+    assert run.notes.of("message") == []
+    assert run.robot.place[0] == pytest.approx(1.05)
+    assert run.exploration.mission.distance == pytest.approx(1.0 + 0.2)
+
+
+def test_a_view_that_was_missed_in_vain_has_failed_before_the_next_is_chosen() -> None:
+    run = Run(view(1.0), view(1.0), view(2.0), view(3.0, known=0.97))
+    stop_beside(run, 0.2, 0.0)
+    assert run.exploration.run().reason is EndReason.DONE
+    (failure,) = run.planner.failures
+    assert failure.startswith("the camera is 0.200 m")
+    assert run.robot.place == (2.0, 0.0)
+
+
+@pytest.mark.parametrize(("gap", "known"), [(0.2, 0.6), (0.0, 0.5)])
+def test_a_view_that_brought_something_or_was_reached_has_not_failed(
+    gap: float, known: float
+) -> None:
+    run = Run(view(1.0), view(2.0, known), nothing(known=known))
+    stop_beside(run, gap, 0.0)
+    run.exploration.run()
+    assert run.planner.failures == []
+    assert run.robot.place == (2.0, 0.0)

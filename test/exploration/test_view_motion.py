@@ -161,12 +161,29 @@ def test_the_camera_reaches_its_view_from_where_the_base_has_stopped(
     assert turned <= TASK.view_angle_tolerance
 
 
-def test_where_the_arm_does_not_reach_it_looks_there_all_the_same_and_says_why(trip: Trip) -> None:
+def test_where_the_arm_does_not_reach_a_short_drive_is_planned_once(trip: Trip) -> None:
     robot = trip.robot
     base = trip.route.base_poses[-1].copy()
     base[0, 3] -= 0.8
     here = state_of(robot, base, resting(robot, trip.route.arm_after.positions[0]))
-    plan = trip.motion.plan_arm(trip.map, here, trip.view)
-    assert plan.reason != "" and plan.route is not None
-    end = base @ robot.arm.camera_pose(plan.route.arm_after.positions[-1])
+    drive = trip.motion.plan_arm(trip.map, here, trip.view)
+    assert drive.route is not None and drive.reason == "" and drive.route.moves_base
+    assert 0.5 < drive.travel < 1.0
+    end = drive.route.base_poses[-1] @ robot.arm.camera_pose(drive.route.arm_after.positions[-1])
+    assert camera_error(end, trip.view)[0] <= TASK.view_position_tolerance
+
+    # it looks there from where it is, and says why
+    near = trip.motion.plan_arm(trip.map, here, trip.view)
+    assert near.route is not None and near.reason != "" and not near.route.moves_base
+    end = base @ robot.arm.camera_pose(near.route.arm_after.positions[-1])
     assert camera_error(end, trip.view)[1] < 0.5
+
+
+def test_a_long_drive_is_left_to_the_next_choice(trip: Trip) -> None:
+    robot = trip.robot
+    base = trip.route.base_poses[-1].copy()
+    base[0, 3] -= 1.5
+    here = state_of(robot, base, resting(robot, trip.route.arm_after.positions[0]))
+    plan = trip.motion.plan_arm(trip.map, here, trip.view)
+    assert plan.reason != ""
+    assert plan.route is None or not plan.route.moves_base

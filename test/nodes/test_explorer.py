@@ -51,7 +51,7 @@ class OneView:
         still = ArmPath.staying(arm.joint_names, arm.positions[0])
         route = Route(still, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, np.eye(4))
         progress = MapProgress(0.5, 10.0, 0.01, 100, 1000)
-        choice = Choice(progress, np.eye(4), route, "this arm gets nowhere near")
+        choice = Choice(progress, np.eye(4), route, "")
         response.message, response.success = choice_to_text(choice), True
         return response
 
@@ -79,9 +79,18 @@ class OneView:
         self.left -= 1
         self.routes.append(route)
         progress = MapProgress(known, 10.0, 0.01, 100, 1000)
-        response.message = choice_to_text(Choice(progress, np.eye(4), route, "on we go"))
+        response.message = choice_to_text(
+            Choice(progress, self.seen_from(route), route, "on we go")
+        )
         response.success = True
         return response
+
+    def seen_from(self, route: Route) -> np.ndarray:
+        """Where the rover's camera is at the end of a route, shape (4, 4)."""
+        arm = route.arm_after
+        joints = {**self.rover.joints, **dict(zip(arm.joint_names, arm.positions[-1], strict=True))}
+        camera = self.rover.model.forward_kinematics(joints, self.rover.model.camera_frame)
+        return np.asarray(route.base_poses[-1] @ camera)
 
 
 class Stage:

@@ -100,7 +100,7 @@ class TeamPlanner:
         return self.planner.way_to(voxel_map, state, place, obstacles)
 
     def plan_arm(self, voxel_map: VoxelMap, state: RobotState, T_map_camera: FloatArray) -> Choice:
-        """A motion of the arm alone to a view, around the others."""
+        """The rest of the way to a view, around the others."""
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
         return self.planner.plan_arm(voxel_map, state, T_map_camera, obstacles)
 

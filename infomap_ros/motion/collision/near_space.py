@@ -46,6 +46,9 @@ class NearSpace:
         foot: solids of the foot of the arm, base frame.
         in_the_way: solids that must not be touched and that the map does not show [map].
         wider: what the arm keeps off the map beyond its margin [m].
+
+    Attributes:
+        own_space: what the present body fills, and a little around it [map].
     """
 
     def __init__(
@@ -75,13 +78,22 @@ class NearSpace:
         self._foot = [
             PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
         ]
-        self._known_free = (*known_free, *own)
+        self._known_free, self.own_space = (*known_free, *own), tuple(own)
         self._in_the_way = [
             PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
             for part in in_the_way
         ]
         self._own_points = body.spheres(body.chain.positions(positions), T_map_base)[:, :3]
         self._remembered: dict[bytes, CollisionChecker] = {}
+
+    def add_free(self, solids: Sequence[PlacedSolid]) -> None:
+        """Take further space for free although it was never seen, as where the body has just been.
+
+        Args:
+            solids: that fill it [map].
+        """
+        self._known_free = (*self._known_free, *solids)
+        self._remembered.clear()
 
     def checker_at(self, T_map_base: FloatArray) -> CollisionChecker:
         """For a robot that stands at one place, shape (4, 4)."""

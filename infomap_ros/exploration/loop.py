@@ -122,8 +122,8 @@ class Exploration:
 
     def end(self, ending: Ending) -> Ending:
         """Say that it has ended, and why: `run` does so, and who finds that it cannot begin."""
-        self.say(f"ended: {ending.reason.value}", ending.detail)
         self._log.write("end", reason=ending.reason.value, detail=ending.detail)
+        self.say(f"ended: {ending.reason.value}", ending.detail)
         return ending
 
     def say(self, state: str, reason: str | None = None) -> None:

@@ -247,13 +247,14 @@ class ExplorerNode(MonitoredNode):
         return answer
 
     def _on_step(self, exploration: Exploration) -> None:
-        """Save the account of the mission; called in the exploration's thread."""
+        """Save the account of the mission and publish it; called in the exploration's thread."""
         try:
             exploration.mission.save(self._mission_file)
         except OSError as error:
             self.get_logger().error(
                 f"cannot write {self._mission_file}: {error.strerror}", throttle_duration_sec=10.0
             )
+        self._status.publish(status_message(exploration, self._failed_views))
 
     def _on_failed_view(self, view: FailedView) -> None:
         self._failed_views.append(view)

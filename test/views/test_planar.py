@@ -18,7 +18,7 @@ from infomap_ros.views import (
 )
 from infomap_ros.views.information.rays import camera_rays
 from infomap_ros.views.ranking.options import Options
-from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.rating import RatingConfig, Ratings
 from infomap_ros.views.ranking.strategy import Scores
 from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.sampling.candidates import find_candidates
@@ -33,6 +33,7 @@ SIZE, REACH, SIDE = 0.5, 5.0, 40
 CAMERA = PinholeCamera(128, 1, 64.0, 1000.0, 63.5, 0.0)  # 90 degrees, in the plane
 SHARP = InformationConfig(min_range=0.0, range_noise=0.0, pixel_angle=1e-4)
 LEVEL = NextBestViewConfig(
+    rating=RatingConfig(localization_weight=0.0),  # as in the studies, where poses are known
     surroundings=SurroundingsConfig(surface_margin=0, camera_radius=0.0, horizon=100.0, cell=SIZE),
     orientations=OrientationConfig(lowest_elevation=0.0, highest_elevation=0.0),
 )

@@ -12,7 +12,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import RangeView
-from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localizer import Localisation, Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
@@ -51,6 +51,7 @@ class CameraLocalizer:
         self._camera: PinholeCamera | None = None
         self._posture: RobotPosture | None = None
         self._saved: SavedLocalisation | None = None
+        self._is_tracking = True
 
     def locate(
         self,
@@ -76,15 +77,27 @@ class CameraLocalizer:
         if self._localizer is None or view.camera != self._camera:
             self._begin(view, posture)
         assert self._localizer is not None
-        before, self._posture = self._posture, posture
-        prior = None
-        if before is not None and posture is not None:
-            prior = self._config.motion.between(before, posture)
-        return self._localizer.locate(view, prior, voxel_map, body=body, others=others)
+        prior = self._prior(posture)
+        self._posture = posture
+        result = self._localizer.locate(view, prior, voxel_map, body=body, others=others)
+        self._is_tracking = result.state == "tracking"
+        return result
+
+    def _prior(self, posture: RobotPosture | None) -> MotionPrior | None:
+        """Expected motion since the last view; None where odometry does not tell.
+
+        The kinematics err at the two ends of a way. Where views on the way have not told the pose,
+        their errors there cancel: they are of the end of one part and the beginning of the next.
+        """
+        if self._posture is None or posture is None:
+            return None
+        motion = self._config.motion if self._is_tracking else self._config.motion.odometry_alone
+        return motion.between(self._posture, posture)
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""
         self._localizer = self._posture = self._saved = None
+        self._is_tracking = True
 
     def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
         """Put the map's frame elsewhere; see `Localizer.move_map`.

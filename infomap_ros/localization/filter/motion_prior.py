@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -120,6 +120,13 @@ class KinematicMotion:
     """
 
     config: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
+
+    @property
+    def odometry_alone(self) -> KinematicMotion:
+        """The same without errors of the kinematics."""
+        tiny = 1e-4  # [m, rad]
+        sigmas = {"kinematics_position_sigma": tiny, "kinematics_rotation_sigma": tiny}
+        return KinematicMotion(replace(self.config, **sigmas))
 
     def between(self, before: RobotPosture, after: RobotPosture) -> MotionPrior:
         """The motion of the camera from one posture of the robot to another."""

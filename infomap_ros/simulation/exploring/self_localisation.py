@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +122,6 @@ class SelfLocalisation:
         detector = make_detector(self.config.target)
         self.localizer = Localizer(self.rig.left, self.config.localizer, detector)
         self._kinematics = KinematicMotion(self.config.motion)
-        self._odometry_alone = KinematicMotion(_without_kinematics(self.config.motion))
         self._posture: RobotPosture | None = None
         self._is_resumed = False
         self._known: tuple[CameraPose, RobotPosture] | None = None
@@ -249,7 +248,7 @@ class SelfLocalisation:
         if self._posture is None:
             return None
         is_known = self.last is None or self.last.state == "tracking"
-        kinematics = self._kinematics if is_known else self._odometry_alone
+        kinematics = self._kinematics if is_known else self._kinematics.odometry_alone
         return kinematics.between(self._posture, posture)
 
     def _joints(self) -> dict[str, float]:
@@ -260,8 +259,3 @@ class SelfLocalisation:
         angles = self._joints() if joints is None else joints
         T_base_camera = self._robot.forward_kinematics(angles, self._robot.camera_frame)
         return RobotPosture(self._simulator.odometry().transform, T_base_camera)
-
-
-def _without_kinematics(motion: DeadReckoningConfig) -> DeadReckoningConfig:
-    tiny = 1e-4  # [m, rad]
-    return replace(motion, kinematics_position_sigma=tiny, kinematics_rotation_sigma=tiny)

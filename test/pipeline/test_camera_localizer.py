@@ -1,0 +1,78 @@
+"""What the localizer is told of the robot's motion, whoever follows the camera by it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from infomap_ros.geometry import PinholeCamera, make_transform
+from infomap_ros.localization import KinematicMotion, MotionPrior, RobotPosture
+from infomap_ros.localization.localisation import Localisation, State
+from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
+
+MOTION = KinematicMotion()
+CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
+
+
+class View:
+    """All that the localizer reads of a view."""
+
+    def __init__(self, stamp: int) -> None:
+        self.stamp, self.camera = stamp, CAMERA
+
+
+class ScriptedLocalizer:
+    """Ends each view in a state that is given, and notes how it was told to have moved."""
+
+    def __init__(self, states: list[State]) -> None:
+        self.states, self.priors = states, list[MotionPrior | None]()
+
+    def locate(self, view: Any, prior: MotionPrior | None, *_: Any, **__: Any) -> Localisation:
+        self.priors.append(prior)
+        return Localisation(view.stamp, self.states[len(self.priors) - 1], None, None)
+
+
+def posture(x: float) -> RobotPosture:
+    return RobotPosture(make_transform(np.eye(3), [x, 0.0, 0.0]), np.eye(4))
+
+
+def priors_of(monkeypatch: pytest.MonkeyPatch, states: list[State]) -> list[MotionPrior | None]:
+    """Of a robot that goes straight on by 0.1 m from view to view."""
+    scripted = ScriptedLocalizer(states)
+    localizer = CameraLocalizer(CameraLocalizerConfig(LocalizerConfig(), MOTION, None, 0.0))
+    monkeypatch.setattr(localizer, "_make", lambda *_: scripted)
+    for number in range(len(states)):
+        localizer.locate(View(number), posture(0.1 * number))  # type: ignore[arg-type]
+    return scripted.priors
+
+
+def test_the_kinematics_err_at_the_two_ends_of_a_way_that_no_view_tells(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    states: list[State] = ["tracking", "coasting", "lost", "coasting", "tracking"]
+
+    first, *priors = priors_of(monkeypatch, states)
+
+    assert first is None
+    way = MotionPrior(np.eye(4), np.zeros((6, 6)))
+    for prior in priors:
+        assert prior is not None
+        way = way.then(prior)
+    whole = MOTION.between(posture(0.0), posture(0.4))
+    np.testing.assert_allclose(way.T_before_after, whole.T_before_after, atol=1e-12)
+    sigmas = [np.sqrt(np.diag(each.covariance)[3:]) for each in (way, whole)]
+    np.testing.assert_allclose(*sigmas, rtol=0.01)
+
+
+def test_between_views_that_tell_the_pose_the_kinematics_err_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, *priors = priors_of(monkeypatch, ["tracking"] * 4)
+
+    expected = MOTION.between(posture(0.0), posture(0.1)).covariance
+    for prior in priors:
+        assert prior is not None
+        np.testing.assert_allclose(prior.covariance, expected, rtol=1e-9, atol=1e-15)

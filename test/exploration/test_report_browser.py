@@ -184,7 +184,7 @@ def test_pointing_at_a_candidate_tells_its_rating_and_a_click_its_terms(page: Br
     assert "candidate" in page.evaluate("document.getElementById('tip').textContent")
     page.click(x + column, y + row)
     assert "Candidate" in details(page)
-    assert "localisation error" in details(page)
+    assert "localization error" in details(page)
 
 
 def test_stepping_shows_other_candidates(page: Browser) -> None:

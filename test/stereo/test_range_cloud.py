@@ -30,7 +30,7 @@ def test_colours_are_packed_as_point_cloud_viewers_read_them(cloud):
     packed = np.ascontiguousarray(cloud.packed[..., PACKED_FIELDS.index("rgb")])
     blue_green_red = packed.view(np.uint8).reshape(24, 32, 4)
     np.testing.assert_array_equal(blue_green_red[..., 2::-1], cloud.colors)
-    assert (blue_green_red[..., 3] == 0).all()
+    assert (blue_green_red[..., 3] == round(100.0 * cloud.error_correlation)).all()
 
 
 def test_density_counts_measured_pixels(cloud):

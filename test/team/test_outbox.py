@@ -20,13 +20,13 @@ CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 Place = tuple[int, ...]
 
 
-def look(own: VoxelMap, seed: int, count: int = 60) -> None:
-    """Points of a wall at 1 m, of which a part is measured."""
+def look(own: VoxelMap, seed: int, count: int = 60, aside: float = 0.0) -> None:
+    """Points of a wall at 1 m, of which a part is measured; from a place so far aside [m]."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.6, 0.6, (count, 2)), np.full(count, 1.0)])
     points[:, 2] += rng.normal(0.0, 0.01, count)
     covariances = np.broadcast_to(1e-4 * np.eye(3), (count, 3, 3))
-    own.integrate(points, np.eye(4), covariances)
+    own.integrate(points, make_transform(np.eye(3), [aside, 0.0, 0.0]), covariances)
 
 
 def mapped(looks: int) -> VoxelMap:
@@ -69,7 +69,7 @@ def test_what_matters_is_what_a_plain_comparison_says() -> None:
     own, told = mapped(3), Contribution(CONFIG.voxel_size)
     first = MapUpdate.of_changes(own.take_changes(), CONFIG.voxel_size, 0, 1)
     told.accept(first)
-    look(own, 7, 25)
+    look(own, 7, 25, aside=0.2)
     storage = own._storage
     slots, _ = changed_blocks(storage)
     worth = worth_of_changes(own, told, slots)

@@ -7,6 +7,9 @@ BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
 READY := $(STAMPS)/package $(STAMPS)/tf2
 
+# Processes that test at the same time.
+WORKERS ?= 2
+
 EXTRAS := ros tf2 test bench dev
 
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
@@ -39,8 +42,10 @@ demo-team: $(READY) $(STAMPS)/rendering  ## two rovers map one world together, r
 demo-bag: $(READY)  ## map the bag in bags/ through the live nodes, results in out/demo-bag
 	@$(BIN)/python -m infomap_ros.nodes.live.bag_demo --out out/demo-bag
 
+# Kernels are compiled once before, not by each of the processes that test.
 test: $(READY) $(STAMPS)/rendering $(STAMPS)/browser  ## every test
-	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)
+	@$(BIN)/python -m infomap_ros.nodes.live.kernels >/dev/null
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 lint: $(READY)  ## style
 	@$(BIN)/ruff check .

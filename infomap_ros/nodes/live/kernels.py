@@ -149,8 +149,8 @@ def compile_kernels(tell: Callable[[str], None], stages: Stages) -> None:
 
 
 def main(steps: Sequence[str]) -> int:
-    """Compile steps, in their order."""
-    for name in steps:
+    """Compile steps, in their order; all of them where none is named."""
+    for name in steps or STEPS:
         STEPS[name]()
     return 0
 

@@ -60,7 +60,7 @@ class Watched:
 
 
 def test_a_box_on_the_path_stops_the_drive_and_another_view_is_chosen(tmp_path: Path) -> None:
-    watched = Watched(tmp_path, views=5)
+    watched = Watched(tmp_path, views=8)  # the base drives 0.8 m to the seventh
     drive, boxes, stopped = watched.robot.drive, [], []
 
     def box_ahead(poses: np.ndarray, interrupted: Interrupted) -> Motion:

@@ -41,8 +41,8 @@ class LiveTruth:
 
     @property
     def simulated_seconds(self) -> float:
-        """Time since the world began [s]."""
-        return 1e-9 * self._poses.last_true_stamp
+        """Simulated time that was observed, from the begin of the world but for a moment [s]."""
+        return self._poses.observed_seconds
 
     def poses(self, T_world_map: FloatArray) -> list[AuditedPose]:
         """The published poses whose covariance and truth are known, in their order.

@@ -31,9 +31,9 @@ class PoseComparison:
             run.subscribe(PoseWithCovarianceStamped, namespace + topic, self._keeper(kept))
 
     @property
-    def last_true_stamp(self) -> int:
-        """Stamp of the last true pose [ns]; 0 before the first."""
-        return max(self._true, default=0)
+    def observed_seconds(self) -> float:
+        """Time from the first true pose that was received to the last [s]."""
+        return 1e-9 * (max(self._true, default=0) - min(self._true, default=0))
 
     def pairs(self) -> list[tuple[PoseRecord, PoseRecord]]:
         """Poses and what they truly were, of all stamps that have both, in their order."""

@@ -200,7 +200,7 @@ class RoutePlanner:
         on = plan_arm_path(checker, way[-1], goal, base, QUICK_SEARCH)
         if not on.converged:
             return None
-        corners = np.concatenate([way[:-1], corners_of(on.positions)])
+        corners = np.array([*way[:-1], *corners_of(on.positions)])
         return time_path(chain, corners, self.config.trajectory, is_free)
 
     def _quick_arm(self, goal: FloatArray) -> ArmPath:

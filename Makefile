@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
-READY := $(STAMPS)/package $(STAMPS)/tf2
+READY := $(STAMPS)/package $(STAMPS)/messages
 
 # Processes that test at the same time.
 WORKERS ?= 2
@@ -30,7 +30,7 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
-setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels, tf2_msgs
+setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels, messages it lacks
 	@echo "ready: . $(BIN)/activate"
 
 demo: $(READY) $(STAMPS)/rendering  ## a simulated rover explores a rough world, results in out/demo
@@ -97,10 +97,10 @@ $(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
 		--no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Tried again each time until it is there; everything but tf works without.
-$(STAMPS)/tf2: | $(STAMPS)/package
-	@if $(BIN)/python -m infomap_ros.nodes.common.tf2_messages; then touch $@; \
-	else echo "going on without tf2_msgs: the nodes publish no tf" >&2; fi
+# Tried again each time until they are there; all but tf and the actions of robots works without.
+$(STAMPS)/messages: infomap_ros/nodes/common/message_packages.py | $(STAMPS)/package
+	@if $(BIN)/python -m infomap_ros.nodes.common.message_packages; then touch $@; \
+	else echo "going on without: no tf (tf2_msgs), no actions (control_msgs, nav2_msgs)" >&2; fi
 
 # The simulated camera renders off screen; recorded bags are mapped without.
 $(STAMPS)/rendering: | $(STAMPS)/package

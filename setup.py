@@ -72,8 +72,8 @@ setup(
             "ros-jazzy-rclpy>=7.1,<8",
             "ros-jazzy-rmw-fastrtps-cpp>=8.4,<9",
         ],
-        # What `python -m infomap_ros.nodes.common.tf2_messages` builds tf2_msgs with. The wheels do
-        # not name all that their CMake files ask for.
+        # What `python -m infomap_ros.nodes.common.message_packages` builds with. The wheels do not
+        # name all that their CMake files ask for.
         "tf2": [
             "cmake>=3.22",
             "ros-jazzy-ament-cmake>=2.5,<3",
@@ -116,6 +116,7 @@ setup(
             "explorer = infomap_ros.nodes.explorer:main",
             "fiducial_localization = infomap_ros.nodes.fiducial_localization:main",
             "dead_reckoning = infomap_ros.nodes.dead_reckoning:main",
+            "robot_driver = infomap_ros.nodes.robot_driver:main",
             "infomap = infomap_ros.cli.app:main",
         ],
     },

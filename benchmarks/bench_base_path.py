@@ -24,7 +24,7 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping.terrain.measures import largest_steps, plane_misfits
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion import BasePath, BasePlanner, RobotModel, Vehicle
-from infomap_ros.simulation.body.path_following import PathFollower, PathFollowingConfig
+from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.base_motion import BaseMotionConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.dynamics import DynamicsConfig
-from infomap_ros.simulation.body.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.wheel_odometry import WheelOdometryConfig
 from infomap_ros.simulation.cameras.depth_eye import DepthEyeConfig

@@ -12,8 +12,8 @@ from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig
 from infomap_ros.motion.base import driven_path
 from infomap_ros.motion.base.drive_links import links_for
 from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
 from infomap_ros.simulation.body.drive_train import planar
-from infomap_ros.simulation.body.path_following import PathFollower, PathFollowingConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World

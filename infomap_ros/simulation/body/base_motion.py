@@ -8,8 +8,8 @@ import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig, wrap
 from infomap_ros.simulation.body.drive_train import DriveTrain, planar
-from infomap_ros.simulation.body.path_following import PathFollower, PathFollowingConfig, wrap
 
 _TILT_MARGIN = 0.1  # [rad]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation.body.path_following import PathFollowingConfig
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.robot_body import RobotBody
 
 _WINDUP = 0.3  # [rad] that a wheel may lag behind its target

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.simulation.body.path_following import PathFollower, PathFollowingConfig, wrap
+from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig, wrap
 
 CONFIG = PathFollowingConfig()
 PERIOD = 0.02

@@ -8,6 +8,7 @@ distance away.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -131,6 +132,35 @@ class PathFollower:
         return leg.forward * speed, float(
             np.clip(rate, -config.max_turn_rate, config.max_turn_rate)
         )
+
+
+def split_path(poses: FloatArray) -> list[FloatArray]:
+    """Cut a path into pieces for followers that do not turn on the spot within one.
+
+    Each piece is driven forward or backward alone; its last pose has the heading to which it turns
+    where it ends. Two poses at one place are a turn alone.
+
+    Args:
+        poses: x, y [m], yaw [rad], shape (K, 3).
+    """
+    pieces: list[list[FloatArray]] = [[poses[0]]]
+    last = 0.0
+    for begin, end in pairwise(poses):
+        step = end[:2] - begin[:2]
+        if np.linalg.norm(step) <= _SAME_PLACE:
+            if len(pieces[-1]) > 1:
+                pieces[-1][-1] = end  # the heading at its end
+            else:
+                pieces[-1].append(end)
+            last = 0.0
+            continue
+        heading = begin[2] + 0.5 * wrap(end[2] - begin[2])
+        way = 1.0 if step @ np.array([np.cos(heading), np.sin(heading)]) >= 0.0 else -1.0
+        if way != last and len(pieces[-1]) > 1:
+            pieces.append([pieces[-1][-1]])
+        pieces[-1].append(end)
+        last = way
+    return [np.array(piece) for piece in pieces]
 
 
 def wrap(angle: float) -> float:

@@ -17,6 +17,7 @@ EXECUTABLES = {
     "infomap",
     "map_fusion",
     "next_best_view",
+    "robot_driver",
     "simulator",
     "stereo_range",
 }

@@ -82,7 +82,7 @@ def imported_by_the_package() -> set[str]:
 def named_message_packages() -> set[str]:
     """Message packages that the code names as text, such as ``"sensor_msgs/msg/Image"``."""
     text = "".join(path.read_text("utf-8") for path in REPOSITORY.glob("infomap_ros/**/*.py"))
-    return set(re.findall(r"\b([a-z0-9_]+)/(?:msg|srv)/[A-Z]", text))
+    return set(re.findall(r"\b([a-z0-9_]+)/(?:msg|srv|action)/[A-Z]", text))
 
 
 def test_manifest_is_valid(manifest: Package) -> None:

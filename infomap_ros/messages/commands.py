@@ -36,11 +36,17 @@ class ArmTrajectoryCommand:
         names: n joints.
         positions: knots, shape (K, n) [rad or m].
         times: from the start, shape (K,) [s].
+        velocities: at the knots, shape (K, n) [rad/s or m/s]; None where it has none.
+        stamp: when it begins [ns]; 0: at once.
+        label: frame_id of its header.
     """
 
     names: tuple[str, ...]
     positions: FloatArray
     times: FloatArray
+    velocities: FloatArray | None = None
+    stamp: int = 0
+    label: str = ""
 
 
 def decode_velocity(message: object) -> tuple[float, float]:
@@ -67,12 +73,14 @@ def decode_base_path(message: object) -> BasePathCommand:
 
 
 def decode_arm_trajectory(message: object) -> ArmTrajectoryCommand:
-    """Read a ``trajectory_msgs/JointTrajectory``; velocities and efforts in it are not used.
+    """Read a ``trajectory_msgs/JointTrajectory``; accelerations and efforts in it are not used.
 
     Raises:
-        MalformedMessageError: no points, or a point has not one position for each joint.
+        MalformedMessageError: no points, or a point has not one position for each joint, or some
+            velocities and not one for each.
     """
     fields = MessageFields(message, JOINT_TRAJECTORY)
+    stamp, label = fields.header()
     names = fields.texts("joint_names")
     points = fields.children("points")
     if not names or not points:
@@ -82,7 +90,19 @@ def decode_arm_trajectory(message: object) -> ArmTrajectoryCommand:
         if len(row) != len(names):
             fields.fail(f"points[{index}] has {len(row)} positions for {len(names)} joints")
     times = [_seconds(point.child("time_from_start")) for point in points]
-    return ArmTrajectoryCommand(names, np.array(positions), np.array(times))
+    return ArmTrajectoryCommand(
+        names, np.array(positions), np.array(times), _velocities(fields, len(names)), stamp, label
+    )
+
+
+def _velocities(fields: MessageFields, joints: int) -> FloatArray | None:
+    rows = [point.numbers("velocities") for point in fields.children("points")]
+    if all(len(row) == 0 for row in rows):
+        return None
+    for index, row in enumerate(rows):
+        if len(row) != joints:
+            fields.fail(f"points[{index}] has {len(row)} velocities for {joints} joints")
+    return np.array(rows)
 
 
 def _seconds(fields: MessageFields) -> float:

@@ -42,28 +42,45 @@ def encode_base_path(types: MessageTypes, stamp: int, frame_id: str, poses: Floa
     )
 
 
-def encode_arm_trajectory(types: MessageTypes, stamp: int, path: ArmPath) -> Any:
-    """Build a ``trajectory_msgs/JointTrajectory``; stamp [ns] is when it begins."""
+def encode_arm_trajectory(
+    types: MessageTypes,
+    stamp: int,
+    path: ArmPath,
+    velocities: FloatArray | None = None,
+    label: str = "",
+) -> Any:
+    """Build a ``trajectory_msgs/JointTrajectory``.
+
+    Args:
+        types: who makes the message.
+        stamp: when it begins [ns]; 0 for when it arrives, whatever the clocks say.
+        path: of the arm.
+        velocities: at its knots, as its positions [rad/s or m/s]; None for none.
+        label: frame_id of the header, which has no meaning for joints: by it a result names the
+            trajectory that it is of.
+    """
     none = np.zeros(0)
+    rows = [none] * len(path.positions) if velocities is None else velocities
     return types.make(
         "trajectory_msgs/msg/JointTrajectory",
-        header=make_header(types, stamp, ""),
+        header=make_header(types, stamp, label),
         joint_names=list(path.joint_names),
         points=[
             types.make(
                 "trajectory_msgs/msg/JointTrajectoryPoint",
                 positions=np.array(positions),
-                velocities=none,
+                velocities=np.array(speeds),
                 accelerations=none,
                 effort=none,
-                time_from_start=_duration(types, float(time)),
+                time_from_start=encode_duration(types, float(time)),
             )
-            for positions, time in zip(path.positions, path.times, strict=True)
+            for positions, speeds, time in zip(path.positions, rows, path.times, strict=True)
         ],
     )
 
 
-def _duration(types: MessageTypes, seconds: float) -> Any:
+def encode_duration(types: MessageTypes, seconds: float) -> Any:
+    """Build a ``builtin_interfaces/Duration`` from a time [s]."""
     whole, rest = divmod(round(seconds * _NANOSECONDS), _NANOSECONDS)
     return types.make("builtin_interfaces/msg/Duration", sec=whole, nanosec=rest)
 

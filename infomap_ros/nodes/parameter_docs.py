@@ -21,6 +21,7 @@ from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
+from infomap_ros.nodes.robot_driver import RobotDriverNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 
@@ -33,6 +34,7 @@ NODES = {
     "next_best_view": NextBestViewNode.CONFIGS,
     "explorer": ExplorerNode.CONFIGS,
     "dead_reckoning": DeadReckoningNode.CONFIGS,
+    "robot_driver": RobotDriverNode.CONFIGS,
 }
 _BEGIN, _END = "<!-- parameters of {} -->", "<!-- end of parameters of {} -->"
 

@@ -19,7 +19,8 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs
+from infomap_ros.nodes.simulated.simulator_actions import SimulatorActions
+from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs, SimulatorInputsConfig
 from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
 from infomap_ros.nodes.simulated.simulator_teammates import (
     SimulatorTeammates,
@@ -78,6 +79,7 @@ class SimulatorNode(MonitoredNode):
     CONFIGS = (
         (SimulatorNodeConfig, ""),
         (SimulatorOutputsConfig, ""),
+        (SimulatorInputsConfig, ""),
         (TeammatesConfig, ""),
         (SimulatorConfig, ""),
     )
@@ -88,6 +90,9 @@ class SimulatorNode(MonitoredNode):
         self._simulator, scene = self._build()
         self._outputs = SimulatorOutputs(self, self._simulator, scene)
         self._inputs = SimulatorInputs(self, self._simulator)
+        self._actions = None
+        if self.config(SimulatorInputsConfig).commands == "actions":
+            self._actions = SimulatorActions(self, self._simulator, self._inputs)
         self._teammates = SimulatorTeammates(self, self._simulator)
         self._stopping = False
         self.start_worker(1).submit(self._run)
@@ -118,6 +123,8 @@ class SimulatorNode(MonitoredNode):
         try:
             while not self._stopping:
                 self._inputs.carry_out()
+                if self._actions is not None:
+                    self._actions.update()
                 self._teammates.update()
                 if self._teammates.wait(self._outputs.publish_state):
                     continue

@@ -189,6 +189,10 @@ class Simulator(RobotSensors):
         self.stop_base()
         self._arm.stop()
 
+    def stop_arm(self) -> None:
+        """Stop the arm; the base goes on."""
+        self._arm.stop()
+
     def stop_base(self) -> None:
         """Stop the base; the arm goes on."""
         self._base.stop()
@@ -247,6 +251,21 @@ class Simulator(RobotSensors):
     def problem(self) -> str:
         """Why the last commands to base or arm were not carried out; empty where they were."""
         return "; ".join(filter(None, (self._base.problem, self._arm.problem)))
+
+    @property
+    def arm_joints(self) -> tuple[str, ...]:
+        """The joints that trajectories can name."""
+        return self._arm.joints
+
+    @property
+    def arm_motion(self) -> tuple[bool, str]:
+        """Whether a trajectory is being followed, and why the last one was not; or empty."""
+        return self._arm.active, self._arm.problem
+
+    @property
+    def base_motion(self) -> tuple[bool, str]:
+        """Whether the base is being driven, and why the last path was not; or empty."""
+        return self._base.active, self._base.problem
 
     @property
     def contacts(self) -> int:

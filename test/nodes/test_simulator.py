@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import time
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
@@ -29,6 +31,8 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
+from infomap_ros.nodes.robot_driver import RobotDriverNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.worlds.scenes import build_scene
@@ -184,11 +188,51 @@ def test_bad_commands_are_counted_and_move_nothing(graph: Any) -> None:
     twist = Twist()
     twist.linear.x = float("nan")
     bench.commands["cmd_vel"].publish(twist)
-    reasons = ("wrong frame", "robot description", "malformed message")
+    reasons = ("wrong frame", "invalid data", "malformed message")
     graph.spin_until(
         lambda: all(any(r in key for key in bench.node.health.values()) for r in reasons), "drops"
     )
+    late = ArmPath(("arm_elbow_joint",), np.ones((1, 1)), np.zeros(1))
+    bench.commands["arm_trajectory"].publish(encode_arm_trajectory(TYPES, 1, late))
+    graph.spin_until(
+        lambda: "s ago" in bench.node.health.values()["last drop: invalid data"],
+        "the refusal of a trajectory whose stamp is past",
+    )
     np.testing.assert_allclose(bench.base(), before, atol=1e-6)
+
+
+@pytest.mark.skipif(
+    find_spec("control_msgs") is None or find_spec("nav2_msgs") is None,
+    reason="control_msgs and nav2_msgs: python -m infomap_ros.nodes.common.message_packages",
+)
+def test_it_moves_by_actions_through_robot_driver(graph: Any) -> None:
+    joints = ", ".join(f"arm_{name}_joint" for name in ("pan", "shoulder", "elbow", "wrist"))
+    driver = graph.add(RobotDriverNode, controllers=[f"arm_controller: {joints}"])
+    bench = Bench(graph, commands="actions")
+    results: list[MotionResult] = []
+    graph.tester.create_subscription(
+        DiagnosticArray, "motion_results", lambda m: results.append(read_motion_result(m)), 10
+    )
+    graph.connect(driver._results)
+    parts = [part._carrier for part in driver._drivers]
+    clients = [parts[0]._clients["arm_controller"], parts[1]._client]
+    graph.spin_until(lambda: all(client.server_is_ready() for client in clients), "servers")
+    graph.spin_until(lambda: driver._drivers[0]._joints._limits, "description")
+    x, y, yaw = planar(decode_odometry(bench.odometry[-1]).transform)
+    way = [(x, y, yaw), (x + 0.2 * np.cos(yaw), y + 0.2 * np.sin(yaw), yaw)]
+    before = bench.base()
+    bench.commands["base_path"].publish(encode_base_path(TYPES, 7, "odom", np.array(way)))
+    graph.spin_until(lambda: results, "the result of the path")
+    assert (results[0].stamp, results[0].outcome) == (7, Outcome.SUCCEEDED), results
+    assert np.linalg.norm((bench.base() - before)[:2]) == pytest.approx(0.2, abs=0.05)
+    path = ArmPath(("arm_pan_joint",), np.full((1, 1), 0.5), np.array([1.0]))
+    message = encode_arm_trajectory(TYPES, 0, path, label="turn")
+    bench.commands["arm_trajectory"].publish(message)
+    graph.spin_until(lambda: len(results) == 2, "the result of the trajectory")
+    assert (results[1].label, results[1].outcome) == ("turn", Outcome.SUCCEEDED), results
+    states = decode_joint_state(bench.joints[-1])
+    pan = states.positions[states.names.index("arm_pan_joint")]
+    assert pan == pytest.approx(0.5, abs=0.03)
 
 
 def test_a_contact_is_told(graph: Any) -> None:

@@ -171,6 +171,12 @@ class RobotTracker:
         with self._news:
             return "" if self._carried is None else self._carried.odom_frame
 
+    @property
+    def newest_odometry(self) -> int:
+        """Stamp of the newest odometry [ns]; -1 before any has come."""
+        with self._news:
+            return self._odometry
+
     def known_state(self, in_odometry: bool = False) -> RobotState | None:
         """As `state` or `state_in_odometry`; None where that has no answer."""
         try:

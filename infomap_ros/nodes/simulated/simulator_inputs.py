@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.errors import FrameError, PoseUnavailableError
+from infomap_ros.errors import FrameError, InvalidInputError, PoseUnavailableError
 from infomap_ros.geometry import PoseRecord, invert_transform
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import decode_pose_with_covariance
 from infomap_ros.messages.commands import (
+    ArmTrajectoryCommand,
     BasePathCommand,
     decode_arm_trajectory,
     decode_base_path,
@@ -23,9 +26,29 @@ from infomap_ros.messages.commands import (
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputsConfig
+from infomap_ros.simulation.body.controller_rules import why_refused
 from infomap_ros.simulation.simulator import Simulator
 
 _KEPT = 400  # places of the camera in odom, by stamp
+
+
+@dataclass(frozen=True)
+class SimulatorInputsConfig:
+    """What the simulated robot listens to besides cmd_vel.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    commands: str = parameter(
+        "topics",
+        "topics: base_path and arm_trajectory; actions: follow_path, and follow_joint_trajectory "
+        "of arm_controller, for robot_driver.",
+        choices=("topics", "actions"),
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
 
 
 class SimulatorInputs:
@@ -46,11 +69,12 @@ class SimulatorInputs:
         self._places: dict[int, FloatArray] = {}
         self._problem = ""
         self._in_map = False
-        commands: tuple[tuple[type, str, Callable[[object], None]], ...] = (
-            (Twist, "cmd_vel", self._on_velocity),
-            (Path, "base_path", self._on_path),
-            (JointTrajectory, "arm_trajectory", self._on_trajectory),
-        )
+        commands: list[tuple[type, str, Callable[[object], None]]] = [
+            (Twist, "cmd_vel", self._on_velocity)
+        ]
+        if node.config(SimulatorInputsConfig).commands == "topics":
+            commands.append((Path, "base_path", self._on_path))
+            commands.append((JointTrajectory, "arm_trajectory", self._on_trajectory))
         for kind, topic, handle in commands:
             node.listen(kind, topic, handle, qos.stream(), required=False)
         node.listen(
@@ -60,6 +84,10 @@ class SimulatorInputs:
             qos.sensor_data(50),
             required=False,
         )
+
+    def submit(self, topic: str, command: Callable[[], None]) -> None:
+        """Have the thread that simulates carry out a command."""
+        self._commands.put((topic, command))
 
     def carry_out(self) -> None:
         """Give the robot the commands that have come; note where the camera is in odom."""
@@ -83,23 +111,33 @@ class SimulatorInputs:
 
     def _on_velocity(self, message: object) -> None:
         speed, rate = decode_velocity(message)
-        self._commands.put(("cmd_vel", partial(self._simulator.command_velocity, speed, rate)))
+        self.submit("cmd_vel", partial(self._simulator.command_velocity, speed, rate))
 
     def _on_path(self, message: object) -> None:
-        self._commands.put(("base_path", partial(self._follow, decode_base_path(message))))
+        self.submit("base_path", partial(self.follow, decode_base_path(message)))
 
     def _on_trajectory(self, message: object) -> None:
         command = decode_arm_trajectory(message)
-        follow = partial(
-            self._simulator.follow_arm_trajectory, command.names, command.positions, command.times
-        )
-        self._commands.put(("arm_trajectory", follow))
+        self.submit("arm_trajectory", partial(self.move_arm, command))
 
     def _on_pose(self, message: object) -> None:
         pose = decode_pose_with_covariance(message)
-        self._commands.put(("camera_pose", partial(self._localise, pose)))
+        self.submit("camera_pose", partial(self._localise, pose))
 
-    def _follow(self, command: BasePathCommand) -> None:
+    def move_arm(self, command: ArmTrajectoryCommand) -> None:
+        """Move the arm along a trajectory that a controller would accept.
+
+        Raises:
+            InvalidInputError: a controller would refuse it.
+            RobotModelError: a joint is unknown.
+        """
+        joints = self._simulator.arm_joints
+        refused = why_refused(command, joints, self._simulator.stamp, allow_partial=True)
+        if refused:
+            raise InvalidInputError("arm trajectory", refused)
+        self._simulator.follow_arm_trajectory(command.names, command.positions, command.times)
+
+    def follow(self, command: BasePathCommand) -> None:
         """Follow a path in odom or in the map.
 
         Raises:

@@ -44,6 +44,12 @@ class ArmMotion:
         self.problem = ""
 
     @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that can be commanded."""
+        followers = {self._body.servos[column] for column, *_ in self._followers}
+        return tuple(name for name in self._body.servos if name not in followers)
+
+    @property
     def active(self) -> bool:
         """Whether a trajectory is being followed."""
         return bool(np.isfinite(self._elapsed))
@@ -113,9 +119,7 @@ class ArmMotion:
             self._elapsed = np.inf
 
     def _columns(self, names: Sequence[str]) -> list[int]:
-        followers = {self._body.servos[column] for column, *_ in self._followers}
-        known = set(self._body.servos) - followers
-        unknown = [name for name in names if name not in known]
+        unknown = [name for name in names if name not in self.joints]
         if unknown:
             raise RobotModelError(f"arm trajectory: no such joint: {', '.join(unknown)}")
         return [self._body.servos.index(name) for name in names]

@@ -1,0 +1,132 @@
+"""A motion as goals of action servers: some at the same time, some after others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from infomap_ros.nodes.driving.action_goal import ActionGoal, GoalRequest
+from infomap_ros.nodes.driving.motion_result import Order, Outcome
+
+REPLACED = "a newer command has taken its place"
+_PERIOD = 0.2  # [s] between two looks after servers that have gone
+
+
+class _Motion:
+    """An order with the goals that are running for it and those that follow."""
+
+    def __init__(self, order: Order, stages: Sequence[Sequence[GoalRequest]]) -> None:
+        self.order, self.stages = order, list(stages)
+        self.goals: list[ActionGoal] = []
+        self.canceled = False
+        self.culprit: ActionGoal | None = None  # the first that did not succeed
+
+
+class ActionMotions:
+    """Carries out one motion at a time; a new one takes the place of the one before.
+
+    A motion is done when all its goals have succeeded. Where one does not, the others are canceled,
+    and it ends when all have ended. Goals of a motion that was replaced are left to their servers
+    to replace; where a server refuses to, they are canceled.
+
+    Args:
+        node: whose executor serves the clients.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._log, self._clock = node.get_logger(), node.get_clock()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._motion: _Motion | None = None
+        self._replaced: list[ActionGoal] = []
+        node.create_timer(_PERIOD, self._check, clock=self._steady)
+
+    def start(self, order: Order, stages: Sequence[Sequence[GoalRequest]]) -> None:
+        """Begin a motion.
+
+        Args:
+            order: whose result it reports.
+            stages: goals; those of one stage run together, stages one after the other.
+        """
+        requests = [request for stage in stages for request in stage]
+        gone = [each.name for each in requests if not each.client.server_is_ready()]
+        if gone:
+            self.stop("a newer command could not be carried out")
+            missing = ", ".join(dict.fromkeys(gone))
+            order.end(Outcome.FAILED, f"there is no action server of {missing}")
+            return
+        before, self._motion = self._motion, _Motion(order, stages)
+        if before is not None:
+            before.order.end(Outcome.CANCELED, REPLACED)
+            clients = [request.client for request in stages[0]]
+            for goal in before.goals:
+                if goal.has_ended:
+                    continue
+                self._replaced.append(goal)
+                if goal.request.client not in clients:
+                    goal.cancel(REPLACED)
+        self._send_next(self._motion)
+
+    def stop(self, cause: str) -> None:
+        """Cancel what runs; its order ends when the servers have confirmed.
+
+        Args:
+            cause: why, for the result.
+        """
+        motion = self._motion
+        goals = list(self._replaced)
+        if motion is not None:
+            motion.canceled = True
+            goals += motion.goals
+        for goal in goals:
+            goal.cancel(cause)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a goal has been sent that has not ended."""
+        running = [] if self._motion is None else self._motion.goals
+        return any(not goal.has_ended for goal in (*running, *self._replaced))
+
+    def _send_next(self, motion: _Motion) -> None:
+        stage = motion.stages.pop(0)
+        motion.goals = []
+        for request in stage:
+            motion.goals.append(ActionGoal(request, self._steady, self._clock, self._on_end))
+
+    def _on_end(self, goal: ActionGoal) -> None:
+        name, motion = goal.request.name, self._motion
+        if goal in self._replaced:
+            self._replaced.remove(goal)
+            self._log.info(f"{name}, replaced: {goal.words}")
+            return
+        if motion is None or goal not in motion.goals:
+            return
+        if not goal.succeeded and not motion.canceled:
+            self._log.warning(f"{name}: {goal.words}")
+            motion.culprit = motion.culprit or goal
+            for other in (*motion.goals, *self._replaced):
+                other.cancel(f"{name} has failed")
+        if all(each.has_ended for each in motion.goals):
+            self._finish(motion)
+
+    def _finish(self, motion: _Motion) -> None:
+        parts = {goal.request.name: goal.words for goal in motion.goals}
+        if motion.culprit is None and not motion.canceled and motion.stages:
+            self._send_next(motion)
+            return
+        self._motion = None
+        lost = next((goal for goal in motion.goals if goal.is_lost), None)
+        worst = motion.culprit or lost
+        if worst is not None:
+            motion.order.end(Outcome.FAILED, f"{worst.request.name}: {worst.words}", parts)
+        elif motion.canceled:
+            words = "; ".join(f"{name}: {said}" for name, said in parts.items())
+            motion.order.end(Outcome.CANCELED, words, parts)
+        else:
+            motion.order.end(Outcome.SUCCEEDED, "", parts)
+
+    def _check(self) -> None:
+        running = [] if self._motion is None else self._motion.goals
+        for goal in (*running, *self._replaced):
+            goal.check()

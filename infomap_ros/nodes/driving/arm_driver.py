@@ -1,0 +1,202 @@
+"""Carries out arm_trajectory on the controllers of the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from rclpy.action import ActionClient
+from trajectory_msgs.msg import JointTrajectory
+
+from infomap_ros.errors import InfomapError
+from infomap_ros.messages.commands import decode_arm_trajectory
+from infomap_ros.messages.motions import encode_arm_trajectory, encode_duration
+from infomap_ros.motion.arm.controller_trajectories import (
+    ControllerTrajectory,
+    read_controllers,
+    split_trajectory,
+    stopping_path,
+)
+from infomap_ros.motion.route import ArmPath
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving.action_goal import GoalRequest
+from infomap_ros.nodes.driving.action_motion import REPLACED, ActionMotions
+from infomap_ros.nodes.driving.action_types import (
+    FOLLOW_JOINT_TRAJECTORY,
+    action_class,
+    explain_trajectory,
+)
+from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
+from infomap_ros.nodes.driving.joint_listener import JointListener
+from infomap_ros.nodes.driving.motion_result import ARM, MotionResult, Order, Outcome
+
+_SLACK = 5.0  # [s] that a controller's result may come after its goal_time_tolerance
+_ARRIVED = 0.03  # [rad or m] that a joint without a result may be off its goal
+_PERIOD = 0.1  # [s] between two looks at joints that move without a result
+_NANOSECONDS = 1_000_000_000
+
+
+class ArmDriver:
+    """Gives each controller its part of a trajectory and reports what became of it.
+
+    Args:
+        node: has the configurations of driver and frames.
+        report: takes results.
+
+    Raises:
+        ResourceError: control_msgs is not installed.
+    """
+
+    def __init__(self, node: MonitoredNode, report: Callable[[MotionResult], None]) -> None:
+        self._node, self._report = node, report
+        self._config, self._types = node.config(RobotDriverConfig), RclpyMessageTypes()
+        self._controllers = read_controllers(self._config.controllers)
+        self._joints = JointListener(node)
+        if self._config.arm == "follow_joint_trajectory":
+            self._carrier: _Actions | _Topics = _Actions(node, self._controllers)
+        else:
+            self._carrier = _Topics(node, self._controllers, self._joints)
+        node.listen(JointTrajectory, ARM, self._on_trajectory, qos.stream(), required=False)
+
+    def stop(self, cause: str) -> None:
+        """Stop the arm, and say why."""
+        self._carrier.stop(cause)
+
+    def halt(self) -> None:
+        """Stop before this node ends."""
+        self.stop("robot_driver ends")
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a motion has not ended."""
+        return self._carrier.is_active
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if not message.points:
+            self.stop("an empty trajectory was commanded")
+            return
+        stamp = message.header.stamp.sec * _NANOSECONDS + message.header.stamp.nanosec
+        order = Order(ARM, stamp, message.header.frame_id, self._report)
+        try:
+            command = decode_arm_trajectory(message)
+            path = ArmPath(command.names, command.positions, command.times)
+            present, limits = self._joints.positions, self._joints.limits
+            parts = split_trajectory(path, self._controllers, present, limits)
+        except InfomapError as error:
+            self.stop("a newer command could not be carried out")
+            order.end(Outcome.FAILED, str(error))
+            raise
+        self._carrier.start(order, parts)
+
+
+class _Actions:
+    """The controllers' actions."""
+
+    def __init__(self, node: MonitoredNode, controllers: Iterable[str]) -> None:
+        self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
+        self._action = action_class(FOLLOW_JOINT_TRAJECTORY)
+        self._clients = {
+            name: ActionClient(node, self._action, f"{name}/follow_joint_trajectory")
+            for name in controllers
+        }
+        self._motions = ActionMotions(node)
+
+    @property
+    def is_active(self) -> bool:
+        return self._motions.is_active
+
+    def start(self, order: Order, parts: Sequence[ControllerTrajectory]) -> None:
+        self._motions.start(order, [[self._request(part) for part in parts]])
+
+    def stop(self, cause: str) -> None:
+        self._motions.stop(cause)
+
+    def _request(self, part: ControllerTrajectory) -> GoalRequest:
+        goal = self._action.Goal(
+            trajectory=_message(self._types, part),
+            goal_time_tolerance=encode_duration(self._types, self._time),
+        )
+        limit = float(part.times[-1]) + self._time + _SLACK
+        return GoalRequest(
+            part.controller, self._clients[part.controller], goal, explain_trajectory, limit
+        )
+
+
+class _Topics:
+    """The controllers' topics, which give no result: the joints tell."""
+
+    def __init__(
+        self, node: MonitoredNode, controllers: Iterable[str], joints: JointListener
+    ) -> None:
+        self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
+        self._clock, self._joints = node.get_clock(), joints
+        self._publishers = {
+            name: node.advertise(JointTrajectory, f"{name}/joint_trajectory", qos.stream())
+            for name in controllers
+        }
+        self._order: Order | None = None
+        self._parts: Sequence[ControllerTrajectory] = ()
+        self._end = 0
+        node.create_timer(_PERIOD, self._look)
+
+    @property
+    def is_active(self) -> bool:
+        return self._order is not None
+
+    def start(self, order: Order, parts: Sequence[ControllerTrajectory]) -> None:
+        touched = {part.controller for part in parts}
+        self._halt([part for part in self._parts if part.controller not in touched])
+        if self._order is not None:
+            self._order.end(Outcome.CANCELED, REPLACED)
+        for part in parts:
+            self._publishers[part.controller].publish(_message(self._types, part))
+        self._order, self._parts = order, parts
+        duration = round(float(parts[0].times[-1]) * _NANOSECONDS)
+        self._end = self._clock.now().nanoseconds + duration
+
+    def stop(self, cause: str) -> None:
+        if self._order is not None:
+            self._halt(self._parts)
+            self._finish(Outcome.CANCELED, cause)
+
+    def _halt(self, parts: Sequence[ControllerTrajectory]) -> None:
+        """Slow down and stand."""
+        joints = self._joints
+        for part in parts:
+            here = np.array([joints.positions[name] for name in part.joints])
+            speeds = np.array([joints.velocities.get(name, 0.0) for name in part.joints])
+            stop = stopping_path(part.joints, here, speeds)
+            still = np.zeros_like(stop.positions)
+            message = encode_arm_trajectory(self._types, 0, stop, still)
+            self._publishers[part.controller].publish(message)
+
+    def _look(self) -> None:
+        """See whether the joints have arrived."""
+        late = (self._clock.now().nanoseconds - self._end) / _NANOSECONDS
+        if self._order is None or late < 0.0:
+            return
+        errors = {
+            name: abs(self._joints.positions[name] - goal)
+            for part in self._parts
+            for name, goal in zip(part.joints, part.positions[-1], strict=True)
+        }
+        worst = max(errors, key=errors.__getitem__)
+        if errors[worst] <= _ARRIVED:
+            self._finish(Outcome.SUCCEEDED, "")
+        elif late > self._time:
+            self._halt(self._parts)
+            reason = f"'{worst}' is {errors[worst]:.3f} off its goal {late:.1f} s after the end"
+            self._finish(Outcome.FAILED, reason)
+
+    def _finish(self, outcome: Outcome, reason: str) -> None:
+        order, self._order, self._parts = self._order, None, ()
+        if order is not None:
+            order.end(outcome, reason)
+
+
+def _message(types: RclpyMessageTypes, part: ControllerTrajectory) -> JointTrajectory:
+    path = ArmPath(part.joints, part.positions, part.times)
+    message: JointTrajectory = encode_arm_trajectory(types, 0, path, part.velocities)
+    return message

@@ -1,0 +1,96 @@
+"""Node ``robot_driver``: carries out base_path and arm_trajectory on a robot's controllers.
+
+Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
+of trajectories, or velocities. A newer command takes the place of the one before; an empty path or
+trajectory stops, as do ~/stop and the end of this node. What became of each command is on
+motion_results, with the controller's own words.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
+
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.driving.arm_driver import ArmDriver
+from infomap_ros.nodes.driving.base_driver import BaseDriver
+from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
+from infomap_ros.nodes.driving.motion_result import (
+    TOPIC,
+    MotionResult,
+    Outcome,
+    encode_motion_result,
+)
+from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+
+_LEAVING = 0.2  # [s] in which the last commands to stop leave this process
+
+
+class RobotDriverNode(MonitoredNode):
+    """See the module."""
+
+    CONFIGS = (
+        (RobotDriverConfig, ""),
+        (RobotTrackerConfig, ""),
+        (AssumedPoseConfig, ""),
+        (JointBufferConfig, "joints."),
+    )
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("robot_driver", **node_arguments)
+        config = self.config(RobotDriverConfig)
+        if config.arm != "none" and not config.controllers:
+            raise ConfigError("controllers", [], "the controllers of the arm, or arm: none")
+        self._results = self.advertise(DiagnosticArray, TOPIC, qos.stream())
+        self._drivers: list[ArmDriver | BaseDriver] = []
+        if config.arm != "none":
+            self._drivers.append(ArmDriver(self, self._report))
+        if config.base != "none":
+            self._drivers.append(BaseDriver(self, self._report))
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
+
+    def _report(self, result: MotionResult) -> None:
+        """Publish what became of a motion, and say it."""
+        self._results.publish(encode_motion_result(result))
+        if result.outcome is Outcome.SUCCEEDED:
+            self.health.produced()
+            self.get_logger().info(f"{result.topic}: done")
+        elif result.outcome is Outcome.CANCELED:
+            self.get_logger().info(f"{result.topic}: canceled: {result.reason}")
+        else:
+            self.get_logger().error(f"{result.topic}: failed: {result.reason}")
+        self.health.note(f"last of {result.topic}", result.reason or "done")
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        moving = [driver for driver in self._drivers if driver.is_active]
+        for driver in self._drivers:
+            driver.stop("~/stop was called")
+        response.success, response.message = True, "stopping" if moving else "nothing moves"
+        return response
+
+    def destroy_node(self) -> None:
+        """Stop the robot, then the node."""
+        moving = [driver for driver in self._drivers if driver.is_active]
+        for driver in moving:
+            driver.halt()
+        if moving:
+            time.sleep(_LEAVING)
+        super().destroy_node()
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(RobotDriverNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

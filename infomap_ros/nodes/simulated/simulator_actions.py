@@ -1,0 +1,128 @@
+"""The simulated robot's controllers: FollowJointTrajectory and FollowPath."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from infomap_ros.errors import InfomapError
+from infomap_ros.messages.commands import decode_arm_trajectory, decode_base_path
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.driving.action_types import (
+    FOLLOW_JOINT_TRAJECTORY,
+    FOLLOW_PATH,
+    action_class,
+)
+from infomap_ros.nodes.simulated.goal_server import GoalServer
+from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs
+from infomap_ros.simulation.body.controller_rules import why_refused
+from infomap_ros.simulation.simulator import Simulator
+
+ARM_CONTROLLER = "arm_controller"
+
+
+class SimulatorActions:
+    """Offers the actions in place of base_path and arm_trajectory.
+
+    Callbacks queue; the thread that simulates carries out and ends goals.
+
+    Args:
+        node: that offers them.
+        simulator: whose robot moves.
+        inputs: carries the commands out.
+
+    Raises:
+        ResourceError: control_msgs or nav2_msgs is not installed.
+    """
+
+    def __init__(self, node: MonitoredNode, simulator: Simulator, inputs: SimulatorInputs) -> None:
+        self._simulator, self._inputs = simulator, inputs
+        self._trajectory = action_class(FOLLOW_JOINT_TRAJECTORY).Result
+        self._path = action_class(FOLLOW_PATH).Result
+        self._begun = {"arm": False, "base": False}
+        replaced = self._trajectory(
+            error_code=self._trajectory.INVALID_GOAL, error_string="a new goal has come"
+        )
+        self._arm = GoalServer(
+            node,
+            action_class(FOLLOW_JOINT_TRAJECTORY),
+            f"{ARM_CONTROLLER}/follow_joint_trajectory",
+            self._refuse_trajectory,
+            self._begin_trajectory,
+            replaced,
+        )
+        self._base = GoalServer(
+            node,
+            action_class(FOLLOW_PATH),
+            "follow_path",
+            lambda _: "",
+            self._begin_path,
+            self._path(),
+        )
+
+    def update(self) -> None:
+        """End goals that are reached, given up or canceled; called by the thread that simulates."""
+        simulator = self._simulator
+        if self._arm.is_active and self._begun["arm"]:
+            if self._arm.is_cancel_wanted:
+                simulator.stop_arm()
+                self._arm.end("canceled", self._trajectory())
+            elif not simulator.arm_motion[0]:
+                self._end_trajectory(self._trajectory.GOAL_TOLERANCE_VIOLATED)
+        if self._base.is_active and self._begun["base"]:
+            if self._base.is_cancel_wanted:
+                simulator.stop_base()
+                self._base.end("canceled", self._path())
+            elif not simulator.base_motion[0]:
+                self._end_path(self._path.FAILED_TO_MAKE_PROGRESS)
+
+    def _refuse_trajectory(self, goal: Any) -> str:
+        try:
+            command = decode_arm_trajectory(goal.trajectory)
+        except InfomapError as error:
+            return str(error)
+        return why_refused(command, self._simulator.arm_joints, self._simulator.stamp)
+
+    def _begin_trajectory(self, goal: Any) -> None:
+        command = decode_arm_trajectory(goal.trajectory)
+        self._submit("arm", lambda: self._inputs.move_arm(command), self._fail_trajectory)
+
+    def _begin_path(self, goal: Any) -> None:
+        def follow() -> None:
+            self._inputs.follow(decode_base_path(goal.path))
+
+        self._submit("base", follow, self._fail_path)
+
+    def _submit(self, limb: str, command: Callable[[], None], fail: Callable[[str], None]) -> None:
+        self._begun[limb] = False
+
+        def carry_out() -> None:
+            self._begun[limb] = True
+            try:
+                command()
+            except InfomapError as error:
+                fail(str(error))
+                raise
+
+        self._inputs.submit(limb, carry_out)
+
+    def _fail_trajectory(self, words: str) -> None:
+        code = self._trajectory.INVALID_GOAL
+        self._arm.end("aborted", self._trajectory(error_code=code, error_string=words))
+
+    def _fail_path(self, words: str) -> None:
+        self._base.end("aborted", self._path(error_code=self._path.INVALID_PATH, error_msg=words))
+
+    def _end_trajectory(self, code: int) -> None:
+        problem = self._simulator.arm_motion[1]
+        if problem:
+            self._arm.end("aborted", self._trajectory(error_code=code, error_string=problem))
+        else:
+            self._arm.end("succeeded", self._trajectory())
+
+    def _end_path(self, code: int) -> None:
+        problem = self._simulator.base_motion[1]
+        if problem:
+            self._base.end("aborted", self._path(error_code=code, error_msg=problem))
+        else:
+            self._base.end("succeeded", self._path())

@@ -1,7 +1,8 @@
 """Explore with stereo_range, map_fusion, next_best_view and explorer, in simulation or on a robot.
 
 ros2 launch infomap_ros exploration.launch.py world:=cave seed:=3 rviz:=true
-ros2 launch infomap_ros exploration.launch.py simulator:=false
+ros2 launch infomap_ros exploration.launch.py driver:=true
+ros2 launch infomap_ros exploration.launch.py simulator:=false driver:=true parameters:=robot.yaml
 ros2 launch infomap_ros exploration.launch.py simulator:=false namespace:=robot1 robot_id:=1
 """
 
@@ -10,6 +11,7 @@ from launch.substitutions import LaunchConfiguration
 
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
+from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
 from infomap_ros.nodes.simulated.simulated_localisation import (
     IMAGE_RATE,
     simulated_localisation,
@@ -42,6 +44,11 @@ ARGUMENTS = {
     "max_distance": (str(TASK.max_distance), "Budget of the way of the base [m]."),
     "max_time": (str(TASK.max_time), "Budget of time [s]."),
     "autostart": ("true", "Begin at once, without explorer/start."),
+    "driver": (
+        "false",
+        "Start robot_driver, which moves the robot by the controllers that the parameter file "
+        "names; without it the robot must obey base_path and arm_trajectory itself.",
+    ),
     "plan_only": ("false", "Publish views and ways, and move nothing."),
     "resume": ("false", "Go on with map_file and mission_file."),
     "map_file": ("map.infomap", "File of the map, saved every half minute and at the end."),
@@ -76,6 +83,8 @@ def _processes(context) -> list:
         inputs["dead_reckoning"] = [*MOTION, "left/camera_info"]
     if given["localisation"] == "fiducials":
         inputs["fiducial_localization"] = [*IMAGES, *MOTION]
+    if given["driver"] == "true":
+        inputs["robot_driver"] = [*STATE, "odom", "left/camera_info"]
     if simulated:
         inputs["simulator"] = []
     settings = _settings(given)
@@ -86,6 +95,7 @@ def _processes(context) -> list:
 def _settings(given: dict[str, str]) -> dict[str, dict]:
     """Parameters of each node from the launch arguments."""
     truth = {name: value == "true" for name, value in given.items()}
+    driven = truth["simulator"] and truth["driver"]
     task = {
         "task.region_low": numbers(given["region_low"]),
         "task.region_high": numbers(given["region_high"]),
@@ -127,5 +137,7 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
             "world": given["world"],
             "world_seed": int(given["seed"]),
             "publish_camera_pose": given["localisation"] == "pose",
+            **(driven_simulator() if driven else {}),
         },
+        "robot_driver": simulated_driver() if driven else {},
     }

@@ -12,8 +12,12 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 
+from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion.arm.controller_trajectories import read_controllers
+from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
 from infomap_ros.nodes.parameter_docs import NODES, node_parameters
 
 EXPLORING = ("stereo_range", "map_fusion", "fiducial_localization", "next_best_view", "explorer")
@@ -138,6 +142,43 @@ def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: 
         assert settings_of(nodes[name])["use_sim_time"] is True
     explorer = settings_of(nodes["explorer"])
     assert explorer["qos_overrides./robot1/camera_pose.subscription.reliability"] == "reliable"
+
+
+def test_a_driver_moves_the_simulated_rover_by_actions(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, driver="true")
+
+    check_settings(nodes)
+    assert set(nodes) == {*EXPLORING, "robot_driver", "simulator", "rviz2"}
+    assert settings_of(nodes["simulator"])["commands"] == "actions"
+    assert settings_of(nodes["robot_driver"])["controllers"] == [
+        "arm_controller: arm_pan_joint, arm_shoulder_joint, arm_elbow_joint, arm_wrist_joint"
+    ]
+
+
+def test_a_driver_of_a_robot_takes_its_controllers_from_the_file(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, simulator="false", driver="true", parameters="mine.yaml")
+
+    assert set(nodes) == {*EXPLORING, "robot_driver", "rviz2"}
+    assert "controllers" not in settings_of(nodes["robot_driver"])
+    assert nodes["robot_driver"].parameters[-1] == "mine.yaml"
+
+
+@pytest.mark.parametrize("name", ["tiago", "ur5_on_base"])
+def test_the_robot_files_hold_parameters_that_nodes_accept(name: str) -> None:
+    path = find_share(f"config/robots/{name}.yaml")
+    text = path.read_text("utf-8")
+    assert len(text.splitlines()) <= 40
+    told = {key: each["ros__parameters"] for key, each in yaml.safe_load(text).items()}
+    config = build_config(
+        RobotDriverConfig, {k: _plain(v) for k, v in told["/**/robot_driver"].items()}
+    )
+    joints = {joint for each in read_controllers(config.controllers).values() for joint in each}
+    assert set(told["/**"]["arm_joints"]) == joints
+    assert set(told["/**"]) <= set(node_parameters(NODES["next_best_view"]))
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def test_exploring_with_a_robot_leaves_its_quality_of_service(exploration: ModuleType) -> None:

@@ -1,4 +1,4 @@
-"""``make demo``: a simulated rover explores a rough world, six processes over DDS.
+"""``make demo``: a simulated rover explores a rough world, a process for each node.
 
 Leaves the map file, the map as .ply, a picture, the log of the run, summary.json and a
 self-contained report.html in the output folder, and the logs of the nodes below ``log/``. At its

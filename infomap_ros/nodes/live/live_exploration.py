@@ -1,4 +1,7 @@
-"""An exploration as six processes over DDS: simulator, localisation, range, map, choice, loop."""
+"""An exploration as processes over DDS: simulator, driver, localisation, range, map, choice, loop.
+
+The robot is driven by actions where their packages are installed, else by topics.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
 from infomap_ros.nodes.live.live_graph import LiveGraph
+from infomap_ros.nodes.simulated.simulated_driver import (
+    driven_simulator,
+    has_actions,
+    simulated_driver,
+)
 from infomap_ros.nodes.simulated.simulated_localisation import (
     IMAGE_RATE,
     simulated_localisation,
@@ -79,6 +87,9 @@ def robot_parameters(
             **updates,
         },
     }
+    if has_actions():
+        nodes["simulator"] |= driven_simulator()
+        nodes["robot_driver"] = {**simulated_driver(), **reliable("joint_states")}
     if not localised:
         del nodes["fiducial_localization"]
     return nodes

@@ -1,8 +1,8 @@
 """Node ``robot_driver``: carries out base_path and arm_trajectory on a robot's controllers.
 
 Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
-of trajectories, or velocities. A newer command takes the place of the one before; an empty path or
-trajectory stops, as do ~/stop and the end of this node. What became of each command is on
+of trajectories, or velocities. A newer command takes the place of the one before; an empty
+trajectory or a path of less than two poses stops, as do ~/stop and the end of this node. What became of each command is on
 motion_results, with the controller's own words.
 """
 

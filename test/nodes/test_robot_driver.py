@@ -272,7 +272,7 @@ def test_a_newer_path_and_an_empty_one_end_the_one_before(graph: Any) -> None:
     second = bench.drive((0, 0, 0), (0, 20, 1.57))
     assert bench.result(first).outcome is Outcome.CANCELED
     graph.spin_until(lambda: bench.nav2.base[1] > 0.1, "motion")
-    bench.drive()
+    bench.drive((0, 1, 1.57))  # to stay
     assert bench.result(second).outcome is Outcome.CANCELED
     assert bench.nav2.canceled == 1
     assert len(bench.nav2.goals) == 2
@@ -314,7 +314,8 @@ def test_a_base_is_driven_by_velocities_to_the_end_of_its_path(graph: Any) -> No
 
 def test_a_base_that_is_stuck_or_stopped_says_so(graph: Any) -> None:
     bench = VelocityBench(graph, Twist, base="cmd_vel", **FAST)
-    assert "expected 'map' or 'odom'" in bench.result(bench.drive((0, 0, 0), frame="moon")).reason
+    moon = bench.drive((0, 0, 0), (1, 0, 0), frame="moon")
+    assert "expected 'map' or 'odom'" in bench.result(moon).reason
     first = bench.drive((0, 0, 0), (9, 0, 0))
     graph.spin_until(lambda: bench.base.pose[0] > 0.3, "motion")
     bench.drive()

@@ -81,8 +81,8 @@ class BaseDriver:
         return self._carrier.is_active
 
     def _on_path(self, message: Path) -> None:
-        if not message.poses:
-            self.stop("an empty path was commanded")
+        if len(message.poses) < 2:  # nowhere to go
+            self.stop("a path to stay was commanded")
             return
         stamp = message.header.stamp.sec * _NANOSECONDS + message.header.stamp.nanosec
         order = Order(BASE, stamp, message.header.frame_id, self._report)

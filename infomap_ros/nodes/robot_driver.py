@@ -2,8 +2,8 @@
 
 Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
 of trajectories, or velocities. A newer command takes the place of the one before; an empty
-trajectory or a path of less than two poses stops, as do ~/stop and the end of this node. What became of each command is on
-motion_results, with the controller's own words.
+trajectory or a path of less than two poses stops, as do ~/stop and the end of this node. What
+became of each command is on motion_results, with the controller's own words.
 """
 
 from __future__ import annotations

@@ -85,6 +85,19 @@ class JointBuffer:
         """Newest position of each joint, by name [rad or m]; empty before the first."""
         return {name: series.positions[-1] for name, series in self._series.items()}
 
+    def velocities(self) -> dict[str, float]:
+        """Velocity of each joint between its two newest positions, by name [rad/s or m/s].
+
+        A joint of which one position is known has none.
+        """
+        return {
+            name: (series.positions[-1] - series.positions[-2])
+            * _NANOSECONDS
+            / (series.stamps[-1] - series.stamps[-2])
+            for name, series in self._series.items()
+            if len(series.stamps) > 1
+        }
+
     def at(self, stamp: int) -> dict[str, float]:
         """Positions of all known joints at a time, by name [rad or m].
 

@@ -40,21 +40,24 @@ class TrajectoryController:
         graph: in which it is.
         name: of the controller.
         joints: where its joints are [rad or m].
+        publishes: its joints on joint_states.
 
     Attributes:
         stuck: joints that do not move.
+        slower: factor by which trajectories that come take longer than they say.
         inactive: refuse all, as a controller that is not running.
         goals: trajectories that were accepted.
         refused: why others were not.
         canceled: number of goals that were canceled.
     """
 
-    def __init__(self, graph: Any, name: str, joints: dict[str, float]) -> None:
+    def __init__(
+        self, graph: Any, name: str, joints: dict[str, float], publishes: bool = True
+    ) -> None:
         self.joints, self.stuck, self.inactive = joints, set[str](), False
         self.goals: list[ArmTrajectoryCommand] = []
         self.refused: list[str] = []
-        self.canceled = 0
-        self.fastest = 0.0
+        self.canceled, self.slower = 0, 1.0
         self._node, self._motion, self._tolerance = graph.tester, None, 0.0
         self._command: ArmTrajectoryCommand | None = None
         self._begun = 0.0
@@ -68,7 +71,7 @@ class TrajectoryController:
         self._node.create_subscription(
             JointTrajectory, f"{name}/joint_trajectory", self._on_topic, 10
         )
-        self._states = graph.publisher(JointState, "joint_states")
+        self._states = graph.publisher(JointState, "joint_states") if publishes else None
         self._node.create_timer(PERIOD, self._move)
 
     @property
@@ -102,7 +105,7 @@ class TrajectoryController:
 
     def _begin(self, command: ArmTrajectoryCommand) -> None:
         self.goals.append(command)
-        self._command, self._begun = command, self._now()
+        self._command, self._begun, self._slower = command, self._now(), self.slower
         here = np.array([[self.joints[name] for name in command.names]])
         speeds = command.velocities
         if speeds is None:
@@ -121,17 +124,18 @@ class TrajectoryController:
             self.server.end("canceled", self.result())
         if self._command is not None:
             self._advance(self._command)
+        if self._states is None:
+            return
         state = JointState(name=list(self.joints), position=list(self.joints.values()))
         state.header.stamp = self._node.get_clock().now().to_msg()
         self._states.publish(state)
 
     def _advance(self, command: ArmTrajectoryCommand) -> None:
-        passed, end = self._now() - self._begun, float(command.times[-1])
+        passed = (self._now() - self._begun) / self._slower
+        end = float(command.times[-1])
         places = self._spline(min(passed, end))
         for name, place in zip(command.names, places, strict=True):
             if name not in self.stuck:
-                speed = abs(float(place) - self.joints[name]) / PERIOD
-                self.fastest = max(self.fastest, speed)
                 self.joints[name] = float(place)
         if passed < end:
             return

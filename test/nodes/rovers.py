@@ -52,6 +52,8 @@ class PaperRover:
         tells_updates: publish an empty update with each state, as map_fusion does with each scan.
 
     Attributes:
+        obeys: whether it drives.
+        moves_arm: whether it moves its arm.
         is_located: whether it publishes its camera_pose; if not, odometry.
         pose_covariance: that it publishes with its camera_pose, shape (6, 6).
     """
@@ -64,6 +66,7 @@ class PaperRover:
         self.model = RobotModel.from_urdf(self.text, FRAMES["left"], "base_link")
         self.joints = {joint.name: 0.1 for joint in self.model.joints}
         self.base, self.obeys, self.pose_covariance = np.eye(4), True, 1e-6 * np.eye(6)
+        self.moves_arm = True
         self.paths: list[Path] = []
         self.trajectories: list[JointTrajectory] = []
         self.stamp = 1_000_000_000
@@ -108,7 +111,8 @@ class PaperRover:
 
     def on_arm(self, message: JointTrajectory) -> None:
         self.trajectories.append(message)
-        self.joints |= dict(zip(message.joint_names, message.points[-1].positions, strict=True))
+        if self.moves_arm:
+            self.joints |= dict(zip(message.joint_names, message.points[-1].positions, strict=True))
 
     def looks(self, *pans: float, tilt: float = 0.4) -> VoxelMap:
         """Map of the room after two scans in each posture of the arm [rad]."""

@@ -19,10 +19,12 @@ from infomap_ros.exploration.records.choice_text import choice_to_text, route_di
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
 from infomap_ros.localization.localisation import Localisation
+from infomap_ros.messages.commands import decode_arm_trajectory
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.locating.localization_status import status_message
 from infomap_ros.nodes.planning.exploration_status import read_status
+from infomap_ros.simulation.body.controller_rules import why_refused
 
 from .rovers import PaperRover
 
@@ -96,11 +98,13 @@ class OneView:
 class Stage:
     """Explorer, rover, planner and what is said of them."""
 
+    rover_kind: type[PaperRover] = PaperRover
+
     def __init__(
         self, graph: Any, folder: Path, views: int, sees: bool = True, **parameters: Any
     ) -> None:
         self.graph = graph
-        self.rover = PaperRover(graph, tells_updates=sees)
+        self.rover = self.rover_kind(graph, tells_updates=sees)
         self.planner = OneView(graph, self.rover, views)
         self.said: list[DiagnosticStatus] = graph.collect(
             DiagnosticStatus, "exploration_status", LATCHED
@@ -130,6 +134,7 @@ def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
     stage = Stage(graph, tmp_path, views=2, autostart=True)
     stage.spin_to("ended: done")
     assert len(stage.rover.paths) == 2
+    assert {message.header.stamp.sec for message in stage.rover.trajectories} == {0}
     assert stage.rover.base[0, 3] == pytest.approx(2.0)
     news = read_status(stage.said[-1])
     assert news.views == 3
@@ -293,6 +298,20 @@ def test_an_explorer_that_ends_stops_the_base(graph: Any, tmp_path: Path) -> Non
     graph.spin_until(lambda: len(stage.rover.paths) == 2, "the order to stay")
     (stay,) = stage.rover.paths[-1].poses
     assert (stay.pose.position.x, stay.pose.position.y) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_the_order_that_stops_the_arm_is_one_that_controllers_accept(
+    graph: Any, tmp_path: Path
+) -> None:
+    stage = Stage(graph, tmp_path, views=9, autostart=True, patience=60.0)
+    stage.rover.moves_arm = False
+    graph.spin_until(lambda: len(stage.rover.trajectories) == 1, "a motion of the arm")
+    assert stage.call("pause").success
+    graph.spin_until(lambda: len(stage.rover.trajectories) == 2, "the order to stop")
+    stop = decode_arm_trajectory(stage.rover.trajectories[-1])
+    now = graph.tester.get_clock().now().nanoseconds
+    assert why_refused(stop, stop.names, now) == ""
+    assert 0.1 <= stop.times[-1] <= 0.5
 
 
 def test_a_mission_waits_for_what_it_needs(graph: Any, tmp_path: Path) -> None:

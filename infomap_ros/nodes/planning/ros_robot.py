@@ -18,10 +18,13 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import POINT_CLOUD
 from infomap_ros.messages.fields import MessageFields
 from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
+from infomap_ros.motion.arm.controller_trajectories import stopping_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome
+from infomap_ros.nodes.planning.motion_results import MotionResults
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 
 
@@ -84,6 +87,7 @@ class RosRobot:
         self._config, self._tracker = node.config(RosRobotConfig), tracker
         self._map_frame = node.config(RobotTrackerConfig).map_frame
         self._clock, self._types = node.get_clock(), RclpyMessageTypes()
+        self._results = MotionResults(node, tracker.notify)
         self._fused, self._last_base = 0, (0.0, 0.0, 0.0)
         self._paths = node.advertise(Path, "base_path", qos.stream(depth=1))
         self._trajectories = node.advertise(JointTrajectory, "arm_trajectory", qos.stream(depth=1))
@@ -109,18 +113,24 @@ class RosRobot:
         return "" if done else f"no new scan was fused within {self._config.patience:g} s"
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
-        """Send the trajectory and wait until the joints are where it ends."""
+        """Send the trajectory and wait for its result, or until the joints are where it ends."""
         goal = dict(zip(path.joint_names, path.positions[-1], strict=True))
-        self._trajectories.publish(encode_arm_trajectory(self._types, self._now(), path))
-        if self._finish(lambda: self._farthest(goal)[1] <= self._tolerance, interrupted):
-            return Motion("")
+        label = f"trajectory {self._now()}"
+        self._trajectories.publish(encode_arm_trajectory(self._types, 0, path, label=label))
+        end = self._finish(
+            lambda: self._farthest(goal)[1] <= self._tolerance,
+            lambda: self._results.of_trajectory(label),
+            interrupted,
+        )
+        if end is not None:
+            return Motion(end)
         name, error = self._farthest(goal)
         self._hold_arm(path)
         return Motion(_broken_off(interrupted, f"{name} has stopped {error:.3f} off its goal"))
 
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
-        """Send the path and wait until the base rests at its end."""
-        self._send_path(poses)
+        """Send the path and wait for its result, or until the base rests at its end."""
+        stamp = self._send_path(poses)
         travelled = [self.place()]
 
         def arrived() -> bool:
@@ -129,10 +139,10 @@ class RosRobot:
             near = left <= self._config.position_tolerance
             return near and turn <= self._config.heading_tolerance
 
-        done = self._finish(arrived, interrupted)
+        end = self._finish(arrived, lambda: self._results.of_path(stamp), interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
-        if done:
-            return Motion("", path)
+        if end is not None:
+            return Motion(end, path)
         here = self.place()
         self._send_path(np.array([here]))  # stay
         left, turn = _away(here, poses[-1])
@@ -157,14 +167,41 @@ class RosRobot:
     def _wait(self, condition: Callable[[], bool], time: float, interrupted: Interrupted) -> bool:
         return self._tracker.wait_until(condition, time, interrupted)
 
-    def _finish(self, done: Callable[[], bool], interrupted: Interrupted) -> bool:
-        """Wait for a motion to be done for as long as something moves."""
+    def _finish(
+        self,
+        arrived: Callable[[], bool],
+        result: Callable[[], MotionResult | None],
+        interrupted: Interrupted,
+    ) -> str | None:
+        """Wait for a motion to end for as long as something moves.
+
+        Args:
+            arrived: whether it looks as if it were done, where nobody tells.
+            result: what robot_driver tells.
+            interrupted: breaks it off.
+
+        Returns:
+            Empty where it is done, else what robot_driver says of its failure; None where that
+            says nothing, and the robot has to be stopped.
+        """
+        driven = self._results.are_offered
+
+        def ended() -> bool:
+            if driven:
+                return result() is not None or not self._results.are_offered
+            return arrived()
+
         while True:
             moved = partial(self._has_left, self._whereabouts())
-            goes_on = self._wait(_either(done, moved), self._config.patience, interrupted)
-            is_done = done()
-            if is_done or not goes_on:
-                return is_done
+            goes_on = self._wait(_either(ended, moved), self._config.patience, interrupted)
+            arrived()  # notes the way
+            told = result()
+            if told is not None:
+                return "" if told.outcome is Outcome.SUCCEEDED else told.reason
+            if ended():
+                return "robot_driver has gone" if driven else ""
+            if not goes_on:
+                return None
 
     def _has_left(self, place: FloatArray) -> bool:
         return bool(np.abs(self._whereabouts() - place).max() > _STILL)
@@ -192,15 +229,21 @@ class RosRobot:
         return name, float(errors[name])
 
     def _hold_arm(self, path: ArmPath) -> None:
-        """Have the arm stay where it is."""
-        positions = self._tracker.joint_positions()
+        """Have the arm slow down and stay."""
+        positions, speeds = self._tracker.joint_positions(), self._tracker.joint_velocities()
         here = np.array([positions[name] for name in path.joint_names])
-        stay = ArmPath.staying(path.joint_names, here)
-        self._trajectories.publish(encode_arm_trajectory(self._types, self._now(), stay))
+        velocities = np.array([speeds.get(name, 0.0) for name in path.joint_names])
+        stop = stopping_path(path.joint_names, here, velocities)
+        self._trajectories.publish(encode_arm_trajectory(self._types, 0, stop))
 
-    def _send_path(self, poses: FloatArray) -> None:
-        frame = self._tracker.odom_frame if self.in_odometry else self._map_frame
-        self._paths.publish(encode_base_path(self._types, self._now(), frame, poses))
+    def _send_path(self, poses: FloatArray) -> int:
+        """Publish a path; returns its stamp [ns]."""
+        frame, stamp = (
+            self._tracker.odom_frame if self.in_odometry else self._map_frame,
+            self._now(),
+        )
+        self._paths.publish(encode_base_path(self._types, stamp, frame, poses))
+        return stamp
 
 
 def _either(first: Callable[[], bool], second: Callable[[], bool]) -> Callable[[], bool]:

@@ -193,6 +193,11 @@ class RobotTracker:
         with self._news:
             return self._joints.newest()
 
+    def joint_velocities(self) -> dict[str, float]:
+        """Velocity of each joint between its two newest positions [rad/s or m/s]."""
+        with self._news:
+            return self._joints.velocities()
+
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
     ) -> bool:

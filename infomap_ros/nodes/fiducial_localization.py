@@ -34,6 +34,7 @@ from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
@@ -99,8 +100,7 @@ class FiducialLocalizationNode(MonitoredNode):
         topics = depth_topics(color=True) if is_depth else stereo_topics(rectify=config.rectify)
         self._topics, self._estimator = topics, self._make_estimator()
         self._localizer = self._make_localizer()
-        warm_up()
-        self.get_logger().info("kernels ready")
+        prepare_kernels(self, warm_up, seconds=80.0)
         self._news = LocalizationNews(self, self._localizer)
         self._worker = self.start_worker(config.queue_size)
         stays = self.config(TargetConfig).kind != "none"

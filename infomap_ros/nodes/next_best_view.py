@@ -11,7 +11,6 @@ of the others: it leaves to them what they are about to see, and keeps clear of 
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from typing import Any
 
@@ -36,6 +35,7 @@ from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
@@ -78,9 +78,8 @@ class NextBestViewNode(MonitoredNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("next_best_view", **node_arguments)
-        start = time.monotonic()
-        warm_up(self.config(ViewPlannerConfig))
-        self.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
+        planning = partial(warm_up, self.config(ViewPlannerConfig))
+        prepare_kernels(self, planning, seconds=150.0)
         self._tracker = RobotTracker(self)
         self._fiducials = FiducialListener(self)
         self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
@@ -91,7 +90,7 @@ class NextBestViewNode(MonitoredNode):
         self._planner: TeamPlanner | None = None
         self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
-        self._worker = self.start_worker(1)
+        self._worker = self.start_worker(1, last_job=1.0)
         self._map = MapListener(self, self._worker)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
         self.listen(

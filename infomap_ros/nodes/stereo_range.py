@@ -16,6 +16,7 @@ from typing import Any
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.ranging.range_outputs import RangeOutputs
@@ -26,7 +27,6 @@ from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,
     RangeEstimator,
     StereoRangeEstimator,
-    seconds_to_warm_up,
 )
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
@@ -79,8 +79,7 @@ class StereoRangeNode(MonitoredNode):
         reserve_heap(self.config(MemoryConfig))
         config = self.config(StereoRangeNodeConfig)
         self._estimator = self._make_estimator(config)
-        seconds = seconds_to_warm_up(self._estimator)
-        self.get_logger().info(f"kernels ready after {seconds:.1f} s")
+        prepare_kernels(self, self._estimator.warm_up, seconds=6.0)
         self._outputs = RangeOutputs(self)
         self._worker = self.start_worker(config.queue_size)
         if config.source == "depth":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -189,10 +188,3 @@ class DepthRangeEstimator:
         """See `RangeEstimator.warm_up`."""
         sensor = DepthCameraSensor(PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5), self._config)
         sensor.measure(np.full((24, 32), 1.0, np.float32))
-
-
-def seconds_to_warm_up(estimator: RangeEstimator) -> float:
-    """Use every kernel of an estimator once; returns how long it took [s]."""
-    start = time.monotonic()
-    estimator.warm_up()
-    return time.monotonic() - start

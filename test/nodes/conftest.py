@@ -35,6 +35,7 @@ class Graph:
         rclpy.init(context=self.context, domain_id=self.domain)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.nodes: list[Node] = []
+        self._subscriptions: dict[tuple[type, str], Any] = {}
         self.tester = self.add(Node, "tester")
 
     def add(self, node_class: Callable[..., Node], name: str | None = None, **values: Any) -> Any:
@@ -58,8 +59,19 @@ class Graph:
     def collect(self, message_type: type, topic: str, profile: QoSProfile | int = 50) -> list[Any]:
         """Subscribe and return the list into which messages come."""
         received: list[Any] = []
-        self.tester.create_subscription(message_type, topic, received.append, profile)
+        key = message_type, topic
+        self._subscriptions[key] = self.tester.create_subscription(*key, received.append, profile)
         return received
+
+    def forget(self, message_type: type, topic: str) -> None:
+        """End the last subscription to a topic."""
+        self.tester.destroy_subscription(self._subscriptions.pop((message_type, topic)))
+
+    def remove(self, node: Node) -> None:
+        """End a node, as at the end of its process."""
+        self.executor.remove_node(node)
+        self.nodes.remove(node)
+        node.destroy_node()
 
     def spin_until(self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) -> None:
         """Serve callbacks until a condition holds; fails the test when it never does."""

@@ -17,6 +17,8 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 
 @dataclass(frozen=True)
 class EchoConfig:
@@ -104,12 +106,46 @@ def test_a_node_that_cannot_start_ends_with_one_line(capfd: pytest.CaptureFixtur
     def refuse() -> Any:
         raise ConfigError("rate", -1.0, "a positive number")
 
-    interrupt = signal.getsignal(signal.SIGINT)
+    before = [signal.getsignal(number) for number in SIGNALS]
     status = run_node(refuse, [])
-    signal.signal(signal.SIGINT, interrupt)
+    wrong = run_node(refuse, ["--ros-args", "--params-file", "nowhere.yaml"])
+    for number, handler in zip(SIGNALS, before, strict=True):
+        signal.signal(number, handler)
 
-    assert status == 2
-    assert "parameter 'rate' is -1.0" in capfd.readouterr().err
+    assert (status, wrong) == (2, 2)
+    said = capfd.readouterr().err
+    assert "parameter 'rate' is -1.0" in said
+    assert "nowhere.yaml" in said
+    assert "Traceback" not in said
+
+
+def test_an_input_that_never_comes_is_named_with_all_that_is_known(
+    graph: Any, capfd: pytest.CaptureFixture
+) -> None:
+    node = graph.add(EchoNode)
+    graph.publisher(String, "silence")
+    topic = f"{graph.namespace}/silence"
+    graph.spin_until(lambda: node.count_publishers(topic), "the publisher")
+    node.health._streams[topic].since -= 10.0
+    said = ""
+
+    def read() -> bool:
+        nonlocal said
+        said += capfd.readouterr().err
+        return "infomap doctor" in said
+
+    graph.spin_until(read, "a warning")
+
+    assert f"{topic} (std_msgs/msg/String, best effort, 1 publisher)" in said
+    assert "words" not in said, "five seconds have not passed"
+
+
+def test_a_parameter_with_a_slip_of_the_pen_is_named(
+    graph: Any, capfd: pytest.CaptureFixture
+) -> None:
+    graph.add(EchoNode, prefx="<")
+
+    assert "parameter prefx is not known and not used: is prefix meant?" in capfd.readouterr().err
 
 
 def test_a_defect_in_the_worker_ends_the_node(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,3 +94,22 @@ def test_rate_is_that_of_the_last_arrivals(clock: Clock) -> None:
     assert health.values()["/image rate [Hz]"] == "10.00"
     assert health.values()["/image count"] == "101"
     assert health.values()["/image age [s]"] == "0.00"
+
+
+def test_what_is_missing_is_said_every_five_seconds_and_what_stops_once(clock: Clock) -> None:
+    health = Health(clock)
+    health.watch("/never", required=True)
+    health.watch("/stops", required=True)
+    health.watch("/optional", required=False)
+    health.arrived("/stops")
+    clock.now += 4.0
+    assert health.newly_missing() == ([], [])
+    clock.now += 1.5
+    assert health.newly_missing() == (["/never"], ["/stops"])
+    clock.now += 1.0
+    assert health.newly_missing() == ([], [])
+    clock.now += 5.0
+    assert health.newly_missing() == (["/never"], [])
+    health.arrived("/never")
+    clock.now += 5.5
+    assert health.newly_missing() == ([], ["/never"])

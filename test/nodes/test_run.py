@@ -47,3 +47,41 @@ def test_a_second_interrupt_does_not_break_off_the_end(first: signal.Signals) ->
 
     assert rest == ["clean"]
     assert process.returncode == 0
+
+
+STARTING = """
+import sys, time
+sys.argv[0] = "/opt/lib/infomap_ros/map_fusion"
+import infomap_ros.nodes
+print("imports", flush=True)
+if "import" in sys.argv:
+    time.sleep(60.0)
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.run import run_node
+
+class Compiles(MonitoredNode):
+    def __init__(self):
+        super().__init__("compiles")
+        print("compiles", flush=True)
+        time.sleep(60.0)
+
+raise SystemExit(run_node(Compiles, []))
+"""
+
+
+@pytest.mark.parametrize("state", ["imports", "compiles"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_starting_ends_at_once_and_quietly(
+    state: str, number: signal.Signals
+) -> None:
+    words = ["import"] if state == "imports" else []
+    command = [sys.executable, "-c", STARTING, *words]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **options, env=private_graph()) as process:
+        assert process.stdout is not None
+        while process.stdout.readline().strip() != state:
+            assert process.poll() is None
+        process.send_signal(number)
+        _, said = process.communicate(timeout=10.0)
+
+    assert (process.returncode, said) == (0, "")

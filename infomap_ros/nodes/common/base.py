@@ -8,13 +8,16 @@ process, unless a message of another robot caused it: that is one dropped messag
 from __future__ import annotations
 
 import traceback
+import weakref
 from collections.abc import Callable
+from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -33,6 +36,7 @@ from infomap_ros.errors import (
 )
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.health import Health
+from infomap_ros.nodes.common.interrupts import release_when_leaving
 from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import declare_config
 from infomap_ros.nodes.common.worker import Worker
@@ -71,10 +75,13 @@ class MonitoredNode(Node):
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
         super().__init__(name, **node_arguments)
+        release_when_leaving(partial(_release, weakref.ref(self)))
         self.health = Health()
+        self._listened: dict[str, tuple[str, QoSProfile]] = {}
         self._configs: dict[type, Any] = {
             kind: declare_config(self, kind, prefix) for kind, prefix in self.CONFIGS
         }
+        self._warn_of_unknown_parameters()
         self._workers: list[Worker] = []
         self._advertised: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
@@ -109,6 +116,7 @@ class MonitoredNode(Node):
         name = self.resolve_topic_name(topic)
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
+        self._listened[name] = _type_name(message_type), profile
         radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
         guard = self.guard_peer if from_peer else self.guard
 
@@ -128,9 +136,22 @@ class MonitoredNode(Node):
         message_type: type,
         topic: str,
         profile: QoSProfile,
-        events: PublisherEventCallbacks | None = None,
+        on_subscriber: Callable[[], object] | None = None,
     ) -> Publisher:
-        """Create a publisher whose quality of service parameters can override."""
+        """Create a publisher whose quality of service parameters can override.
+
+        Args:
+            message_type: ROS message class.
+            topic: relative name.
+            profile: quality of service.
+            on_subscriber: called when a subscriber has appeared.
+        """
+
+        def on_matched(event: QoSPublisherMatchedInfo) -> None:
+            if on_subscriber is not None and event.total_count_change > 0:
+                on_subscriber()
+
+        events = PublisherEventCallbacks(matched=on_matched) if on_subscriber else None
         publisher = self.create_publisher(
             message_type,
             topic,
@@ -141,9 +162,19 @@ class MonitoredNode(Node):
         self._advertised.append(publisher)
         return publisher
 
-    def start_worker(self, capacity: int) -> Worker:
-        """Start a thread for long work; jobs that give way are counted as drops."""
-        worker = Worker(self.get_name(), capacity, lambda: self.drop("too slow"))
+    @property
+    def is_working(self) -> bool:
+        """Whether a worker still does a job, which at the end of a node is one broken off."""
+        return any(worker.alive for worker in self._workers)
+
+    def start_worker(self, capacity: int, last_job: float = 10.0) -> Worker:
+        """Start a thread for long work; jobs that give way are counted as drops.
+
+        Args:
+            capacity: number of jobs that may wait.
+            last_job: how long the node's end waits for the job at hand [s].
+        """
+        worker = Worker(self.get_name(), capacity, lambda: self.drop("too slow"), last_job)
         self._workers.append(worker)
         return worker
 
@@ -184,7 +215,8 @@ class MonitoredNode(Node):
     def drop(self, reason: str, detail: str = "") -> None:
         """Count data that were not used, and say so at most every five seconds per reason."""
         if self.health.dropped(reason, detail):
-            self.get_logger().warning(f"dropped ({reason}) {detail}".rstrip())
+            more = "" if detail == reason else detail
+            self.get_logger().warning(f"dropped ({reason}) {more}".rstrip())
 
     def destroy_node(self) -> None:
         """Stop the workers, then the node."""
@@ -195,6 +227,7 @@ class MonitoredNode(Node):
     def _publish_diagnostics(self) -> None:
         if not all(worker.alive for worker in self._workers):
             raise RuntimeError("the worker thread has ended by an error, see above")
+        self._warn_of_missing_inputs()
         self._note_memory()
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
@@ -211,6 +244,33 @@ class MonitoredNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
+    def _warn_of_missing_inputs(self) -> None:
+        """Say every few seconds what never came, with what is known of it, and what has stopped."""
+        never, stopped = self.health.newly_missing()
+        if never:
+            wanted = "; ".join(self._describe_input(topic) for topic in never)
+            self.get_logger().warning(f"nothing has come on {wanted}. Try `infomap doctor`")
+        if stopped:
+            self.get_logger().warning(f"nothing comes any more on {', '.join(stopped)}")
+
+    def _describe_input(self, topic: str) -> str:
+        """A topic with its type, quality of service, and how many publish it."""
+        type_name, profile = self._listened[topic]
+        reliability = profile.reliability.name.lower().replace("_", " ")
+        durability = ", latched" if profile.durability == qos.latched().durability else ""
+        count = self.count_publishers(topic)
+        publishers = f"{count or 'no'} publisher{'s' if count != 1 else ''}"
+        return f"{topic} ({type_name}, {reliability}{durability}, {publishers})"
+
+    def _warn_of_unknown_parameters(self) -> None:
+        """Name values that were given for parameters which this node does not have."""
+        known = [name for name in self._parameters if not name.startswith("qos_overrides.")]
+        for name in self._parameter_overrides:
+            if name not in self._parameters and not name.startswith("qos_overrides."):
+                near = get_close_matches(name, known, n=1)
+                hint = f": is {near[0]} meant?" if near else ""
+                self.get_logger().warning(f"parameter {name} is not known and not used{hint}")
+
     def _note_memory(self) -> None:
         """Note what of the heap is in use, and how many jobs have waited."""
         in_use = heap_in_use()
@@ -219,3 +279,15 @@ class MonitoredNode(Node):
         if self._workers:
             most = max(worker.most_waiting for worker in self._workers)
             self.health.note("most jobs waiting", str(most))
+
+
+def _type_name(message_type: type) -> str:
+    """As ROS writes it, such as sensor_msgs/msg/Image."""
+    package, kind, *_ = message_type.__module__.split(".")
+    return f"{package}/{kind}/{message_type.__name__}"
+
+
+def _release(node: weakref.ref[MonitoredNode]) -> None:
+    """Give back what a node has of the middleware."""
+    if (alive := node()) is not None:
+        Node.destroy_node(alive)

@@ -28,6 +28,7 @@ class Stream:
         since: when watching began [s, monotonic].
         arrivals: times of the last arrivals [s, monotonic].
         count: number of all arrivals.
+        has_stopped: whether it was said that nothing comes any more.
     """
 
     topic: str
@@ -36,6 +37,7 @@ class Stream:
     since: float
     arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     count: int = 0
+    has_stopped: bool = False
 
     def rate(self, now: float) -> float:
         """Mean rate of the last arrivals until now [Hz]; 0 below two arrivals."""
@@ -74,6 +76,7 @@ class Health:
         self._notes: dict[str, str] = {}
         self._quiet_until: dict[str, float] = {}
         self._reported: Counter[str] = Counter()
+        self._told_missing = -WARNING_PERIOD
         self._condition = ""
         self._outputs = Stream("", required=False, latched=False, since=clock())
 
@@ -87,6 +90,7 @@ class Health:
             stream = self._streams[topic]
             stream.arrivals.append(self._clock())
             stream.count += 1
+            stream.has_stopped = False
 
     def produced(self) -> None:
         """The node has made one of its results."""
@@ -135,6 +139,26 @@ class Health:
     def missing(self) -> list[str]:
         """Topics of required inputs on which nothing has come yet."""
         return [s.topic for s in self._streams.values() if s.required and not s.count]
+
+    def newly_missing(self) -> tuple[list[str], list[str]]:
+        """What is to be said of required inputs now, so that it is neither missed nor repeated.
+
+        Returns:
+            Topics on which nothing has come yet, at most every `WARNING_PERIOD`; and topics on
+            which nothing comes any more, once.
+        """
+        now = self._clock()
+        with self._lock:
+            late = [s for s in self._streams.values() if s.complaint(now) is not None]
+            never = [s.topic for s in late if not s.count]
+            stopped = [s for s in late if s.count and not s.has_stopped]
+            for stream in stopped:
+                stream.has_stopped = True
+            if now < self._told_missing + WARNING_PERIOD:
+                never = []
+            elif never:
+                self._told_missing = now
+        return never, [stream.topic for stream in stopped]
 
     def complaints(self) -> list[str]:
         """What is wrong now: with results and inputs, and what was dropped since the last call."""

@@ -6,6 +6,7 @@ Each publisher and subscription may be overridden by the ROS parameters
 
 from __future__ import annotations
 
+from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -14,6 +15,9 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+
+_CURRENT = Duration(seconds=2)
+"""Longer than a subscriber on a busy machine takes to fetch a sample."""
 
 
 def sensor_data(depth: int = 10) -> QoSProfile:
@@ -29,6 +33,17 @@ def stream(depth: int = 10) -> QoSProfile:
 def latched(depth: int = 1) -> QoSProfile:
     """Profile for maps and descriptions: who comes late gets the last one (or `depth`)."""
     return _newest(depth, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def current() -> QoSProfile:
+    """As `latched`, for what is built only while somebody subscribes: it is not kept for long.
+
+    Who comes late would get what the last subscriber got, however old. The publisher builds it
+    anew for each new subscriber instead.
+    """
+    profile = latched()
+    profile.lifespan = _CURRENT
+    return profile
 
 
 def _newest(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:

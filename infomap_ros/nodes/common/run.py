@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import gc
-import signal
+import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from threadpoolctl import threadpool_limits
 
 from infomap_ros.errors import InfomapError
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.interrupts import Interrupts, leave_at_once
 
 NodeType = TypeVar("NodeType", bound=Node)
+
+_LONGEST_SPIN = 0.5  # [s], after which an interrupt is noticed where nothing else wakes the node
 
 
 def run_node(
@@ -27,10 +34,8 @@ def run_node(
 ) -> int:
     """Initialise ROS, spin one node in one thread until shut down, and clean up.
 
-    Only the first interrupt counts: a terminal and a launch file may both send one, and the second
-    would break off what the node does at its end, such as saving a map. ROS's own handling of
-    signals is left out, because it closes the context at once: a node could not tell a robot to
-    stop.
+    ROS's own handling of signals is left out, because it closes the context at once: a node could
+    not tell a robot to stop. `infomap_ros.nodes.common.interrupts` says what is done instead.
 
     Args:
         factory: makes the node; an error of the library means that it does not start.
@@ -40,39 +45,51 @@ def run_node(
     Returns:
         Exit status: 0, 2 when the node could not start, or the result of the future.
     """
+    leave_at_once()
     threadpool_limits(1, user_api="blas")  # its threads spin, and take the cores from the others
-    rclpy.init(
-        args=None if arguments is None else list(arguments),
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, interrupt)
-    node = None
+    node, interrupts = None, Interrupts()
     try:
+        rclpy.init(
+            args=None if arguments is None else list(arguments),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
         node = factory()
+        interrupts.note()
         gc.freeze()  # what lives to the end need not be looked through again and again
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        if until is None:
-            executor.spin()
-        else:
-            executor.spin_until_future_complete(end := until(node))
-            return int(end.result() or 0)
-    except InfomapError as error:
-        print(f"fatal: not started: {error}", file=sys.stderr)
+        return _spin(node, interrupts, None if until is None else until(node))
+    except (InfomapError, RCLError) as error:
+        if node is not None:
+            raise
+        _refuse(error)
         return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        interrupts.ignore()
         gc.unfreeze()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+        if isinstance(node, MonitoredNode) and node.is_working:
+            os._exit(0)  # its job would go on in what the interpreter takes down
 
 
-def interrupt(number: int, frame: object) -> None:
-    """Handle a signal by breaking off; a node's timers wake it often enough to notice."""
-    raise KeyboardInterrupt
+def _spin(node: Node, interrupts: Interrupts, end: Future | None) -> int:
+    """Serve the node until it is to end; returns the exit status."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    if end is not None:
+        end.add_done_callback(lambda _: executor.wake())
+    try:
+        while not interrupts.requested and not (end is not None and end.done()):
+            executor.spin_once(timeout_sec=_LONGEST_SPIN)
+    except ExternalShutdownException:
+        return 0
+    return int(end.result() or 0) if end is not None and end.done() else 0
+
+
+def _refuse(error: Exception) -> None:
+    """Say why the node does not start, in its log too where ROS has one."""
+    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    if rclpy.ok():
+        get_logger(Path(sys.argv[0]).stem).fatal(f"not started: {reason}")
+    else:
+        print(f"fatal: not started: {reason}", file=sys.stderr)

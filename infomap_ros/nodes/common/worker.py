@@ -23,13 +23,21 @@ class Worker:
         name: of the thread.
         capacity: number of jobs that may wait; 1 means latest wins.
         on_overflow: called in the submitting thread for each job that gave way.
+        last_job: longest wait for the job at hand when it is stopped [s].
 
     Attributes:
         most_waiting: largest number of jobs that have waited at once so far.
     """
 
-    def __init__(self, name: str, capacity: int, on_overflow: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        name: str,
+        capacity: int,
+        on_overflow: Callable[[], None],
+        last_job: float = 10.0,
+    ) -> None:
         self.most_waiting = 0
+        self._last_job = last_job
         self._capacity = capacity
         self._on_overflow = on_overflow
         self._waiting: deque[tuple[Job, bool]] = deque()
@@ -79,17 +87,16 @@ class Worker:
             self._waiting = deque(kept)
         return forgotten
 
-    def stop(self, timeout: float = 10.0) -> None:
+    def stop(self) -> None:
         """Finish the job at hand, forget the others, and end the thread.
 
-        Args:
-            timeout: longest wait for the job at hand [s].
+        A job that takes longer than is waited for may fail on what is closed meanwhile.
         """
         with self._condition:
             self._stopping = True
             self._waiting.clear()
             self._condition.notify()
-        self._thread.join(timeout)
+        self._thread.join(self._last_job)
 
     def _run(self) -> None:
         while True:
@@ -100,4 +107,8 @@ class Worker:
                     return
                 job, _ = self._waiting.popleft()
                 self._busy = True
-            job()
+            try:
+                job()
+            except Exception:
+                if not self._stopping:
+                    raise

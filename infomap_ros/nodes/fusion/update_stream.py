@@ -16,7 +16,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.mapping import VoxelChanges, VoxelMap
@@ -69,11 +68,11 @@ class UpdateStream:
         self._on_tell: Callable[[], None] = lambda: None
         self._resumed = self._replaced = self._joined = False
         self.session = draw_session()
-        events = PublisherEventCallbacks(matched=self._on_matched)
-        self._publisher = node.advertise(PointCloud2, "map_updates", qos.stream(depth=50), events)
+        how = qos.stream(depth=50), self._on_newcomer
+        self._publisher = node.advertise(PointCloud2, "map_updates", *how)
         self._to_team = None
         if node.resolve_topic_name(UPDATES) != self._publisher.topic_name:
-            self._to_team = node.advertise(PointCloud2, UPDATES, qos.stream(depth=50))
+            self._to_team = node.advertise(PointCloud2, UPDATES, *how)
 
     @property
     def robot(self) -> int:
@@ -145,11 +144,13 @@ class UpdateStream:
 
     @property
     def _is_heard(self) -> bool:
-        return self._publisher.get_subscription_count() > 0
+        if self._publisher.get_subscription_count() > 0:
+            return True
+        team = self._to_team
+        return team is not None and team.get_subscription_count() > 1  # this node is one of them
 
-    def _on_matched(self, event: QoSPublisherMatchedInfo) -> None:
-        if event.total_count_change > 0:
-            self._newcomer = True
+    def _on_newcomer(self) -> None:
+        self._newcomer = True
 
     def _publish_to_team(
         self, member: TeamMember, voxel_map: VoxelMap, stamp: int, always: bool

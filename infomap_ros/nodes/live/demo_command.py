@@ -11,7 +11,10 @@ from pathlib import Path
 from rich.console import Console
 
 from infomap_ros.errors import InfomapError
-from infomap_ros.nodes.common.run import interrupt
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def run_demo_command(name: str, out: Path, run: Callable[[Console], Mapping[str, object]]) -> int:
@@ -26,7 +29,7 @@ def run_demo_command(name: str, out: Path, run: Callable[[Console], Mapping[str,
         Exit status: 1 with one line where it could not be done, 130 when it was interrupted.
     """
     console = Console(stderr=True)
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         figures = run(console)
     except (InfomapError, OSError) as error:

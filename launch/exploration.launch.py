@@ -51,12 +51,11 @@ ARGUMENTS = {
     ),
     "plan_only": ("false", "Publish views and ways, and move nothing."),
     "resume": ("false", "Go on with map_file and mission_file."),
-    "map_file": ("map.infomap", "File of the map, saved every half minute and at the end."),
+    "map_file": ("map.infomap", "File of the map, saved from time to time and at the end."),
     "mission_file": ("mission.json", "File with the account of the mission."),
     "log_file": ("exploration.jsonl", "Log of the run, for the report."),
     **ROBOT_ARGUMENTS,
 }
-AUTOSAVE = 30.0  # [s]
 IMAGES = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
 STATE, MOTION = ["camera_pose", "joint_states"], ["odom", "joint_states"]
 
@@ -87,12 +86,12 @@ def _processes(context) -> list:
         inputs["robot_driver"] = [*STATE, "odom", "left/camera_info"]
     if simulated:
         inputs["simulator"] = []
-    settings = _settings(given)
+    settings = _settings(given, robot.rectify)
     nodes = [robot.node(name, settings.get(name, {}), topics) for name, topics in inputs.items()]
     return [*nodes, robot.rviz()]
 
 
-def _settings(given: dict[str, str]) -> dict[str, dict]:
+def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
     """Parameters of each node from the launch arguments."""
     truth = {name: value == "true" for name, value in given.items()}
     driven = truth["simulator"] and truth["driver"]
@@ -106,15 +105,15 @@ def _settings(given: dict[str, str]) -> dict[str, dict]:
         "task.max_time": float(given["max_time"]),
     }
     return {
-        "stereo_range": {"rectify": truth["rectify"]},
+        "stereo_range": {"rectify": rectify},
         "map_fusion": {
             "map_file": given["map_file"],
             "resume": truth["resume"],
-            "autosave_period": AUTOSAVE,
+            "autosave_period": float(given["autosave"]),
             "voxel_size": float(given["voxel_size"]),
         },
         "fiducial_localization": {
-            "rectify": truth["rectify"],
+            "rectify": rectify,
             "motion": "odometry",
             **(simulated_localisation() if truth["simulator"] else {}),
             "target.kind": given["target"],

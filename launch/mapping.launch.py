@@ -25,7 +25,7 @@ ARGUMENTS = {
         "elsewhere, as from the bag.",
     ),
     "rectify": ("true", "The images are raw and must be rectified."),
-    "map_file": ("map.infomap", "File of ~/save, ~/load and autosave."),
+    "map_file": ("map.infomap", "File of the map, saved from time to time and at the end."),
     "resume": ("false", "Load map_file at the start."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
     **ROBOT_ARGUMENTS,
@@ -48,10 +48,11 @@ def _processes(context) -> list:
     if bag and not Path(bag).exists():
         bag = str(find_share(bag))
     robot = RobotLaunch(given, simulated=bool(bag))
-    seeing = {"source": given["source"], "rectify": given["rectify"] == "true"}
+    seeing = {"source": robot.source, "rectify": robot.rectify}
     fusion = {
         "map_file": given["map_file"],
         "resume": given["resume"] == "true",
+        "autosave_period": float(given["autosave"]),
         "voxel_size": float(given["voxel_size"]),
     }
     nodes = [
@@ -63,14 +64,14 @@ def _processes(context) -> list:
     if given["localisation"] == "odometry":
         nodes.append(robot.node("dead_reckoning", {}, [*MOTION, "left/camera_info"]))
     if bag:
-        nodes.append(robot.node("bag_player", _player(bag, given)))
+        nodes.append(robot.node("bag_player", _player(bag, given, robot)))
     return [*nodes, robot.rviz()]
 
 
-def _player(bag: str, given: dict[str, str]) -> dict:
+def _player(bag: str, given: dict[str, str], robot: RobotLaunch) -> dict:
     """Parameters of bag_player. It waits for one of each node: the first start compiles."""
-    left_image = "left/image_raw" if given["rectify"] == "true" else "left/image_rect"
-    image = "depth/image_rect" if given["source"] == "depth" else left_image
+    left_image = "left/image_raw" if robot.rectify else "left/image_rect"
+    image = "depth/image_rect" if robot.source == "depth" else left_image
     watching = 1 + (given["localisation"] == "fiducials")  # nodes that listen to the images
     located = given["localisation"] != "pose"
     return {
@@ -78,6 +79,7 @@ def _player(bag: str, given: dict[str, str]) -> dict:
         "rate": float(given["rate"]),
         "loop": given["loop"] == "true",
         "acknowledged": given["acknowledged"] == "true",
+        "paced_topic": f"/{image}",
         "wait_for_subscribers": [*[image] * watching, "camera_pose"],
         "wait_for_publishers": ["camera_pose"] if located else [],
         "left_out": ["/camera_pose"] if located else [],

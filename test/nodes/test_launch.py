@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
@@ -275,3 +276,75 @@ def test_a_robot_alone_keeps_its_topics_and_has_frames_of_its_own(exploration: M
     for node in nodes_of(exploration, namespace="robot2").values():
         assert dict(node.remappings) == {"/tf": "tf", "/tf_static": "tf_static"}
         assert "robot_id" not in settings_of(node)
+
+
+@pytest.mark.parametrize("name", ["mapping", "exploration"])
+def test_nodes_have_time_to_save_before_they_are_killed(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes = nodes_of(load(name, monkeypatch), map_file="here.infomap", autosave="7")
+
+    for node in own(nodes):
+        assert float(node.sigterm_timeout) >= 15.0
+        assert float(node.sigkill_timeout) >= 5.0
+    settings = settings_of(nodes["map_fusion"])
+    assert (settings["map_file"], settings["autosave_period"]) == ("here.infomap", 7.0)
+
+
+def own(nodes: dict[str, Recorder]) -> list[Recorder]:
+    return [node for name, node in nodes.items() if name != "rviz2"]
+
+
+def test_time_is_that_of_the_clock_where_it_is_wanted(exploration: ModuleType) -> None:
+    for given, expected in (({"use_sim_time": "true"}, True), ({}, False)):
+        for node in own(nodes_of(exploration, simulator="false", **given)):
+            assert settings_of(node)["use_sim_time"] is expected
+
+
+@pytest.mark.parametrize(
+    ("given", "topic"),
+    [
+        ({}, "/left/image_raw"),
+        ({"rectify": "false"}, "/left/image_rect"),
+        ({"source": "depth"}, "/depth/image_rect"),
+    ],
+)
+def test_the_player_is_paced_by_an_image_of_the_bag(
+    launch_file: ModuleType, given: dict[str, str], topic: str
+) -> None:
+    nodes = nodes_of(launch_file, bag="bags/rover_rocks", acknowledged="true", **given)
+
+    assert settings_of(nodes["bag_player"])["paced_topic"] == topic
+
+
+def test_a_camera_by_name_brings_its_topics(launch_file: ModuleType) -> None:
+    nodes = nodes_of(launch_file, camera="realsense_depth")
+
+    for name in ("stereo_range", "fiducial_localization"):
+        settings, topics = settings_of(nodes[name]), dict(nodes[name].remappings)
+        assert (settings["source"], settings["rectify"]) == ("depth", False)
+        assert topics["depth/image_rect"].endswith("aligned_depth_to_color/image_raw")
+    pair = dict(nodes_of(launch_file, camera="zed")["stereo_range"].remappings)
+    assert pair["right/camera_info"] == "zed/zed_node/right/camera_info"
+    with pytest.raises(ConfigError, match="realsense"):
+        nodes_of(launch_file, camera="pinhole")
+
+
+def test_frames_with_a_prefix_share_one_tf(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, frame_prefix="robot1/", simulator="false")
+
+    check_settings(nodes)
+    for node in own(nodes):
+        assert "/tf" not in dict(node.remappings)
+    settings = settings_of(nodes["fiducial_localization"])
+    assert settings["base_frame"] == "robot1/base_link"
+    assert settings["odom_frame"] == "robot1/odom"
+    assert settings["frame_prefix"] == settings_of(nodes["map_fusion"])["frame_prefix"] == "robot1/"
+
+
+def test_nodes_come_back_and_log_as_wanted(launch_file: ModuleType) -> None:
+    nodes = nodes_of(launch_file, bag="bags/rover_rocks", respawn="true", log_level="debug")
+
+    for node in own(nodes):
+        assert node.respawn is (node.executable != "bag_player")
+        assert node.ros_arguments == ["--log-level", "debug"]

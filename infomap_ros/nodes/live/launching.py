@@ -10,6 +10,7 @@ from typing import Any
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.environment import additions, reliable_inputs
+from infomap_ros.nodes.live.camera_presets import PRESETS, camera_preset
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
 
 ROBOT_ARGUMENTS = {
@@ -17,9 +18,41 @@ ROBOT_ARGUMENTS = {
     "robot_id": ("0", "Id of the robot in its team, from 1 on; 0: it works alone."),
     "team": ("", "Ids of all robots of the team, as 1,2,3; empty: whoever writes belongs to it."),
     "team_key": ("", "File with the secret of the team; empty: none."),
+    "frame_prefix": (
+        "",
+        "Put before the names of the robot's frames, as robot_state_publisher does. /tf is common "
+        "to all robots then; without it each namespace has a tf of its own.",
+    ),
+    "use_sim_time": (
+        "auto",
+        "true: time is that of /clock, as of Gazebo or a bag that others play. auto: where this "
+        "launch file starts what publishes it.",
+    ),
+    "autosave": ("30.0", "Time between two saves of the map [s]; 0: at the end alone."),
+    "camera": (
+        "",
+        f"Driver whose topics are used: {', '.join(PRESETS)}. It counts for more than source and "
+        "rectify. Empty: left/image_raw and so on, remapped by you.",
+    ),
+    "respawn": ("false", "Start a node that died anew, two seconds later."),
+    "log_level": ("info", "Least severity that is logged: debug, info, warn, error."),
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
 }
+_TIME_TO_END = "20.0"
+"""After SIGINT, until a node is told a second time [s]: a map of 50 million voxels is saved by
+then, on a busy machine too."""
+_TIME_TO_DIE = "10.0"  # after that, until it is killed [s]
+_RESPAWN_DELAY = 2.0  # [s]
+_BASE, _ODOM = "base_link", "odom"
+_FRAMES = (
+    "map_fusion",
+    "next_best_view",
+    "fiducial_localization",
+    "explorer",
+    "dead_reckoning",
+    "robot_driver",
+)
 _MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization", "explorer")
 
 
@@ -35,6 +68,18 @@ class RobotLaunch:
     def __init__(self, given: Mapping[str, str], simulated: bool) -> None:
         self._given = given
         self._simulated = simulated
+        self._use_sim_time = {"true": True, "false": False}.get(given["use_sim_time"], simulated)
+        self._camera = camera_preset(given["camera"])
+
+    @property
+    def source(self) -> str:
+        """What the images come from: that of the camera's preset, or as it is given."""
+        return self._camera.source if self._camera else self._given.get("source", "stereo")
+
+    @property
+    def rectify(self) -> bool:
+        """Whether images are raw: as for the camera's preset, or as it is given."""
+        return self._camera.rectify if self._camera else self._given["rectify"] == "true"
 
     def node(
         self, executable: str, parameters: Mapping[str, object], inputs: Iterable[str] = ()
@@ -50,19 +95,42 @@ class RobotLaunch:
 
         given = self._given
         quality = reliable_inputs(inputs, given["namespace"]) if self._simulated else {}
-        settings = {"use_sim_time": self._simulated, **parameters, **quality}
+        settings = {"use_sim_time": self._use_sim_time, **parameters, **quality}
         if executable in _MEMBERS:
             settings |= self._membership()
+        if executable in _FRAMES and given["frame_prefix"]:
+            settings |= self._frames(executable)
         own = [given["parameters"]] if given["parameters"] else []
         return Node(
             package="infomap_ros",
             executable=executable,
             namespace=given["namespace"],
             parameters=[str(find_share(f"config/{executable}.yaml")), settings, *own],
-            remappings=[*OWN_FRAMES.items(), *(SHARED.items() if self._is_member else ())],
+            remappings=self._remappings,
             additional_env=additions(),
             output="screen",
+            ros_arguments=["--log-level", given["log_level"]],
+            respawn=given["respawn"] == "true" and executable != "bag_player",
+            respawn_delay=_RESPAWN_DELAY,
+            sigterm_timeout=_TIME_TO_END,
+            sigkill_timeout=_TIME_TO_DIE,
         )
+
+    @property
+    def _remappings(self) -> list[tuple[str, str]]:
+        """Topics of the robot that have other names."""
+        frames = {} if self._given["frame_prefix"] else OWN_FRAMES
+        shared = SHARED if self._is_member else {}
+        camera = self._camera.topics if self._camera else {}
+        return [*frames.items(), *shared.items(), *camera.items()]
+
+    def _frames(self, executable: str) -> dict[str, object]:
+        """Parameters that name the robot's frames."""
+        prefix = self._given["frame_prefix"]
+        if executable == "map_fusion":
+            return {"frame_prefix": prefix}
+        names = {"base_frame": prefix + _BASE, "odom_frame": prefix + _ODOM}
+        return {**names, "frame_prefix": prefix}
 
     def rviz(self) -> Any:
         """The action that starts RViz, where it is wanted."""
@@ -76,8 +144,8 @@ class RobotLaunch:
             executable="rviz2",
             namespace=self._given["namespace"],
             arguments=["-d", str(find_share("config/infomap.rviz"))],
-            remappings=list(OWN_FRAMES.items()),
-            parameters=[{"use_sim_time": self._simulated}],
+            remappings=[] if self._given["frame_prefix"] else list(OWN_FRAMES.items()),
+            parameters=[{"use_sim_time": self._use_sim_time}],
             additional_env=additions(),
             condition=IfCondition(LaunchConfiguration("rviz")),
             on_exit=Shutdown(),

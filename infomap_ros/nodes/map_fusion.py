@@ -67,7 +67,7 @@ class MapFusionConfig:
     )
     autosave_period: float = parameter(
         0.0,
-        "Time between two saves to map_file, and one more at the end; 0 for none.",
+        "Time between two saves to map_file; 0 for none but the one at the end.",
         unit="s",
         low=0.0,
         high=86400.0,
@@ -110,7 +110,7 @@ class MapFusionNode(MonitoredNode):
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("map_fusion", **node_arguments)
         self._config = self.config(MapFusionConfig)
-        keeper = self._keeper = MapKeeper(self)
+        keeper = self._keeper = MapKeeper(self, self._publish_pictures)
         keeper.prepare()
         reserve_heap(self.config(MemoryConfig))
         self._worker = self.start_worker(self._config.queue_size)
@@ -169,10 +169,9 @@ class MapFusionNode(MonitoredNode):
         return answer
 
     def destroy_node(self) -> None:
-        """Stop the worker, save once more if it is wanted, and end."""
+        """Stop the worker, save what is not saved yet, and end."""
         self._worker.stop()
-        if self._config.autosave_period:
-            self.guard("map_file", self._keeper.save)
+        self.guard("map_file", self._keeper.save_at_end)
         super().destroy_node()
 
 

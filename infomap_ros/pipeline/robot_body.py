@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import JointStateRecord, PlacedSolid
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.motion import RobotModel
@@ -14,19 +17,30 @@ class RobotBody:
     Args:
         robot: by its description; None where that is not known yet.
         config: of the joint positions that are kept.
+        are_joints_told: whether joint states come, so that it is worth waiting for the first.
+        required: whether a description that does not tell where the body is is an error.
 
     Attributes:
         robot: as above.
         newest_stamp: of the last joint state [ns].
+        unknown: why the place of the body in the last scan was not known; empty where it was, or
+            where there is no description.
     """
 
     def __init__(
-        self, robot: RobotModel | None = None, config: JointBufferConfig | None = None
+        self,
+        robot: RobotModel | None = None,
+        config: JointBufferConfig | None = None,
+        are_joints_told: Callable[[], bool] = lambda: True,
+        *,
+        required: bool = True,
     ) -> None:
         limits = config or JointBufferConfig()
         self._joints = JumpingBuffer(lambda: JointBuffer(limits), round(limits.max_gap * 1e9))
         self.robot = robot
         self.newest_stamp = 0
+        self.unknown = ""
+        self._are_joints_told, self._is_required = are_joints_told, required
 
     def add(self, state: JointStateRecord) -> None:
         """Take a joint state."""
@@ -42,24 +56,42 @@ class RobotBody:
         Raises:
             PoseUnavailableError: joint positions are not known at that time.
         """
-        if self.robot is not None and self.robot.joints:
+        if self.robot is not None and self.robot.joints and self._has_joints:
             self._joints.at(stamp)
 
+    @property
+    def _has_joints(self) -> bool:
+        """Whether joint states have come, or will."""
+        return self.newest_stamp > 0 or self._are_joints_told()
+
     def solids_in(self, frame: str, stamp: int) -> list[PlacedSolid]:
-        """The body's solids at a time, placed in a frame; none before there is a description.
+        """The body's solids at a time, placed in a frame; none where their place is not known.
+
+        `unknown` says why it is not.
 
         Args:
             frame: optical frame of the camera.
             stamp: [ns].
 
         Raises:
-            RobotModelError: the description lacks the frame, or a joint has no position.
             PoseUnavailableError: joint positions are not known at that time.
+            RobotModelError: the body is required, and the description lacks the frame, or a joint
+                has no position.
         """
-        if self.robot is None:
+        self.unknown, robot = "", self.robot
+        if robot is None:
             return []
-        positions = self._joints.at(stamp) if self.robot.joints else {}
-        return self.robot.solids_in(frame, positions)
+        if robot.joints and not self._has_joints:
+            self.unknown = "nobody publishes joint_states"
+            return []
+        positions = self._joints.at(stamp) if robot.joints else {}
+        try:
+            return robot.solids_in(frame, positions)
+        except RobotModelError as error:
+            if self._is_required:
+                raise
+            self.unknown = str(error)
+            return []
 
     def others_have_jumped(self, stamp: int) -> None:
         """The clock of those who ask has jumped back to `stamp` [ns]."""

@@ -51,7 +51,7 @@ class Stage:
         self.joints = graph.publisher(JointState, "joint_states")
         self.odometry = graph.publisher(Odometry, "odom")
         graph.connect(self.infos, self.joints, self.odometry, self.description)
-        graph.spin_until(lambda: self.node._robot is not None, "the description")
+        graph.spin_until(lambda: self.node._motion._robot is not None, "the description")
 
     def tell(self, stamp: int, x: float, pan: float) -> None:
         names = tuple(joint.name for joint in self.robot.joints)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -645,3 +646,73 @@ def test_a_pose_without_covariance_is_not_taken_for_exact(graph: Any) -> None:
     graph.spin_until(surfaces, "surface voxels")
     covariances = decode_update(surfaces()[0]).covariances
     assert np.sqrt(np.linalg.eigvalsh(covariances)[:, 0]).min() > 0.4
+
+
+def test_a_map_whose_file_is_named_is_saved_at_the_end(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "named.infomap"
+    earlier = expected_map(cloud(depth=1.0))
+    earlier.save(file)
+    bench = Bench(graph, map_file=str(file))
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+
+    graph.remove(bench.node)
+
+    assert VoxelMap.load(file).known_voxels == expected_map(cloud()).known_voxels
+    kept = VoxelMap.load(tmp_path / "named_previous.infomap")
+    assert kept.known_voxels == earlier.known_voxels
+
+
+def test_an_empty_map_takes_nothing_from_its_file(graph: Any, tmp_path: Path) -> None:
+    file = tmp_path / "named.infomap"
+    expected_map(cloud()).save(file)
+    before = file.read_bytes()
+
+    graph.remove(Bench(graph, map_file=str(file)).node)
+
+    assert file.read_bytes() == before
+
+
+def test_who_comes_late_gets_the_map_as_it_is_and_none_from_before(graph: Any) -> None:
+    bench = Bench(graph, voxel_map_period=0.05)
+    early = graph.collect(PointCloud2, "voxel_map", qos.latched())
+    bench.send(pose(), cloud())
+    graph.spin_until(lambda: early, "the first picture")
+    assert stamp_of(early[0]) == START, "nothing is shown of an empty map"
+    graph.forget(PointCloud2, "voxel_map")
+    later = START + SECOND
+    bench.send(pose(later), cloud(later, 3.0))
+    bench.wait_for_results(2)
+    end = time.monotonic() + 2.5  # as long as a sample is kept
+    graph.spin_until(lambda: time.monotonic() > end, "the end of the sample")
+
+    late = graph.collect(PointCloud2, "voxel_map", qos.latched())
+
+    graph.spin_until(lambda: late, "a picture")
+    assert stamp_of(late[0]) == later
+
+
+def test_robots_that_only_map_hear_each_other(graph: Any) -> None:
+    shared = [f"team/{name}" for name in ("map_updates", "digests", "requests", "agents")]
+    robots, inputs = [], []
+    for number in (1, 2):
+        space = f"{graph.namespace}/robot{number}"
+        rules = [f"__ns:={space}", *(f"{name}:={graph.namespace}/{name}" for name in shared)]
+        arguments = ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
+        node_class = partial(MapFusionNode, cli_args=arguments)
+        robots.append(graph.add(node_class, voxel_size=0.1, robot_id=number))
+        inputs.append(
+            (
+                graph.publisher(PointCloud2, f"{space}/points2"),
+                graph.publisher(PoseWithCovarianceStamped, f"{space}/camera_pose"),
+            )
+        )
+    for clouds, poses in inputs:
+        graph.connect(clouds, poses)
+        poses.publish(encode_pose(TYPES, pose()))
+        clouds.publish(encode_point_cloud(TYPES, cloud()))
+
+    def heard(node: MapFusionNode) -> str | None:
+        return node.health.values().get("robots in the map")
+
+    graph.spin_until(lambda: [heard(node) for node in robots] == ["2", "2"], "one map of both")

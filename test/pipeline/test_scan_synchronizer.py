@@ -91,11 +91,26 @@ def test_a_scan_waits_for_joints_and_comes_with_the_body() -> None:
     np.testing.assert_allclose(scan.body[0].transform[:3, 3], [0.0, 0.0, 0.7])
 
 
-def test_a_body_without_the_cameras_frame_drops_scans_by_name() -> None:
-    body = RobotBody(RobotModel.from_urdf(ARM))
+@pytest.mark.parametrize("required", [True, False])
+def test_a_body_without_the_cameras_frame_drops_scans_or_stays_in_them(required: bool) -> None:
+    body = RobotBody(RobotModel.from_urdf(ARM), required=required)
     body.add(JointStateRecord(STEP, "", ("slide",), np.array([0.7])))
     scans = scans_of(LocatedPoses("map"), body)
     scans.add_pose(pose(STEP))
     scans.add_cloud(STEP, "nowhere", "cloud")
-    assert not scans.take()
-    assert drops == ["robot description"]
+    taken = scans.take()
+    if required:
+        assert (taken, drops) == ([], ["robot description"])
+    else:
+        assert [list(scan.body) for scan in taken] == [[]]
+        assert "nowhere" in body.unknown
+
+
+def test_scans_do_not_wait_for_joints_that_nobody_tells() -> None:
+    body = RobotBody(RobotModel.from_urdf(ARM), are_joints_told=lambda: False)
+    scans = scans_of(LocatedPoses("map"), body)
+    scans.add_pose(pose(STEP))
+    scans.add_cloud(STEP, "optical", "cloud")
+    (scan,) = scans.take()
+    assert not scan.body
+    assert "joint_states" in body.unknown

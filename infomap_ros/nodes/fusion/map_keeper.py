@@ -7,7 +7,9 @@ and to keep one takes about as long as to integrate it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from sensor_msgs.msg import PointCloud2
@@ -24,6 +26,7 @@ from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages import decode_point_cloud
 from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.fusion.map_outputs import MapOutputs
 from infomap_ros.nodes.fusion.map_warm_up import warm_up
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
@@ -34,6 +37,8 @@ from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.team.moving import moved_map
 
 KEYFRAME_POSES = "keyframe_poses"
+_UNNAMED = "map.infomap"
+_LAST_CORRECTIONS = 3.0  # [s], for which the last save waits at the most
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,9 @@ class MapKeeperConfig:
     """
 
     map_file: str = parameter(
-        "map.infomap", "File of ~/save and ~/load, relative to the working directory."
+        "",
+        "File of ~/save and ~/load, relative to the working directory. The map is saved to it at "
+        "the end too. Empty: map.infomap, written only when that is asked for.",
     )
     resume: bool = parameter(False, "Load map_file at the start, where there is one.")
 
@@ -58,17 +65,19 @@ class MapKeeper:
 
     Args:
         node: has the configurations of keeper, outputs and map, and publishes.
+        on_wanted: called, by any thread, when somebody waits for `publish_pictures`.
 
     Attributes:
         team: the map that is shown where there are other robots.
     """
 
-    def __init__(self, node: MonitoredNode) -> None:
+    def __init__(self, node: MonitoredNode, on_wanted: Callable[[], object]) -> None:
         self._node = node
         self._config = node.config(MapKeeperConfig)
-        self._outputs, self._updates = MapOutputs(node), UpdateStream(node)
+        self._outputs, self._updates = MapOutputs(node, on_wanted), UpdateStream(node)
         self.team = TeamMap(node, self._updates, self._outputs.changed)
-        self._path = Path(self._config.map_file).absolute()
+        self._path = Path(self._config.map_file or _UNNAMED).absolute()
+        self._is_saved, self._is_ours = True, False
         self._builder = MapBuilder(
             _tracked(VoxelMap(node.config(VoxelMapConfig))),
             correction=node.config(ReintegrationConfig),
@@ -92,9 +101,7 @@ class MapKeeper:
         Raises:
             MapFileError: the map file cannot be used.
         """
-        start = time.monotonic()
-        warm_up(self._map.config.threads)
-        self._node.get_logger().info(f"kernels ready after {time.monotonic() - start:.1f} s")
+        prepare_kernels(self._node, partial(warm_up, self._map.config.threads), seconds=90.0)
         if self._config.resume and self._path.exists():
             self._node.get_logger().info(self.load())
             self._updates.resumed()
@@ -113,7 +120,7 @@ class MapKeeper:
             )
         self._keep_scans_if_wanted()
         self._builder.fuse(scan.with_cloud(cloud))
-        self._stamp = cloud.stamp
+        self._stamp, self._is_saved = cloud.stamp, False
         self._updates.publish(self._map, self._stamp)
         self._outputs.changed()
 
@@ -171,7 +178,8 @@ class MapKeeper:
         self._node.health.note("scans kept", str(len(store)))
         self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
         self._node.health.note("known voxels", str(shown.known_voxels))
-        self._outputs.publish_pictures(shown, self._stamp)
+        stamp = self._stamp or self._node.get_clock().now().nanoseconds  # none: from a file
+        self._outputs.publish_pictures(shown, stamp if shown.known_voxels else self._stamp)
 
     def save(self) -> str:
         """Finish corrections that have begun and write the map file; returns a sentence.
@@ -182,7 +190,29 @@ class MapKeeper:
         """
         while self._builder.is_correcting:
             self.correct_more()
-        return _save(self._map, self._path)
+        return self._save()
+
+    def save_at_end(self) -> None:
+        """Write the map file if one is named and lacks anything; no correction takes long then.
+
+        Raises:
+            CapacityError: a correction does not fit into memory.
+            MapFileError: it cannot be written.
+        """
+        if self._is_saved or not self._config.map_file or not self._map.known_voxels:
+            return
+        end = time.monotonic() + _LAST_CORRECTIONS
+        while self._builder.is_correcting and time.monotonic() < end:
+            self.correct_more()
+        self._node.get_logger().info(self._save())
+
+    def _save(self) -> str:
+        """Write the map file; what another run left there is kept beside it."""
+        if not self._is_ours and self._path.exists():
+            _keep_beside(self._path)
+        answer = _save(self._map, self._path)
+        self._is_saved = self._is_ours = True
+        return answer
 
     def save_team(self) -> str:
         """Write the map of the whole team beside the map file; returns a sentence.
@@ -207,6 +237,7 @@ class MapKeeper:
             raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
         restored = VoxelMap.from_state(self._map.config, loaded.state())
         self._replace_by(restored)
+        self._is_saved = self._is_ours = True
         return f"loaded {self._map.known_voxels} voxels from {self._path}"
 
     def reset(self) -> str:
@@ -228,6 +259,7 @@ class MapKeeper:
         return answer
 
     def _replace_by(self, other: VoxelMap) -> None:
+        self._is_saved = False
         self._updates.replace(self._map)
         self._builder.replace(_tracked(other))
         self._outputs.changed()
@@ -244,6 +276,18 @@ def _tracked(voxel_map: VoxelMap) -> VoxelMap:
     """The map, whose changes are to be told."""
     voxel_map.track_changes(True)
     return voxel_map
+
+
+def _keep_beside(path: Path) -> None:
+    """Give a map file another name, so that it is not lost when a new one is written.
+
+    Raises:
+        MapFileError: that cannot be done.
+    """
+    try:
+        path.replace(path.with_name(f"{path.stem}_previous{path.suffix}"))
+    except OSError as error:
+        raise MapFileError(f"cannot rename {path}: {error.strerror}") from error
 
 
 def _save(voxel_map: VoxelMap, path: Path) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.publisher import Publisher
@@ -44,16 +46,23 @@ class MapOutputs:
 
     Args:
         node: the node that publishes.
+        on_wanted: called when a subscriber has appeared, who is to get the map as it is now.
     """
 
-    def __init__(self, node: MonitoredNode) -> None:
+    def __init__(self, node: MonitoredNode, on_wanted: Callable[[], object]) -> None:
         self._config = node.config(MapOutputsConfig)
         self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
         self._outdated = {"voxel_map", "projected_map"}
-        self._voxel_map = node.advertise(PointCloud2, "voxel_map", qos.latched())
-        self._projected = node.advertise(OccupancyGrid, "projected_map", qos.latched())
+
+        def show(topic: str) -> None:
+            self._outdated.add(topic)
+            on_wanted()
+
+        show_voxels, show_grid = (partial(show, topic) for topic in ("voxel_map", "projected_map"))
+        self._voxel_map = node.advertise(PointCloud2, "voxel_map", qos.current(), show_voxels)
+        self._projected = node.advertise(OccupancyGrid, "projected_map", qos.current(), show_grid)
 
     @property
     def pictures_period(self) -> float:
@@ -65,10 +74,12 @@ class MapOutputs:
         self._outdated = {"voxel_map", "projected_map"}
 
     def publish_pictures(self, voxel_map: VoxelMap, stamp: int) -> None:
-        """Send voxel_map and projected_map if the map has changed and somebody listens.
+        """Send voxel_map and projected_map to who listens, if they changed or somebody is new.
 
-        Who comes later gets the last of them from the middleware.
+        Nothing is sent before anything is known.
         """
+        if not stamp and not voxel_map.known_voxels:
+            return
         if self._wanted("voxel_map", self._voxel_map):
             rows = voxel_map_rows(voxel_map)
             self._voxel_map.publish(

@@ -16,7 +16,7 @@ from infomap_ros.messages.fields import MessageFields
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.robot_body import listen_to_body
+from infomap_ros.nodes.robot.robot_body import BodyListener, RobotBodyConfig
 from infomap_ros.nodes.team.team_bodies import TeamBodyListener
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import (
@@ -28,7 +28,6 @@ from infomap_ros.pipeline.scan_synchronizer import (
 )
 
 _UNCERTAINTY = "camera_pose_uncertainty"
-_REASONS = (CLOCK_JUMPED, "robot description")
 
 
 class ScanInputs:
@@ -55,7 +54,13 @@ class ScanInputs:
             node.config(PoseBufferConfig),
             lambda: node.count_publishers(parts) > 0,
         )
-        body = RobotBody(config=node.config(JointBufferConfig))
+        body = self._body = RobotBody(
+            config=node.config(JointBufferConfig),
+            are_joints_told=lambda: self._listener is None or self._listener.are_joints_told,
+            required=False,
+        )
+        self._unknown = ""
+        self._listener: BodyListener | None = None
         news = self._take, on_arrival
         self._teammates = TeamBodyListener(node, frames.map_frame, *news)
         self._scans: ScanSynchronizer[PointCloud2] = ScanSynchronizer(
@@ -66,7 +71,8 @@ class ScanInputs:
             node.config(WaitingQueueConfig),
             self._on_drop,
         )
-        listen_to_body(node, body, self._take)
+        if node.config(RobotBodyConfig).remove_body:
+            self._listener = BodyListener(node, body, self._take)
         stream = qos.sensor_data(depth=50)
         node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
         node.listen(PointCloud2, _UNCERTAINTY, self._on_uncertainty, stream, required=False)
@@ -74,6 +80,8 @@ class ScanInputs:
 
     def _on_cloud(self, message: PointCloud2) -> None:
         stamp, frame = MessageFields(message, POINT_CLOUD).header()
+        if self._listener is not None:
+            self._listener.look_from(frame)
         if self._scans.add_cloud(stamp, frame, message):
             self._node.get_logger().warning(CLOCK_JUMPED)
             self._on_clock_jump()
@@ -91,6 +99,17 @@ class ScanInputs:
     def _take(self) -> None:
         for scan in self._scans.take():
             self._on_scan(scan)
+            self._tell_of_body()
+
+    def _tell_of_body(self) -> None:
+        """Warn once of scans in which the robot itself may be."""
+        unknown = self._body.unknown
+        if unknown != self._unknown:
+            self._unknown = unknown
+            self._node.health.note("body", f"stays in scans: {unknown}" if unknown else "removed")
+            if unknown:
+                text = f"the robot's body is not taken out of scans: {unknown}"
+                self._node.get_logger().warning(text)
 
     def _on_drop(self, reason: str, sentence: str) -> None:
-        self._node.drop(reason if reason in _REASONS else "no pose at the stamp", sentence)
+        self._node.drop(reason if reason == CLOCK_JUMPED else "no pose at the stamp", sentence)

@@ -1,22 +1,22 @@
-"""What odometry, joint states and the robot's description say of the camera's motion."""
+"""What odometry, joints, the robot's description and tf say of the camera's motion."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
 
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
-from infomap_ros.errors import FrameError, PoseUnavailableError, RobotModelError
-from infomap_ros.geometry import JointStateRecord, OdometryRecord, PlacedSolid
+from infomap_ros.errors import PoseUnavailableError, RobotModelError
+from infomap_ros.geometry import JointStateRecord, OdometryRecord, PlacedSolid, TransformRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.messages import decode_joint_state, decode_odometry, decode_text
+from infomap_ros.messages import decode_joint_state
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.description_listener import DescriptionListener
+from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
 from infomap_ros.pipeline.robot_motion import RobotMotion
@@ -25,45 +25,75 @@ _MOST_EARLY = 1000  # records that come before robot and camera are known
 
 
 class PostureListener:
-    """Listens to odom, joint_states and robot_description.
+    """Listens to odom, joint_states, robot_description, and where these do not tell to tf.
 
     When the clock of odometry jumps back, what was known before is forgotten.
 
     Args:
         node: that listens; has the configurations of frames and poses.
         on_news: called when more is known than before.
-        required: whether the node cannot work without them.
+        required: whether the node cannot work without odometry.
+        on_odometry: told of each record.
     """
 
-    def __init__(self, node: MonitoredNode, on_news: Callable[[], None], *, required: bool) -> None:
+    def __init__(
+        self,
+        node: MonitoredNode,
+        on_news: Callable[[], None],
+        *,
+        required: bool,
+        on_odometry: Callable[[OdometryRecord], None] = lambda _: None,
+    ) -> None:
         self._node, self._frames = node, node.config(RobotTrackerConfig)
         self._buffer = node.config(PoseBufferConfig)
         self._on_news, self._log = on_news, node.get_logger()
+        self._tell_odometry = on_odometry
         self._robot: RobotModel | None = None
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
         self._early: deque[OdometryRecord | JointStateRecord] = deque(maxlen=_MOST_EARLY)
+        self._edges: dict[str, TransformRecord] = {}
+        self._joints: JointStateRecord | None = None
         self._newest = -1
         self._useless = ""
         self.odom_frame = ""
-        node.listen(
-            String, "robot_description", self._on_description, qos.latched(), required=required
+        self._texts = DescriptionListener(
+            node,
+            self._on_description,
+            self._frames.frame_prefix,
+            required=False,
+            on_edge=self._on_edge,
         )
-        node.listen(
-            JointState, "joint_states", self._on_joints, qos.sensor_data(100), required=required
+        stream = qos.sensor_data(100)
+        node.listen(JointState, "joint_states", self._on_joints, stream, required=False)
+        self._odometry = OdometryListener(
+            node,
+            self._on_odometry,
+            self._texts.frames,
+            self._frames.odom_frame,
+            self._frames.base_frame,
+            required=required,
         )
-        node.listen(Odometry, "odom", self._on_odometry, qos.sensor_data(100), required=required)
+        self._texts.want(self._camera_frame)
 
     @property
     def is_offered(self) -> bool:
-        """Whether somebody publishes odometry and the description of a robot with this camera."""
-        topics = [self._node.resolve_topic_name(name) for name in ("odom", "robot_description")]
-        return not self._useless and all(self._node.count_publishers(name) for name in topics)
+        """Whether somebody publishes odometry, and where the camera is on the robot."""
+        if self._useless or not self._odometry.is_offered:
+            return False
+        description = self._node.resolve_topic_name("robot_description")
+        return self._motion is not None or self._node.count_publishers(description) > 0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is known where on the robot the camera is."""
+        return self._motion is not None
 
     def look_from(self, camera_frame: str) -> None:
         """Tell in which frame images are."""
         if not self._camera_frame:
             self._camera_frame = camera_frame
+            self._texts.want(camera_frame)
             self._begin()
 
     def body(self, stamp: int) -> list[PlacedSolid]:
@@ -82,7 +112,7 @@ class PostureListener:
             PoseUnavailableError: it is not known.
         """
         if self._motion is None:
-            text = self._useless or "no robot_description has arrived"
+            text = self._useless or "no robot_description nor tf of the camera has arrived"
             raise PoseUnavailableError(text, "no odometry", may_arrive=not self._useless)
         try:
             return self._motion.posture(stamp)
@@ -94,23 +124,39 @@ class PostureListener:
             self._give_up(str(error))
             raise PoseUnavailableError(str(error), "robot description") from error
 
-    def _on_description(self, message: String) -> None:
-        text = decode_text(message).text
+    def _on_description(self, text: str) -> None:
         self._robot = self._frames.robot.read(text, base_frame=self._frames.base_frame)
         self._log.info(f"robot '{self._robot.name}'")
         self._begin()
 
     def _on_joints(self, message: JointState) -> None:
-        self._add(decode_joint_state(message))
+        self._joints = decode_joint_state(message)
+        self._add(self._joints)
 
-    def _on_odometry(self, message: Odometry) -> None:
-        odometry: OdometryRecord = decode_odometry(message)
-        wanted = self._frames.base_frame
-        if wanted and odometry.child_frame_id != wanted:
-            raise FrameError(f"odometry of '{odometry.child_frame_id}', base_frame is '{wanted}'")
+    def _on_edge(self, edge: TransformRecord) -> None:
+        """Transforms tell of odometry, and of the camera where the description does not."""
+        self._odometry.add(edge)
+        if edge.is_static:
+            self._edges[edge.child_frame_id] = edge
+        elif self._motion is None or self._is_on_robot:
+            return
+        if self._motion is not None:
+            self._motion.add(edge)
+        elif self._camera_frame in self._edges:
+            self._begin()
+
+    @property
+    def _is_on_robot(self) -> bool:
+        """Whether the description tells where the camera is."""
+        return self._robot is not None and self._camera_frame in self._robot.frames
+
+    def _on_odometry(self, odometry: OdometryRecord) -> None:
         if odometry.stamp < self._newest - CLOCK_JUMP:
             self._begin()
+            if self._joints is not None:  # which may have jumped before
+                self._add(self._joints)
         self._newest, self.odom_frame = odometry.stamp, odometry.frame_id
+        self._tell_odometry(odometry)
         self._add(odometry)
 
     def _add(self, record: OdometryRecord | JointStateRecord) -> None:
@@ -122,16 +168,21 @@ class PostureListener:
             self._on_news()
 
     def _begin(self) -> None:
-        """Begin to collect, once robot and camera are known, or anew."""
+        """Begin to collect, once it is known where on the robot the camera is, or anew."""
         self._newest = -1
-        if self._robot is None or not self._camera_frame:
+        if not self._camera_frame:
             return
-        if self._camera_frame not in self._robot.frames:
-            self._give_up(f"robot '{self._robot.name}' has no frame '{self._camera_frame}'")
-        else:
-            self._motion = RobotMotion(self._camera_frame, self._robot, config=self._buffer)
+        is_on_tf = self._camera_frame in self._edges
+        if not self._is_on_robot:
+            self._texts.frames.hear_moving()
+        if self._is_on_robot or is_on_tf:
+            self._useless = ""
+            edges = () if self._is_on_robot else self._edges.values()
+            self._motion = RobotMotion(self._camera_frame, self._robot, edges, self._buffer)
             while self._early:
                 self._motion.add(self._early.popleft())
+        elif self._robot is not None:
+            self._give_up(f"robot '{self._robot.name}' has no frame '{self._camera_frame}'")
 
     def _give_up(self, reason: str) -> None:
         """Say once why odometry is of no use."""

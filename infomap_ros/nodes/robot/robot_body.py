@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.messages import decode_joint_state, decode_text
+from infomap_ros.messages import decode_joint_state
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.description_listener import DescriptionListener
 from infomap_ros.pipeline.robot_body import RobotBody
+
+_DISCOVERY = 3.0  # [s], in which publishers find each other
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,12 @@ class RobotBodyConfig:
     remove_body: bool = parameter(
         True,
         "Drop points on the robot's own body. Needs robot_description and, if it has joints, "
-        "joint_states; before the first robot_description nothing is dropped.",
+        "joint_states; where these do not tell, nothing is dropped, with a warning.",
+    )
+    frame_prefix: str = parameter(
+        "",
+        "Put before the names of the links of robot_description, as robot_state_publisher's "
+        "parameter of this name.",
     )
     robot: DescriptionConfig = field(default_factory=DescriptionConfig)
 
@@ -35,25 +43,39 @@ class RobotBodyConfig:
         check_config(self)
 
 
-def listen_to_body(node: MonitoredNode, body: RobotBody, on_news: Callable[[], None]) -> None:
-    """Listen to robot_description and joint_states, where the body is to be removed.
+class BodyListener:
+    """Listens to robot_description and joint_states, and to /tf_static for the camera's frame.
 
     Args:
         node: has the configuration of the body.
         body: is told of them.
         on_news: called when more is known of the body than before.
     """
-    config = node.config(RobotBodyConfig)
 
-    def on_description(message: String) -> None:
-        body.robot = config.robot.read(decode_text(message).text)
-        node.get_logger().info(f"removing the body of robot '{body.robot.name}' from clouds")
+    def __init__(self, node: MonitoredNode, body: RobotBody, on_news: Callable[[], None]) -> None:
+        self._node, self._body, self._on_news = node, body, on_news
+        self._config = node.config(RobotBodyConfig)
+        self._since = time.monotonic()
+        prefix, stream = self._config.frame_prefix, qos.sensor_data(100)
+        self._texts = DescriptionListener(node, self._on_description, prefix, required=False)
+        node.listen(JointState, "joint_states", self._on_joints, stream, required=False)
 
-    def on_joints(message: JointState) -> None:
-        body.add(decode_joint_state(message))
-        on_news()
+    @property
+    def are_joints_told(self) -> bool:
+        """Whether somebody publishes joint states, or may be found to do so."""
+        topic = self._node.resolve_topic_name("joint_states")
+        is_early = time.monotonic() < self._since + _DISCOVERY
+        return is_early or self._node.count_publishers(topic) > 0
 
-    if config.remove_body:
-        latched, stream = qos.latched(), qos.sensor_data(100)
-        node.listen(String, "robot_description", on_description, latched, required=False)
-        node.listen(JointState, "joint_states", on_joints, stream, required=False)
+    def look_from(self, camera_frame: str) -> None:
+        """Tell in which frame clouds are."""
+        self._texts.want(camera_frame)
+
+    def _on_description(self, text: str) -> None:
+        self._since = time.monotonic()
+        self._body.robot = robot = self._config.robot.read(text)
+        self._node.get_logger().info(f"removing the body of robot '{robot.name}' from clouds")
+
+    def _on_joints(self, message: JointState) -> None:
+        self._body.add(decode_joint_state(message))
+        self._on_news()

@@ -8,29 +8,32 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, JointState
-from std_msgs.msg import String
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import CameraCalibration, invert_transform
+from infomap_ros.geometry import (
+    CameraCalibration,
+    OdometryRecord,
+    TransformRecord,
+    invert_transform,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.messages import (
     decode_camera_info,
     decode_joint_state,
-    decode_odometry,
     decode_pose_with_covariance,
-    decode_text,
 )
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.nodes.robot.description_listener import DescriptionListener
 from infomap_ros.nodes.robot.last_pose import LastPose
+from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,14 @@ class RobotTrackerConfig:
     map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
     base_frame: str = parameter(
         "base_link", "Link of robot_description that drives; its root link where empty."
+    )
+    odom_frame: str = parameter(
+        "odom", "Frame of odometry on /tf, which tells it while nobody publishes odom."
+    )
+    frame_prefix: str = parameter(
+        "",
+        "Put before the names of the links of robot_description, as robot_state_publisher's "
+        "parameter of this name.",
     )
     camera_frame: str = parameter(
         "", "Optical frame of the left camera. Empty: the frame of left/camera_info."
@@ -82,7 +93,7 @@ class RobotTracker:
         self._news = threading.Condition()
         self._pose = LastPose(self._joints, self._assumed)
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
-        self._description = ""
+        self._description = self._read = ""
         self._robot: RobotModel | None = None
         self._carried: CarriedPose | None = None
         self._odometry = -1
@@ -91,8 +102,17 @@ class RobotTracker:
             PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
         )
         node.listen(JointState, "joint_states", self._on_joints, qos.sensor_data(100))
-        node.listen(Odometry, "odom", self._on_odometry, qos.sensor_data(100), required=False)
-        node.listen(String, "robot_description", self._on_description, qos.latched())
+        self._texts = DescriptionListener(
+            node, self._on_description, self._config.frame_prefix, on_edge=self._on_edge
+        )
+        self._odometries = OdometryListener(
+            node,
+            self._on_odometry,
+            self._texts.frames,
+            self._config.odom_frame,
+            self._config.base_frame,
+            required=False,
+        )
         for number, topic in enumerate(infos):
             node.listen(CameraInfo, topic, self._info_listener(number), qos.sensor_data())
 
@@ -242,10 +262,12 @@ class RobotTracker:
                 self._carried.add_joints(record)
             self._settle()
 
-    def _on_odometry(self, message: Odometry) -> None:
+    def _on_edge(self, edge: TransformRecord) -> None:
+        self._odometries.add(edge)
+
+    def _on_odometry(self, record: OdometryRecord) -> None:
         with self._news:
             if self._carried is not None:
-                record = decode_odometry(message)
                 self._carried.add_odometry(record)
                 self._odometry = record.stamp
                 self._settle()
@@ -254,9 +276,9 @@ class RobotTracker:
         self._pose.settle(self._carried)
         self._news.notify_all()
 
-    def _on_description(self, message: String) -> None:
+    def _on_description(self, text: str) -> None:
         with self._news:
-            self._description = decode_text(message).text
+            self._description = text
             self._read_robot()
 
     def _info_listener(self, number: int) -> Callable[[CameraInfo], None]:
@@ -267,6 +289,9 @@ class RobotTracker:
                 self._infos[number] = record.calibration
                 if is_first and number == 0:
                     self._camera_frame = self._config.camera_frame or record.frame_id
+            if is_first and number == 0:
+                self._texts.want(self._camera_frame)
+                with self._news:
                     self._read_robot()
 
         return receive
@@ -275,6 +300,9 @@ class RobotTracker:
         """Read the robot once both its description and the camera's frame are known."""
         if not self._description or self._infos[0] is None:
             return
+        if self._robot is not None and self._read == self._description:
+            return
+        self._read = self._description
         config = self._config
         self._robot = config.robot.read(
             self._description, self._camera_frame, config.base_frame, config.arm_joints

@@ -1,0 +1,70 @@
+"""The robot's description, completed by frames that only /tf_static tells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from std_msgs.msg import String
+
+from infomap_ros.geometry import TransformRecord
+from infomap_ros.messages import decode_text
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.pipeline.described_frames import with_fixed_frames, with_prefix
+
+
+class DescriptionListener:
+    """Listens to robot_description and /tf_static.
+
+    Drivers of cameras publish the optical frames, which descriptions of robots often lack.
+
+    Args:
+        node: that listens.
+        on_description: told the text of the URDF, again when a frame was added.
+        prefix: put before the names of its links.
+        required: whether the node cannot work without it.
+        on_edge: told of each transform that is heard.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        on_description: Callable[[str], None],
+        prefix: str = "",
+        *,
+        required: bool = True,
+        on_edge: Callable[[TransformRecord], None] = lambda _: None,
+    ) -> None:
+        self._on_description, self._prefix, self._pass_on = on_description, prefix, on_edge
+        self._text: str | None = None
+        self._told: str | None = None
+        self._wanted: set[str] = set()
+        self._edges: dict[str, TransformRecord] = {}
+        node.listen(String, "robot_description", self._on_text, qos.latched(), required=required)
+        self.frames = FrameListener(node, self._on_edge)
+
+    def want(self, frame: str) -> None:
+        """Have a frame in the description, as soon as tf tells where it is."""
+        if frame and frame not in self._wanted:
+            self._wanted.add(frame)
+            self._tell()
+
+    def _on_text(self, message: String) -> None:
+        self._text, self._told = with_prefix(decode_text(message).text, self._prefix), None
+        self._tell()
+
+    def _on_edge(self, edge: TransformRecord) -> None:
+        if edge.is_static:
+            self._edges[edge.child_frame_id] = edge
+            self._tell()
+        self._pass_on(edge)
+
+    def _tell(self) -> None:
+        """Tell the description, where it is another than was told last."""
+        if self._text is None:
+            return
+        text = with_fixed_frames(self._text, self._edges, sorted(self._wanted))
+        if text != self._told:
+            self._told = text
+            self._on_description(text)

@@ -1,0 +1,55 @@
+"""Transforms of /tf and /tf_static."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rclpy.qos import QoSProfile
+
+from infomap_ros.geometry import TransformRecord
+from infomap_ros.messages import TF, decode_transforms
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import message_class
+
+_MOST_FRAMES = 10_000  # of which edges are heard; a robot has some hundreds
+
+
+class FrameListener:
+    """Listens to /tf_static, and to /tf from when that is needed.
+
+    Without tf2_msgs nothing is heard, and the log says so.
+
+    Args:
+        node: that listens.
+        on_edge: told of each transform.
+    """
+
+    def __init__(self, node: MonitoredNode, on_edge: Callable[[TransformRecord], None]) -> None:
+        self._node, self._on_edge = node, on_edge
+        self._children: set[str] = set()
+        self._hears_moving = False
+        self._listen("/tf_static", qos.latched(depth=100), is_static=True)
+
+    def hear_moving(self) -> None:
+        """Listen to /tf too from now on: of busy robots that is a thousand messages a second."""
+        if not self._hears_moving:
+            self._hears_moving = True
+            self._listen("/tf", qos.stream(depth=100), is_static=False)
+
+    def _listen(self, topic: str, profile: QoSProfile, *, is_static: bool) -> None:
+        try:
+            kind = message_class(TF)
+        except ModuleNotFoundError:
+            self._node.get_logger().warning(f"{topic} is not heard: tf2_msgs is not installed")
+            return
+        receive = partial(self._on_transforms, is_static=is_static)
+        self._node.listen(kind, topic, receive, profile, required=False)
+
+    def _on_transforms(self, message: Any, *, is_static: bool) -> None:
+        for edge in decode_transforms(message, is_static):
+            self._children.add(edge.child_frame_id)
+            if len(self._children) <= _MOST_FRAMES:
+                self._on_edge(edge)

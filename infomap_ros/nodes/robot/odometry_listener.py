@@ -1,0 +1,86 @@
+"""Odometry of the base, from its topic or from tf."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+
+from infomap_ros.errors import FrameError
+from infomap_ros.geometry import OdometryRecord, TransformRecord
+from infomap_ros.messages import decode_odometry
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.pipeline.odometry_from_frames import OdometryFromFrames
+
+_LOOK_PERIOD = 1.0  # [s]
+
+
+class OdometryListener:
+    """Listens to odom. While nobody publishes that, the frames of tf tell where the base is.
+
+    Args:
+        node: that listens.
+        on_odometry: told of each record.
+        frames: of the robot.
+        odom_frame: frame of odometry on tf.
+        base_frame: whose pose it is; empty for any.
+        required: whether the node cannot work without it.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        on_odometry: Callable[[OdometryRecord], None],
+        frames: FrameListener,
+        odom_frame: str,
+        base_frame: str,
+        *,
+        required: bool,
+    ) -> None:
+        self._node, self._on_odometry, self._frames = node, on_odometry, frames
+        self._base, self._topic = base_frame, node.resolve_topic_name("odom")
+        self._by_frames = OdometryFromFrames(odom_frame, base_frame)
+        self._has_come = self._is_on_tf = False
+        profile = qos.sensor_data(100)
+        node.listen(Odometry, "odom", self._on_message, profile, required=required)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether somebody publishes odometry, on its topic or on tf."""
+        return self._is_on_tf or self._node.count_publishers(self._topic) > 0
+
+    def add(self, edge: TransformRecord) -> None:
+        """Take a transform of tf.
+
+        Raises:
+            FrameError: its child moves and has had another parent.
+        """
+        if self._has_come or not self._base:
+            return
+        record = self._by_frames.add(edge)
+        if record is not None:
+            if not self._is_on_tf:
+                self._is_on_tf = True
+                self._node.get_logger().info("odometry from /tf, as nobody publishes odom")
+            self._node.health.arrived(self._topic)
+            self._on_odometry(record)
+
+    def _look(self) -> None:
+        if not self._has_come and not self._node.count_publishers(self._topic):
+            self._frames.hear_moving()
+
+    def _on_message(self, message: Odometry) -> None:
+        odometry: OdometryRecord = decode_odometry(message)
+        if self._base and odometry.child_frame_id != self._base:
+            raise FrameError(
+                f"odometry of '{odometry.child_frame_id}', base_frame is '{self._base}'"
+            )
+        if self._is_on_tf and not self._has_come:
+            self._node.get_logger().info("odometry from odom, no longer from /tf")
+        self._has_come, self._is_on_tf = True, False
+        self._on_odometry(odometry)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from infomap_ros import nodes
+from infomap_ros.nodes.common.interrupts import EXECUTABLES
 from infomap_ros.nodes.live.processes import private_graph
 
 PROGRAM = """
@@ -47,6 +50,13 @@ def test_a_second_interrupt_does_not_break_off_the_end(first: signal.Signals) ->
 
     assert rest == ["clean"]
     assert process.returncode == 0
+
+
+def test_every_program_that_runs_a_node_is_known() -> None:
+    folder = Path(nodes.__file__).parent
+    running = {path.stem for path in folder.glob("*.py") if "run_node(" in path.read_text()}
+
+    assert running == set(EXECUTABLES)
 
 
 STARTING = """

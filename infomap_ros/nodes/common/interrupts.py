@@ -24,6 +24,7 @@ EXECUTABLES = (
     "next_best_view",
     "explorer",
     "fiducial_localization",
+    "robot_driver",
     "dead_reckoning",
 )
 """Programs of this package that run a node, which are modules of `infomap_ros.nodes` too."""

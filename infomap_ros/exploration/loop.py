@@ -177,9 +177,9 @@ class Exploration:
 
     def _choose(self) -> Choice | None:
         """Rate the candidates and choose the next view; None where teammates are at all of them."""
-        self.say("choosing")
         state = self._robot.state()
         self.mission.note_look(state.T_map_camera)
+        self.say("choosing")  # whoever plans learns of the look
         try:
             choice = self._planner.choose(state)
         except TeammatesBusyError as busy:

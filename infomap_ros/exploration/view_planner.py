@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.exploration.mission import Mission, look_poses
 from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
@@ -56,6 +57,12 @@ class Surrounding:
     obstacles: Sequence[Obstacle] = ()
     T_map_start: FloatArray | None = None
     past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+
+    @classmethod
+    def of(cls, mission: Mission) -> Surrounding:
+        """What a mission has seen so far; no interests, nobody else."""
+        home = np.array(mission.home_pose) if mission.home_pose else None
+        return cls(T_map_start=home, past_views=look_poses(mission.looks))
 
 
 class ViewPlanner:

@@ -18,9 +18,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
+from infomap_ros.exploration.commanded_robot import CommandedRobot, CommandedRobotConfig
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, Exploration
 from infomap_ros.exploration.mission import Mission
@@ -35,16 +37,18 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepTime
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import status_message
 from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlannerConfig
-from infomap_ros.nodes.planning.ros_robot import RosRobot, RosRobotConfig
+from infomap_ros.nodes.planning.robot_topics import RobotTopics
 from infomap_ros.nodes.planning.target_sight import TargetSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.teammates_near import TeammatesNear
 
 _STATUS_PERIOD = 0.5  # [s]
+_ACKNOWLEDGED = Duration(seconds=1)  # for which a status is waited for at most
 
 
 @dataclass(frozen=True)
@@ -77,26 +81,32 @@ class ExplorerNode(MonitoredNode):
     CONFIGS = (
         (ExplorerConfig, ""),
         (TaskConfig, "task."),
-        (RosRobotConfig, ""),
+        (CommandedRobotConfig, ""),
         (RemotePlannerConfig, ""),
         (RobotTrackerConfig, ""),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
         (KeepClearConfig, "keep_clear."),
         (TeamIdentityConfig, ""),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("explorer", **node_arguments)
         self._config = self.config(ExplorerConfig)
+        self._thread: threading.Thread | None = None
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
-        self._robot = RosRobot(self, self._tracker)
+        self._time: LockstepTime | None = None
+        if self.lockstep is not None:
+            self._time = LockstepTime(self, self.lockstep, lambda: self._running)
+            self._tracker.wait_in_lockstep(self._time)
+        link = RobotTopics(self, self._tracker)
+        self._robot = CommandedRobot(link, self.config(CommandedRobotConfig))
         self._teammates = TeammatesNear(self)
         self._sight = TargetSight(self, self._tracker)
         self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
         self._exploration: Exploration | None = None
-        self._thread: threading.Thread | None = None
         self._failed_views: list[FailedView] = []
         self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
         orders: dict[str, Callable[[], str]] = {
@@ -247,7 +257,10 @@ class ExplorerNode(MonitoredNode):
         return answer
 
     def _on_step(self, exploration: Exploration) -> None:
-        """Save the account of the mission and publish it; called in the exploration's thread."""
+        """Save the account of the mission and publish it; called in the exploration's thread.
+
+        Who plans has to know of it before it is asked.
+        """
         try:
             exploration.mission.save(self._mission_file)
         except OSError as error:
@@ -255,6 +268,7 @@ class ExplorerNode(MonitoredNode):
                 f"cannot write {self._mission_file}: {error.strerror}", throttle_duration_sec=10.0
             )
         self._status.publish(status_message(exploration, self._failed_views))
+        self._status.wait_for_all_acked(_ACKNOWLEDGED)
 
     def _on_failed_view(self, view: FailedView) -> None:
         self._failed_views.append(view)
@@ -271,6 +285,8 @@ class ExplorerNode(MonitoredNode):
         """Stop the robot, then the node."""
         if self._exploration is not None and self._thread is not None:
             self._exploration.control.ask(Request.STOP)
+            if self._time is not None:
+                self._time.stop()
             self._thread.join(5.0)
         super().destroy_node()
 

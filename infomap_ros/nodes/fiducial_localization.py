@@ -35,6 +35,7 @@ from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
+from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
@@ -89,6 +90,7 @@ class FiducialLocalizationNode(MonitoredNode):
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
         (MemoryConfig, ""),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:

@@ -35,6 +35,7 @@ from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.files.projection import ProjectionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
@@ -105,6 +106,7 @@ class MapFusionNode(MonitoredNode):
         (AgentBoardConfig, "agents."),
         (JointBufferConfig, "joints."),
         (MemoryConfig, ""),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:

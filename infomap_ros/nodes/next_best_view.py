@@ -15,7 +15,6 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError, InfomapError
@@ -36,6 +35,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
+from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
@@ -53,7 +53,6 @@ from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentsConfig
 
-_CHECK_PERIOD = 0.2  # [s]; in which a base at 0.5 m/s goes 0.1 m
 _AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
 
@@ -74,6 +73,7 @@ class NextBestViewNode(MonitoredNode):
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
         (AgentsConfig, "agents."),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -91,7 +91,7 @@ class NextBestViewNode(MonitoredNode):
         self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1, last_job=1.0)
-        self._map = MapListener(self, self._worker)
+        self._map = MapListener(self, self._worker, on_update=self._submit_check)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
         self.listen(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(), required=False
@@ -101,8 +101,6 @@ class NextBestViewNode(MonitoredNode):
         offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
         offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_CHECK_PERIOD, self._submit_check, clock=steady)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)

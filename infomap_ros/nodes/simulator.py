@@ -12,12 +12,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.lockstep import LockstepConductor, LockstepConfig
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.simulated.simulator_actions import SimulatorActions
 from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs, SimulatorInputsConfig
@@ -29,10 +31,10 @@ from infomap_ros.nodes.simulated.simulator_teammates import (
 )
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_account import RobotAccount
+from infomap_ros.simulation.sensor_schedule import TICK, SensorScheduleConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import SCENES, build_scene, describe_scene
 
-_TICK = 0.02  # [s] between two looks at what is due
 _LONGEST_LAG = 0.2  # [s] that is caught up; what is more is lost
 _IDLE = 0.002  # [s] that others get between two ticks
 
@@ -68,6 +70,11 @@ class SimulatorNodeConfig:
     resume: bool = parameter(
         False, "Go on from where the robot of state_file stood, where there is one."
     )
+    lockstep_nodes: tuple[str, ...] = parameter(
+        (),
+        "Nodes for which time waits: it goes on when each has used all that it was sent, so that "
+        "a run does not depend on the machine. They and this node have lockstep set.",
+    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -80,11 +87,14 @@ class SimulatorNode(MonitoredNode):
         (SimulatorNodeConfig, ""),
         (SimulatorOutputsConfig, ""),
         (SimulatorInputsConfig, ""),
+        (SensorScheduleConfig, ""),
         (TeammatesConfig, ""),
         (SimulatorConfig, ""),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
+        self._is_waiting = False
         super().__init__("simulator", **node_arguments)
         self._config = self.config(SimulatorNodeConfig)
         self._simulator, scene = self._build()
@@ -94,7 +104,10 @@ class SimulatorNode(MonitoredNode):
         if self.config(SimulatorInputsConfig).commands == "actions":
             self._actions = SimulatorActions(self, self._simulator, self._inputs)
         self._teammates = SimulatorTeammates(self, self._simulator)
-        self._stopping = False
+        self._stopping, names = False, self._config.lockstep_nodes
+        self._conductor = None
+        if names:
+            self._conductor = LockstepConductor(self, names, lambda: self._stopping)
         self.start_worker(1).submit(self._run)
 
     def _build(self) -> tuple[Simulator, str]:
@@ -121,6 +134,7 @@ class SimulatorNode(MonitoredNode):
         self._teammates.join(self._outputs.publish_state)
         pace = _Pace(self._config.pace, lambda: self._simulator.is_moving)
         try:
+            self._wait_for_others(LockstepConductor.begin)
             while not self._stopping:
                 self._inputs.carry_out()
                 if self._actions is not None:
@@ -128,13 +142,31 @@ class SimulatorNode(MonitoredNode):
                 self._teammates.update()
                 if self._teammates.wait(self._outputs.publish_state):
                     continue
-                self._simulator.step(_TICK)
+                self._simulator.step(TICK)
                 self.guard("simulation", self._outputs.publish_due)
+                if self._outputs.has_measured:
+                    self._wait_for_others(
+                        partial(LockstepConductor.settle, stamp=self._simulator.stamp)
+                    )
                 self.guard("state_file", self._account.save_when_due)
                 self._inputs.tell_problem()
-                time.sleep(pace.wait(_TICK))
+                if self._conductor is None:
+                    time.sleep(pace.wait(TICK))
         finally:
             self._simulator.close()
+
+    def _wait_for_others(self, wait: Callable[[LockstepConductor], None]) -> None:
+        """In lockstep, wait for the other nodes; meanwhile this one reports as they do."""
+        if self._conductor is None:
+            return
+        self._is_waiting = True
+        self._report_rest()
+        wait(self._conductor)
+        self._is_waiting = False
+
+    def _rests(self) -> bool:
+        """Whether the worker waits for the others, as it simulates without an end."""
+        return self._is_waiting and not self._is_in_callback
 
     def destroy_node(self) -> None:
         """Stop simulating, then the node."""

@@ -17,6 +17,7 @@ from typing import Any
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
+from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.ranging.range_outputs import RangeOutputs
@@ -71,6 +72,7 @@ class StereoRangeNode(MonitoredNode):
         (StereoConfig, ""),
         (DepthCameraConfig, "depth_camera."),
         (MemoryConfig, ""),
+        (LockstepConfig, ""),
     )
 
     def __init__(self, **node_arguments: Any) -> None:

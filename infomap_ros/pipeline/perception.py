@@ -65,13 +65,14 @@ class Perception:
             records: with the names of their sources, in order of time.
         """
         for source, record in records:
-            if source not in self.sources.names:
-                yield record
-            else:
-                yield from self._add(source, record)
+            yield from self.add(source, record)
         self._images.finish()
 
-    def _add(self, source: str, record: Record) -> Iterator[Seen]:
+    def add(self, source: str, record: Record) -> Iterator[Record | Seen]:
+        """Take the record that came next from a source; gives what is seen, or it itself."""
+        if source not in self.sources.names:
+            yield record
+            return
         if isinstance(record, ImageRecord):
             complete = self._images.add_image(self.sources.images.index(source), record)
         elif isinstance(record, CameraInfoRecord):

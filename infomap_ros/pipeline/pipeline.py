@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from infomap_ros.errors import CapacityError, InfomapError
 from infomap_ros.geometry import (
     JointStateRecord,
+    PlacedSolid,
     PoseRecord,
     Record,
     quaternion_from_transform,
@@ -72,12 +73,14 @@ class Localization:
         motion: of the robot; None where it is not used.
         localizer: that locates.
         changes: of its keyframes.
+        others: bodies of teammates in the map at a time [ns]: they carry no fiducials.
     """
 
     views: ViewSynchronizer[FramedView]
     motion: RobotMotion | None
     localizer: CameraLocalizer
     changes: KeyframeChanges = field(default_factory=KeyframeChanges)
+    others: Callable[[int], Sequence[PlacedSolid]] = lambda _: ()
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,8 @@ class Pipeline:
         """Find out where a view was taken."""
         localizer = localization.localizer
         try:
-            result = localizer.locate(view.images.view, view.posture, view.body)
+            others = localization.others(view.stamp)
+            result = localizer.locate(view.images.view, view.posture, view.body, others)
         except InfomapError as error:
             self.refused[str(error)] += 1
             return None

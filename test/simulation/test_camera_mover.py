@@ -18,6 +18,7 @@ SETTINGS = (
     "world.seed=2",
     "world.size=4.5",
     "robot.pose_source=simulator",
+    "robot.images_while_moving=false",
     "planner.start_clearance=0.6",
 )
 
@@ -31,7 +32,7 @@ class Watched:
         self.run = ExplorationRun(
             with_settings(ExplorationOptions(), settings), out, self.entries.append
         )
-        self.robot = self.run._robot
+        self.robot = self.run.robot
         self.choices: list[Choice] = []
         planner = self.run._exploration._planner
         choose = planner.choose

@@ -33,6 +33,7 @@ SETTINGS = (
     "world.size=4.5",
     "task.max_views=8",
     "robot.pose_source=simulator",
+    "robot.images_while_moving=false",
 )
 
 

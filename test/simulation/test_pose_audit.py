@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
+from infomap_ros.geometry import PoseRecord, invert_transform, make_transform, perturb_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit, mean_nees, position_sigma
-from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
 from infomap_ros.simulation.exploring.visible_surface import map_errors, surface_coverage
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.simulation.worlds.builder import World
@@ -32,16 +35,20 @@ def audited(covariance: np.ndarray) -> PoseAudit:
     truth = T_WORLD_MAP @ perturb_transform(believed, ERROR)
     simulator: Simulator = Still(truth)  # type: ignore[assignment]
     audit = PoseAudit(simulator, T_WORLD_MAP)
-    scan: PosedScan = PosedScan(7, None, CameraPose(believed, covariance))  # type: ignore[arg-type]
+    audit.image_taken(7)
     audit.expect(4.0 * covariance, -0.01)
-    audit.note(scan)
+    audit.scan_fused(scan_from(PoseRecord(7, "map", believed, covariance)))
     return audit
+
+
+def scan_from(pose: PoseRecord) -> Scan[RangeMeasurement]:
+    return Scan(None, pose)  # type: ignore[arg-type]
 
 
 def test_errors_are_those_of_the_pose_in_the_map() -> None:
     (pose,) = audited(np.eye(6)).poses
     np.testing.assert_allclose(pose.error, ERROR, atol=1e-12)
-    assert pose.stamp == 7
+    assert pose.pose.stamp == 7
 
 
 def test_normalised_error_counts_standard_deviations() -> None:
@@ -65,7 +72,9 @@ def test_a_prediction_is_compared_with_the_first_scan_after_it() -> None:
     assert abs(prediction.before - 0.04) < 1e-12
     assert abs(prediction.predicted - 0.03) < 1e-12
     assert abs(prediction.error - np.linalg.norm(ERROR[:3])) < 1e-12
-    audit.note(PosedScan(8, None, audit.poses[0].pose))  # type: ignore[arg-type]
+    audit.image_taken(8)
+    audit.scan_fused(scan_from(replace(audit.poses[0].pose, stamp=8)))
+    assert len(audit.poses) == 2
     assert len(audit.predictions) == 1
 
 

@@ -12,13 +12,14 @@ from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PlacedSolid, make_transform, points_inside
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig, SimulatedRobot
-from infomap_ros.simulation.exploring.pose_source import PosedScan
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
+from infomap_ros.pipeline.scan_synchronizer import Scan
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import make_world
 
 LOOKS, STEP = 5, 0.6  # [s]
-SETUP = ExploringRobotConfig(pose_source="simulator", scans_per_view=1, scan_period=STEP)
+SETUP = SimulatedRobotConfig(pose_source="simulator", image_rate=1.0 / STEP)
 
 
 def surface_in(voxel_map: VoxelMap, bodies: list[PlacedSolid], floor: float) -> int:
@@ -40,13 +41,20 @@ def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
     uncut = VoxelMap(VoxelMapConfig(voxel_size=0.05, max_range=4.0))
     cut = VoxelMap(uncut.config)
 
-    def also(scan: PosedScan) -> None:
-        points, covariances = scan.cloud.organised_points, scan.cloud.covariance_triangles
-        uncut.integrate(points, scan.pose.transform, covariances, camera=scan.cloud.camera)
+    class Also:
+        """Fuses the same scans, with nothing cut."""
+
+        def image_taken(self, stamp: int) -> None:
+            pass
+
+        def scan_fused(self, scan: Scan[RangeMeasurement]) -> None:
+            cloud = scan.cloud.cloud
+            points, covariances = cloud.organised_points, cloud.covariance_triangles
+            uncut.integrate(points, scan.pose.transform, covariances, camera=cloud.camera)
 
     bodies, ours, theirs = TeamBodies(), Teamwork(1, 1, 1), Teamwork(2, 2, 2)
     bodies.describe(2, model)
-    robot = SimulatedRobot(one, model, cut, SETUP, also, bodies)
+    robot = SimulatedRobot(one, model, cut, SETUP, Also(), bodies)
     two.follow_base_path([(0.0, 0.0, 0.0), (1.2, 0.0, 0.0)])
     swept: list[PlacedSolid] = []
     for _ in range(LOOKS):
@@ -55,11 +63,11 @@ def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
         one.place_teammate("two", pose, joints)
         state = RobotState(pose, two.true_camera_pose(), 1e-6 * np.eye(6), joints)
         at_the_scan = one.stamp + round(STEP * 1e9)
-        told = theirs.tell(Presence(at_the_scan, state, model, robot.poses.rig.left, 4.0))
+        told = theirs.tell(Presence(at_the_scan, state, model, robot.link.rig.left, 4.0))
         agent = ours.hear(told.text, 0.0)
         assert agent is not None
         bodies.hear(agent)
-        assert robot.look(lambda: False) == ""
+        robot.link.let_pass(STEP)
         solids = model.solids_in(base_frame, joints)
         swept += [PlacedSolid(s.solid, pose @ s.transform, s.name) for s in solids]
     one.close()

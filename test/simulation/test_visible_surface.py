@@ -10,6 +10,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError, SimulationError
 from infomap_ros.geometry import (
+    PoseRecord,
     invert_transform,
     make_transform,
     perturb_transform,
@@ -17,7 +18,6 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.simulation.exploring.pose_audit import audit_pose
-from infomap_ros.simulation.exploring.pose_source import CameraPose
 from infomap_ros.simulation.exploring.reachable_views import (
     ReachableViewsConfig,
     reachable_cameras,
@@ -176,8 +176,9 @@ def test_a_run_is_compared_in_the_frame_of_its_map(yard: World) -> None:
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05, max_range=10.0))
     spread = np.broadcast_to(sigma**2 * np.eye(3), (len(points), 3, 3))
     voxel_map.integrate(points, np.eye(4), spread)
-    believed, error = CameraPose(np.eye(4), 0.5**2 * np.eye(6)), [1.0, -1.0, 1.0, 0.3, 0.2, -0.1]
-    poses = [audit_pose(7, believed, perturb_transform(np.eye(4), error))]
+    believed = PoseRecord(7, "map", np.eye(4), 0.5**2 * np.eye(6))
+    error = [1.0, -1.0, 1.0, 0.3, 0.2, -0.1]
+    poses = [audit_pose(believed, perturb_transform(np.eye(4), error))]
 
     truth = TrueSurface(yard, T_world_map, 4.0).compare(voxel_map, poses, 3)
 

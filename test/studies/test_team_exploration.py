@@ -12,13 +12,14 @@ from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import ExplorationError, PoseUnavailableError
 from infomap_ros.simulation.company.radio import Channel, Radio
 from infomap_ros.simulation.company.turns import SwitchedOff, Turns
-from infomap_ros.simulation.exploring.pose_source import MeasuredPoses
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot
 from infomap_ros.studies.team.team_exploration import TeamExploration
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 
 SMALL = (
     "world.size=4.5",
     "robot.pose_source=simulator",
+    "robot.images_while_moving=false",
     "map.voxel_size=0.12",
     "simulator.camera.width=160",
     "simulator.camera.height=120",
@@ -81,10 +82,10 @@ def test_rovers_that_localise_themselves_share_the_frame_of_the_board(tmp_path: 
 def test_rovers_that_cannot_find_out_where_they_are_say_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def is_not_in_view(_: MeasuredPoses) -> None:
+    def is_not_in_view(_: SimulatedRobot) -> None:
         raise PoseUnavailableError("the board is not in view")
 
-    monkeypatch.setattr(MeasuredPoses, "initialise", is_not_in_view)
+    monkeypatch.setattr(SimulatedRobot, "begin", is_not_in_view)
     exploration = TeamExploration(with_settings(TeamExplorationOptions(), SMALL), tmp_path)
     with pytest.raises(ExplorationError, match="not in view; the board"):
         exploration.run()

@@ -78,7 +78,7 @@ class RecordedRun:
     def steps(self) -> tuple[Step, ...]:
         """The decisions with what came of each."""
         places = [i for i, record in enumerate(self.records) if isinstance(record, Decision)]
-        ends = [*places[1:], len(self.records)]
+        ends = [*places[1:], len(self.records)][: len(places)]
         return tuple(_step(self.records[a:b]) for a, b in zip(places, ends, strict=True))
 
 

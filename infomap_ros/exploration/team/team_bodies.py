@@ -83,6 +83,11 @@ class TeamBodies:
         """Whether a teammate's solids are known."""
         return robot in self._models
 
+    @property
+    def robots(self) -> Collection[int]:
+        """The robots that have been heard."""
+        return self._places.agents.keys()
+
     def keep(self, robots: Collection[int]) -> None:
         """Forget all robots but these."""
         self._before |= {agent.robot: agent for agent in self._places.keep(robots)}

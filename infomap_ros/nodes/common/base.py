@@ -37,6 +37,7 @@ from infomap_ros.errors import (
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.health import Health
 from infomap_ros.nodes.common.interrupts import release_when_leaving
+from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepReporter
 from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import declare_config
 from infomap_ros.nodes.common.worker import Worker
@@ -66,6 +67,7 @@ class MonitoredNode(Node):
 
     Attributes:
         CONFIGS: configuration classes of the node with the prefix of their parameters.
+        lockstep: counts messages, where a simulator's time waits for them.
 
     Raises:
         ConfigError: a parameter has an impossible value.
@@ -83,6 +85,10 @@ class MonitoredNode(Node):
         }
         self._warn_of_unknown_parameters()
         self._workers: list[Worker] = []
+        self._is_in_callback = False
+        self.lockstep = None
+        if self._configs.get(LockstepConfig, LockstepConfig()).lockstep:
+            self.lockstep = LockstepReporter(self, self._rests)
         self._advertised: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -117,6 +123,8 @@ class MonitoredNode(Node):
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
         self._listened[name] = _type_name(message_type), profile
+        if self.lockstep is not None:
+            self.lockstep.listens(name)
         radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
         guard = self.guard_peer if from_peer else self.guard
 
@@ -125,7 +133,11 @@ class MonitoredNode(Node):
                 self.drop("simulated loss")
                 return
             self.health.arrived(name)
+            self._is_in_callback = True
             guard(name, lambda: handle(message))
+            self._is_in_callback = False
+            if self.lockstep is not None:
+                self.lockstep.used(name)
 
         self.create_subscription(
             message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
@@ -160,6 +172,8 @@ class MonitoredNode(Node):
             event_callbacks=events,
         )
         self._advertised.append(publisher)
+        if self.lockstep is not None:
+            self.lockstep.count(publisher)
         return publisher
 
     @property
@@ -174,9 +188,18 @@ class MonitoredNode(Node):
             capacity: number of jobs that may wait.
             last_job: how long the node's end waits for the job at hand [s].
         """
-        worker = Worker(self.get_name(), capacity, lambda: self.drop("too slow"), last_job)
+        name, overflow = self.get_name(), partial(self.drop, "too slow")
+        worker = Worker(name, capacity, overflow, last_job, self._report_rest)
         self._workers.append(worker)
         return worker
+
+    def _rests(self) -> bool:
+        """Whether neither a callback nor a worker is at work."""
+        return not self._is_in_callback and not any(worker.waiting for worker in self._workers)
+
+    def _report_rest(self) -> None:
+        if self.lockstep is not None:
+            self.lockstep.report()
 
     def guard(self, origin: str, action: Callable[[], object]) -> bool:
         """Run an action; an error of the library becomes a counted drop.
@@ -229,6 +252,7 @@ class MonitoredNode(Node):
             raise RuntimeError("the worker thread has ended by an error, see above")
         self._warn_of_missing_inputs()
         self._note_memory()
+        self._report_rest()
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
             self.health.note(name, str(publisher.get_subscription_count()))

@@ -25,7 +25,7 @@ def prepare_kernels(node: Node, use: Callable[[], object], seconds: float) -> No
     log.info(f"kernels ready after {time.monotonic() - start:.1f} s")
 
 
-class _FirstTime(Listener):  # type: ignore[misc]
+class _FirstTime(Listener):
     """Tells that a kernel is compiled: one that is in numba's cache causes no event."""
 
     def __init__(self, tell: Callable[[], Any]) -> None:

@@ -24,6 +24,7 @@ class Worker:
         capacity: number of jobs that may wait; 1 means latest wins.
         on_overflow: called in the submitting thread for each job that gave way.
         last_job: longest wait for the job at hand when it is stopped [s].
+        on_rest: called in the worker's thread when no job is left.
 
     Attributes:
         most_waiting: largest number of jobs that have waited at once so far.
@@ -35,11 +36,12 @@ class Worker:
         capacity: int,
         on_overflow: Callable[[], None],
         last_job: float = 10.0,
+        on_rest: Callable[[], None] = lambda: None,
     ) -> None:
         self.most_waiting = 0
         self._last_job = last_job
         self._capacity = capacity
-        self._on_overflow = on_overflow
+        self._on_overflow, self._on_rest = on_overflow, on_rest
         self._waiting: deque[tuple[Job, bool]] = deque()
         self._condition = threading.Condition()
         self._stopping = False
@@ -112,3 +114,8 @@ class Worker:
             except Exception:
                 if not self._stopping:
                     raise
+            with self._condition:
+                self._busy = False
+                rests = not self._waiting
+            if rests:
+                self._on_rest()

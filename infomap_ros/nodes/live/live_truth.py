@@ -15,9 +15,8 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
 from infomap_ros.simulation.exploring.exploration_run import map_frame
-from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig
 from infomap_ros.simulation.exploring.pose_audit import AuditedPose, audit_pose
-from infomap_ros.simulation.exploring.pose_source import CameraPose
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobotConfig
 from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.worlds.builder import World
 
@@ -52,11 +51,7 @@ class LiveTruth:
         """
         T_map_world = invert_transform(T_world_map)
         return [
-            audit_pose(
-                found.stamp,
-                CameraPose(found.transform, found.covariance),
-                T_map_world @ true.transform,
-            )
+            audit_pose(found, T_map_world @ true.transform)
             for found, true in self._poses.pairs()
             if found.covariance is not None
         ]
@@ -67,7 +62,7 @@ class LiveTruth:
 
 def live_map_frame(world: World) -> FloatArray:
     """Where the frame of a simulated robot's map truly is, shape (4, 4): at the target."""
-    return map_frame(world, ExploringRobotConfig())
+    return map_frame(world, SimulatedRobotConfig())
 
 
 def compare_with_truth(

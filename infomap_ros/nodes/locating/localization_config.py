@@ -76,7 +76,11 @@ class FiducialLocalizationConfig:
         "have arrived; otherwise by the range's own sigma.",
     )
     fiducials_period: float = parameter(
-        1.0, "Shortest time between two publications of fiducials.", unit="s", low=0.0, high=60.0
+        1.0,
+        "Shortest time between two publications of fiducials, by the stamps of the images.",
+        unit="s",
+        low=0.0,
+        high=60.0,
     )
     follow_alignment: bool = parameter(
         False,

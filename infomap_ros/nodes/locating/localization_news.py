@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
@@ -35,7 +33,7 @@ class LocalizationNews:
         self._odom_frame = OdomFrameBroadcaster(node, self._outputs.publish_frame, tolerance)
         self._state = ""
         self._changes = KeyframeChanges(self._config.least_correction)
-        self._told_fiducials = -1e9
+        self._told_fiducials = -(2**62)
         node.health.condition("no image has been looked at yet")
 
     def tell(
@@ -82,12 +80,12 @@ class LocalizationNews:
             self._outputs.publish_keyframes(result.stamp, kept)
 
     def _tell_fiducials(self, stamp: int) -> None:
-        now = time.monotonic()
         period, fiducials = self._config.fiducials_period, self._localizer.fiducials()
-        if fiducials is None or now - self._told_fiducials < period:
+        since = 1e-9 * (stamp - self._told_fiducials)
+        if fiducials is None or 0.0 <= since < period:
             return
         if self._outputs.fiducials_wanted:
-            self._told_fiducials = now
+            self._told_fiducials = stamp
             self._outputs.publish_fiducials(stamp, fiducials)
 
     def _note(self, result: Localisation) -> None:

@@ -12,6 +12,12 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.driving.motion_result import TOPIC, MotionResult, read_motion_result
 
+
+def path_name(stamp: int) -> str:
+    """How a path with this stamp [ns] is called here."""
+    return f"path {stamp}"
+
+
 _KEPT = 20  # results; one motion is commanded at a time
 
 
@@ -35,17 +41,11 @@ class MotionResults:
         """Whether there is a node that tells what becomes of motions."""
         return bool(self._node.count_publishers(self._topic))
 
-    def of_path(self, stamp: int) -> MotionResult | None:
-        """The result of the path with this stamp [ns]; None where none has come."""
-        return self._find(lambda result: result.stamp == stamp)
-
-    def of_trajectory(self, label: str) -> MotionResult | None:
-        """The result of the trajectory with this label; None where none has come."""
-        return self._find(lambda result: result.label == label)
-
-    def _find(self, fits: Callable[[MotionResult], bool]) -> MotionResult | None:
+    def of(self, motion: str) -> MotionResult | None:
+        """The result of a path or of a trajectory, by `path_name` or label; None as yet."""
         with self._lock:
-            return next(filter(fits, self._newest), None)
+            found = (r for r in self._newest if motion in (r.label, path_name(r.stamp)))
+            return next(found, None)
 
     def _on_result(self, message: DiagnosticArray) -> None:
         result = read_motion_result(message)

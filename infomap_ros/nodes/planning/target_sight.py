@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from infomap_ros.exploration.commanded_robot import CommandedRobotConfig
 from infomap_ros.exploration.robot import Interrupted
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -12,7 +13,6 @@ from infomap_ros.nodes.locating.localization_status import (
     LocalizationState,
     read_status,
 )
-from infomap_ros.nodes.planning.ros_robot import RosRobotConfig
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker
 
 _PAIRS = 2  # that are looked at in one place; the first may be from the way
@@ -27,7 +27,7 @@ class TargetSight:
     """
 
     def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
-        self._tracker, self._patience = tracker, node.config(RosRobotConfig).patience
+        self._tracker, self._patience = tracker, node.config(CommandedRobotConfig).patience
         self._last = LocalizationState(0, "", "")
         self._looks = 0
         profile = qos.latched()

@@ -12,15 +12,10 @@ from sensor_msgs.msg import CameraInfo, JointState
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import (
-    CameraCalibration,
-    OdometryRecord,
-    TransformRecord,
-    invert_transform,
-)
+from infomap_ros.geometry import CameraCalibration, OdometryRecord, Record, TransformRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
+from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.messages import (
     decode_camera_info,
     decode_joint_state,
@@ -30,10 +25,10 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.nodes.common.lockstep import LockstepTime
 from infomap_ros.nodes.robot.description_listener import DescriptionListener
-from infomap_ros.nodes.robot.last_pose import LastPose
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
+from infomap_ros.pipeline.tracked_robot import TrackedRobot
 
 
 @dataclass(frozen=True)
@@ -88,15 +83,11 @@ class RobotTracker:
         infos: tuple[str, ...] = ("left/camera_info", "right/camera_info"),
     ) -> None:
         self._config = node.config(RobotTrackerConfig)
-        self._assumed = node.config(AssumedPoseConfig)
-        self._joints = JointBuffer(node.config(JointBufferConfig))
+        self._tracked = TrackedRobot(node.config(JointBufferConfig), node.config(AssumedPoseConfig))
         self._news = threading.Condition()
-        self._pose = LastPose(self._joints, self._assumed)
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
         self._description = self._read = ""
-        self._robot: RobotModel | None = None
-        self._carried: CarriedPose | None = None
-        self._odometry = -1
+        self._lockstep: LockstepTime | None = None
         self._log = node.get_logger()
         node.listen(
             PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
@@ -124,9 +115,7 @@ class RobotTracker:
             PoseUnavailableError: robot_description or the camera info has not arrived.
         """
         with self._news:
-            if self._robot is None:
-                raise PoseUnavailableError("no robot_description or camera info has arrived yet")
-            return self._robot
+            return self._tracked.robot
 
     @property
     def calibrations(self) -> tuple[CameraCalibration, ...]:
@@ -152,8 +141,7 @@ class RobotTracker:
     def newest_stamp(self) -> int | None:
         """Stamp of the newest camera_pose or odometry [ns]; None before the first pose."""
         with self._news:
-            newest = self._pose.newest_stamp
-            return None if newest is None else max(newest, self._odometry)
+            return self._tracked.newest_stamp
 
     def stamped_state(self) -> tuple[int, RobotState]:
         """As `state`, with its stamp [ns].
@@ -161,13 +149,8 @@ class RobotTracker:
         Raises:
             PoseUnavailableError: pose, joints or description have not arrived.
         """
-        robot = self.robot
         with self._news:
-            pose, joints = self._pose.now(self._carried)
-        assert pose.covariance is not None
-        T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
-        T_map_base = pose.transform @ invert_transform(T_base_camera)
-        return pose.stamp, RobotState(T_map_base, pose.transform, pose.covariance, joints)
+            return self._tracked.stamped_state()
 
     def state_in_odometry(self) -> RobotState:
         """Where odometry has the robot, in its own frame: for a robot that is not located yet.
@@ -175,34 +158,25 @@ class RobotTracker:
         Raises:
             PoseUnavailableError: odometry, joints or description have not arrived.
         """
-        robot = self.robot
         with self._news:
-            if self._carried is None:
-                raise PoseUnavailableError("no odometry has arrived yet")
-            posture = self._carried.posture(self._carried.newest_stamp)
-            camera, joints = posture.T_odom_camera, self._joints.newest()
-        T_base_camera = robot.forward_kinematics(joints, robot.camera_frame)
-        base = camera @ invert_transform(T_base_camera)
-        return RobotState(base, camera, self._assumed.covariance(), joints)
+            return self._tracked.state_in_odometry()
 
     @property
     def odom_frame(self) -> str:
         """Frame of odometry, empty before any has come."""
         with self._news:
-            return "" if self._carried is None else self._carried.odom_frame
+            return self._tracked.odom_frame
 
     @property
     def newest_odometry(self) -> int:
         """Stamp of the newest odometry [ns]; -1 before any has come."""
         with self._news:
-            return self._odometry
+            return self._tracked.newest_odometry
 
     def known_state(self, in_odometry: bool = False) -> RobotState | None:
         """As `state` or `state_in_odometry`; None where that has no answer."""
-        try:
-            return self.state_in_odometry() if in_odometry else self.state()
-        except PoseUnavailableError:
-            return None
+        with self._news:
+            return self._tracked.known_state(in_odometry)
 
     def is_complete(self) -> bool:
         """Whether `state` has an answer."""
@@ -211,12 +185,16 @@ class RobotTracker:
     def joint_positions(self) -> dict[str, float]:
         """Newest position of each joint, by name [rad or m]; empty before the first."""
         with self._news:
-            return self._joints.newest()
+            return self._tracked.joint_positions()
+
+    def wait_in_lockstep(self, time: LockstepTime) -> None:
+        """From now on `wait_until` waits in the time of a simulator in lockstep."""
+        self._lockstep = time
 
     def joint_velocities(self) -> dict[str, float]:
         """Velocity of each joint between its two newest positions [rad/s or m/s]."""
         with self._news:
-            return self._joints.velocities()
+            return self._tracked.joint_velocities()
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
@@ -231,6 +209,8 @@ class RobotTracker:
         Returns:
             Whether the condition holds.
         """
+        if self._lockstep is not None:
+            return self._lockstep.wait_until(condition, timeout, interrupted)
         end = time.monotonic() + timeout
         while not condition():
             if interrupted() or time.monotonic() > end:
@@ -250,31 +230,21 @@ class RobotTracker:
             raise FrameError(
                 f"pose in frame '{pose.frame_id}', the map is '{self._config.map_frame}'"
             )
-        with self._news:
-            self._pose.add(pose)
-            self._settle()
+        self._add(pose)
 
     def _on_joints(self, message: JointState) -> None:
-        record = decode_joint_state(message)
-        with self._news:
-            self._joints.add(record)
-            if self._carried is not None:
-                self._carried.add_joints(record)
-            self._settle()
+        self._add(decode_joint_state(message))
 
     def _on_edge(self, edge: TransformRecord) -> None:
         self._odometries.add(edge)
 
     def _on_odometry(self, record: OdometryRecord) -> None:
-        with self._news:
-            if self._carried is not None:
-                self._carried.add_odometry(record)
-                self._odometry = record.stamp
-                self._settle()
+        self._add(record)
 
-    def _settle(self) -> None:
-        self._pose.settle(self._carried)
-        self._news.notify_all()
+    def _add(self, record: Record) -> None:
+        with self._news:
+            self._tracked.add(record)
+            self._news.notify_all()
 
     def _on_description(self, text: str) -> None:
         with self._news:
@@ -300,13 +270,13 @@ class RobotTracker:
         """Read the robot once both its description and the camera's frame are known."""
         if not self._description or self._infos[0] is None:
             return
-        if self._robot is not None and self._read == self._description:
+        if self._read == self._description:
             return
         self._read = self._description
         config = self._config
-        self._robot = config.robot.read(
+        robot = config.robot.read(
             self._description, self._camera_frame, config.base_frame, config.arm_joints
         )
-        self._carried = CarriedPose(self._camera_frame, self._robot)
-        self._log.info(f"robot '{self._robot.name}', camera in '{self._camera_frame}'")
+        self._tracked.describe(robot, self._camera_frame)
+        self._log.info(f"robot '{robot.name}', camera in '{self._camera_frame}'")
         self._news.notify_all()

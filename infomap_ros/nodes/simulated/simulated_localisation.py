@@ -8,10 +8,9 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.common.parameters import parameter_values
-from infomap_ros.simulation.exploring.self_localisation import SelfLocalisationConfig
+from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE, SimulatedLocalizationConfig
 
-IMAGE_RATE = 2.0
-"""Pairs per simulated second, so that the arm turns the cameras by little between two [Hz]."""
+__all__ = ["IMAGE_RATE", "simulated_localisation", "simulated_motion_noise"]
 
 
 def simulated_localisation() -> dict[str, Any]:
@@ -19,7 +18,7 @@ def simulated_localisation() -> dict[str, Any]:
 
     The target is the board of the simulated worlds.
     """
-    config = SelfLocalisationConfig()
+    config = SimulatedLocalizationConfig()
     localizer = _unusual(config.localizer, LocalizerConfig(), "")
     target = _unusual(config.target, TargetConfig(), "target.")
     return localizer | simulated_motion_noise() | target
@@ -27,7 +26,7 @@ def simulated_localisation() -> dict[str, Any]:
 
 def simulated_motion_noise() -> dict[str, Any]:
     """Likewise how far its odometry is trusted, for every node that has ``motion_noise.``."""
-    return _unusual(SelfLocalisationConfig().motion, DeadReckoningConfig(), "motion_noise.")
+    return _unusual(SimulatedLocalizationConfig().motion, DeadReckoningConfig(), "motion_noise.")
 
 
 def _unusual(value: object, usual: object, prefix: str) -> dict[str, Any]:

@@ -85,11 +85,13 @@ class SimulatorActions:
 
     def _begin_trajectory(self, goal: Any) -> None:
         command = decode_arm_trajectory(goal.trajectory)
-        self._submit("arm", lambda: self._inputs.move_arm(command), self._fail_trajectory)
+        self._submit(
+            "arm", lambda: self._inputs.robot.follow_arm_trajectory(command), self._fail_trajectory
+        )
 
     def _begin_path(self, goal: Any) -> None:
         def follow() -> None:
-            self._inputs.follow(decode_base_path(goal.path))
+            self._inputs.robot.follow_base_path(decode_base_path(goal.path))
 
         self._submit("base", follow, self._fail_path)
 

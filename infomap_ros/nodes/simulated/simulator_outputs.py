@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,16 +19,18 @@ from infomap_ros.geometry import (
     CameraInfoRecord,
     ImageRecord,
     JointStateRecord,
+    OdometryRecord,
     PoseRecord,
+    Record,
     TextRecord,
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.messages import (
+    encode,
     encode_camera_info,
     encode_clock,
     encode_image,
     encode_joint_state,
-    encode_odometry,
     encode_pose,
     encode_text,
 )
@@ -35,14 +38,20 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
+from infomap_ros.simulation.sensor_schedule import (
+    SIDES,
+    Periodic,
+    SensorSchedule,
+    SensorScheduleConfig,
+)
 from infomap_ros.simulation.simulator import Simulator
 
-_SIDES = ("left", "right")
+_POSE = PoseWithCovarianceStamped
 
 
 @dataclass(frozen=True)
 class SimulatorOutputsConfig:
-    """What is published and how often, in simulated time.
+    """What is published besides what the sensors measure.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -53,22 +62,10 @@ class SimulatorOutputsConfig:
         True, "Publish /clock. Of several robots in one world only one may."
     )
     clock_rate: float = parameter(50.0, "Rate of /clock.", unit="Hz", low=1.0, high=1000.0)
-    state_rate: float = parameter(
-        20.0, "Rate of joint_states, odom and camera_pose.", unit="Hz", low=0.1, high=1000.0
-    )
-    image_rate: float = parameter(1.0, "Stereo pairs per second.", unit="Hz", low=0.01, high=60.0)
-    images_while_moving: bool = parameter(
-        True, "Take pairs while the robot moves; drawing them is what takes most of the time."
-    )
     range_source: str = parameter(
         "stereo",
         "What the robot sees with: a raw stereo pair, or a depth camera on depth/image_rect.",
         choices=("stereo", "depth", "both"),
-    )
-    publish_camera_pose: bool = parameter(
-        True,
-        "Publish camera_pose: the true pose with the noise of position_noise and rotation_noise, "
-        "in place of a localisation. Off where another node localises.",
     )
     publish_tf: bool = parameter(
         True, "Publish /tf and /tf_static, where tf2_msgs is installed: odom and all links."
@@ -85,31 +82,37 @@ class SimulatorOutputs:
         node: that publishes.
         simulator: what is published.
         scene: description of the world, for ground_truth/scene.
+
+    Attributes:
+        has_measured: whether something was due at the last look.
     """
 
     def __init__(self, node: MonitoredNode, simulator: Simulator, scene: str) -> None:
         self._node, self._simulator, self._scene = node, simulator, scene
-        self._config = node.config(SimulatorOutputsConfig)
+        config = self._config = node.config(SimulatorOutputsConfig)
         self._types = RclpyMessageTypes()
-        stream = qos.stream
+        sensors = node.config(SensorScheduleConfig)
+        self._sensors = SensorSchedule(simulator, sensors, config.map_frame)
+        self._clock_due, stream, pose = Periodic(config.clock_rate), qos.stream, _POSE
         self._clock = (
-            node.advertise(Clock, "/clock", stream(depth=1)) if self._config.publish_clock else None
+            node.advertise(Clock, "/clock", stream(depth=1)) if config.publish_clock else None
         )
-        self._joints = node.advertise(JointState, "joint_states", stream(depth=50))
-        self._odometry = node.advertise(Odometry, "odom", stream(depth=50))
-        pose = PoseWithCovarianceStamped
-        self._poses = (
-            node.advertise(pose, "camera_pose", stream(depth=50))
-            if self._config.publish_camera_pose
-            else None
-        )
+        self._measured = {
+            "joint_states": node.advertise(JointState, "joint_states", stream(depth=50)),
+            "odom": node.advertise(Odometry, "odom", stream(depth=50)),
+        }
+        if sensors.publish_camera_pose:
+            self._measured["camera_pose"] = node.advertise(pose, "camera_pose", stream(depth=50))
         self._true_camera = node.advertise(pose, "ground_truth/camera_pose", stream())
         self._true_base = node.advertise(pose, "ground_truth/base_pose", stream())
         self._true_joints = node.advertise(JointState, "ground_truth/joint_states", stream())
-        self._images = [node.advertise(Image, f"{s}/image_raw", stream(depth=5)) for s in _SIDES]
-        self._infos = [
-            node.advertise(CameraInfo, f"{s}/camera_info", stream(depth=5)) for s in _SIDES
-        ]
+        self._images = {
+            f"{side}/image_raw": node.advertise(Image, f"{side}/image_raw", stream(depth=5))
+            for side in SIDES
+        }
+        for side in SIDES:
+            topic = f"{side}/camera_info"
+            self._measured[topic] = node.advertise(CameraInfo, topic, stream(depth=5))
         self._depth = None
         if self._config.range_source != "stereo":
             self._depth = (
@@ -121,8 +124,7 @@ class SimulatorOutputs:
             for topic in ("robot_description", "ground_truth/scene", "ground_truth/contacts")
         }
         self._frames = SimulatorFrames(node, simulator) if self._config.publish_tf else None
-        self._next = dict.fromkeys(("clock", "state", "image"), 0.0)
-        self._contacts = -1
+        self._contacts, self.has_measured = -1, False
 
     def begin(self) -> None:
         """Publish what does not change."""
@@ -135,38 +137,23 @@ class SimulatorOutputs:
         Raises:
             SimulationError: this machine cannot draw images.
         """
-        config = self._config
-        image = self._is_due("image", config.image_rate, wait=not self._may_look())
-        if self._clock is not None and (self._is_due("clock", config.clock_rate) or image):
+        due = self._sensors.due()
+        self.has_measured = due.state
+        if self._clock is not None and (self._clock_due.is_due(self._simulator.time) or due.image):
             self._clock.publish(encode_clock(self._types, self._simulator.stamp))
-        if self._is_due("state", config.state_rate) or image:
+        if due.state:
             self.publish_state()
-        if image:
+        if due.image:
             self._publish_pair()
             self._publish_depth()
         self._publish_contacts()
-
-    def _is_due(self, name: str, rate: float, wait: bool = False) -> bool:
-        now = self._simulator.time
-        if wait or now < self._next[name] - 1e-9:
-            return False
-        self._next[name] = max(self._next[name] + 1.0 / rate, now)
-        return True
-
-    def _may_look(self) -> bool:
-        return self._config.images_while_moving or not self._simulator.is_moving
 
     def publish_state(self) -> None:
         """Publish what joints and odometry measure now, and the truth."""
         simulator, types = self._simulator, self._types
         stamp, world = simulator.stamp, self._config.map_frame
-        self._joints.publish(encode_joint_state(types, simulator.joint_state()))
-        odometry = simulator.odometry()
-        self._odometry.publish(encode_odometry(types, odometry))
-        if self._poses is not None:
-            pose = simulator.camera_pose()
-            measured = PoseRecord(stamp, world, pose.transform, pose.covariance)
-            self._poses.publish(encode_pose(types, measured))
+        measured = dict(self._sensors.state())
+        self._publish(measured)
         for publisher, truth in (
             (self._true_camera, simulator.true_camera_pose()),
             (self._true_base, simulator.true_pose()),
@@ -176,26 +163,21 @@ class SimulatorOutputs:
         angles = np.array(list(joints.values()))
         record = JointStateRecord(stamp, "", tuple(joints), angles)
         self._true_joints.publish(encode_joint_state(types, record))
-        if self._frames is not None:
+        odometry = measured["odom"]
+        if self._frames is not None and isinstance(odometry, OdometryRecord):
             self._frames.publish(odometry)
+
+    def _publish(self, measured: Mapping[str, Record]) -> None:
+        for topic, record in measured.items():
+            self._measured[topic].publish(encode(self._types, record))
 
     def _publish_pair(self) -> None:
         """Camera infos always, as others take their stamps; images where somebody listens."""
-        simulator, types = self._simulator, self._types
-        stamp, frames = simulator.stamp, simulator.camera_frames
-        for publisher, frame, calibration in zip(
-            self._infos, frames, simulator.calibrations, strict=True
-        ):
-            info = CameraInfoRecord(stamp, frame, calibration)
-            publisher.publish(encode_camera_info(types, info))
+        self._publish(dict(self._sensors.camera_infos()))
         wanted = self._config.range_source != "depth"
-        if wanted and any(publisher.get_subscription_count() for publisher in self._images):
-            pair = simulator.capture()
-            for publisher, frame, pixels in zip(
-                self._images, frames, (pair.left, pair.right), strict=True
-            ):
-                image = ImageRecord(stamp, frame, pixels, "mono8")
-                publisher.publish(encode_image(types, image))
+        if wanted and any(image.get_subscription_count() for image in self._images.values()):
+            for topic, record in self._sensors.pair():
+                self._images[topic].publish(encode(self._types, record))
             self._node.health.produced()
 
     def _publish_depth(self) -> None:

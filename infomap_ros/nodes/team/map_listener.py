@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -60,10 +61,18 @@ class MapListener:
         worker: applies the updates, in the order in which they come.
         required: whether the node cannot work without the map: an update is then a result of it,
             and that none comes is worth a warning.
+        on_update: called by the worker after each update.
     """
 
-    def __init__(self, node: MonitoredNode, worker: Worker, *, required: bool = True) -> None:
-        self._required = required
+    def __init__(
+        self,
+        node: MonitoredNode,
+        worker: Worker,
+        *,
+        required: bool = True,
+        on_update: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._required, self._on_update = required, on_update
         self._node, self._config = node, node.config(MapListenerConfig)
         self._frame = node.config(RobotTrackerConfig).map_frame
         self._team = node.config(TeamIdentityConfig)
@@ -115,6 +124,7 @@ class MapListener:
             genuine = rows if self._key is None else self._key.verify(rows)
             self._member = self._make_member(decode_update(genuine).voxel_size)
         self._member.hear_update(rows, time.monotonic())
+        self._on_update()
         if self._required:
             self._node.health.produced()
         if not self._arrived:

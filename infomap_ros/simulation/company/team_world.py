@@ -11,21 +11,25 @@ from infomap_ros.simulation.company.turns import Turns
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 
+_TURN = 0.1  # [s] that a robot may be ahead of the others
+
 
 class TeamSimulator(Simulator):
-    """A `Simulator` that lets the others have their turn after each step."""
+    """A `Simulator` that lets the others have their turn as it goes on."""
 
     after_step: Callable[[], None] | None = None
+    _passed_on = 0.0  # [s], when the others had their turn
 
     def step(self, duration: float) -> None:
-        """Simulate for a while [s], then wait until the others have come as far.
+        """Simulate for a while [s], and wait where the others have not come as far.
 
         Raises:
             InvalidInputError: as `Simulator.step`.
             SwitchedOff: this robot is switched off.
         """
         super().step(duration)
-        if self.after_step is not None:
+        if self.after_step is not None and self.time >= self._passed_on + _TURN - 1e-6:
+            self._passed_on = self.time
             self.after_step()
 
 

@@ -14,17 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.errors import InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
-from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.loop import Ending, EndReason, Exploration
+from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.view_planner import ViewPlanner, ViewPlannerConfig
+from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
@@ -35,9 +36,9 @@ from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig, SimulatedRobot
+from infomap_ros.simulation.exploring.planning_map import PlanningMap
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
-from infomap_ros.simulation.exploring.self_localisation import SelfLocalisation
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
@@ -75,35 +76,50 @@ class ExplorationOptions:
     task: TaskConfig = field(default_factory=TaskConfig)
     map: VoxelMapConfig = field(default_factory=VoxelMapConfig)
     planner: ViewPlannerConfig = field(default_factory=ViewPlannerConfig)
-    robot: ExploringRobotConfig = field(default_factory=ExploringRobotConfig)
+    robot: SimulatedRobotConfig = field(default_factory=SimulatedRobotConfig)
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     prediction: ErrorPredictionConfig = field(default_factory=ErrorPredictionConfig)
 
 
 class _MapPlanner:
-    """A `ViewPlanner` with its map: implements `infomap_ros.exploration.robot.Planner`."""
+    """A `ViewPlanner` with its map: implements `infomap_ros.exploration.robot.Planner`.
 
-    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap, audit: PoseAudit) -> None:
-        self._planner, self._map, self._audit = planner, voxel_map, audit
+    As next_best_view does, it checks the route that it planned last with each scan that is fused.
+    """
+
+    def __init__(
+        self, planner: ViewPlanner, voxel_map: VoxelMap, audit: PoseAudit, robot: SimulatedRobot
+    ) -> None:
+        self._planner, self._audit, self._robot = planner, audit, robot
+        self._map, self.mission = PlanningMap(voxel_map), Mission()
+        self._checked: tuple[int, str] = (-1, "")
 
     def choose(self, state: RobotState) -> Choice:
-        choice = self._planner.choose(self._map, state)
+        around = Surrounding.of(self.mission)
+        choice = self._planned(self._planner.choose(self._map.current(), state, around))
         terms = choice.explanation.get("terms", {})
         if "localization_error" in terms:
             self._audit.expect(state.pose_covariance, float(terms["localization_error"]))
         return choice
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
-        return self._planner.way_to(self._map, state, place)
+        return self._planned(self._planner.way_to(self._map.current(), state, place))
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
-        return self._planner.plan_arm(self._map, state, T_map_camera)
+        return self._planned(self._planner.plan_arm(self._map.current(), state, T_map_camera))
 
     def route_problem(self, state: RobotState) -> str:
-        return self._planner.route_problem(self._map, state)
+        fused = self._robot.link.fused_scans
+        if self._checked[0] != fused:
+            self._checked = fused, self._planner.route_problem(self._map.current(), state)
+        return self._checked[1]
 
     def failed(self, view: FailedView) -> None:
         self._planner.failed(view)
+
+    def _planned(self, choice: Choice) -> Choice:
+        self._checked = self._robot.link.fused_scans, ""
+        return choice
 
 
 class ExplorationRun:
@@ -122,6 +138,7 @@ class ExplorationRun:
         T_world_map: where the map's frame truly is, shape (4, 4).
         audit: how wrong the poses were.
         simulator: with its ground truth.
+        robot: in it, with its software.
         control: for requests while it runs.
 
     Raises:
@@ -151,19 +168,19 @@ class ExplorationRun:
         )
         self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
         self.audit = PoseAudit(self.simulator, self.T_world_map)
-        self._robot = SimulatedRobot(
-            self.simulator, robot, self.map, options.robot, self.audit.note
-        )
-        rig, error = self._robot.poses.rig, localization_error(self._robot, options)
+        self.robot = SimulatedRobot(self.simulator, robot, self.map, options.robot, self.audit)
+        rig, error = self.robot.link.rig, localization_error(self.robot, options)
         planner = ViewPlanner(robot, rig, task, options.planner, error)
+        self._planner = _MapPlanner(planner, self.map, self.audit, self.robot)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
         self._exploration = Exploration(
-            self._robot,
-            _MapPlanner(planner, self.map, self.audit),
+            self.robot,
+            self._planner,
             task,
             self._log,
             self.control,
+            self._planner.mission,
             clock=lambda: self.simulator.time,
         )
         self._write_start(task)
@@ -171,6 +188,10 @@ class ExplorationRun:
     def run(self) -> Ending:
         """Explore to the end."""
         self._begin = time.monotonic()
+        try:
+            self.robot.begin()
+        except PoseUnavailableError as error:
+            return self._exploration.end(Ending(EndReason.FAILED, str(error)))
         return self._exploration.run()
 
     def write_results(self, ending: Ending) -> dict[str, object]:
@@ -227,7 +248,7 @@ class ExplorationRun:
         self.simulator.close()
 
     def _write_start(self, task: TaskConfig) -> None:
-        options, camera = self.options, self._robot.poses.rig.left
+        options, camera = self.options, self.robot.link.rig.left
         names = ("width", "height", "fx", "fy", "cx", "cy")
         self._log.write(
             "start",
@@ -260,13 +281,13 @@ def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = Non
     return dataclasses.replace(task, region_low=low, region_high=high)
 
 
-def map_frame(world: World, robot: ExploringRobotConfig) -> FloatArray:
+def map_frame(world: World, robot: SimulatedRobotConfig) -> FloatArray:
     """Where the frame of a robot's map truly is, shape (4, 4): at the target, if it localises.
 
     Raises:
         InvalidInputError: there is no target to localise by.
     """
-    if robot.pose_source == "simulator":
+    if not robot.localizes:
         return np.eye(4)
     if world.T_world_target is None:
         raise InvalidInputError("world", "has no target to localise by")
@@ -283,10 +304,8 @@ def localization_error(
         robot: that localizes itself, or not.
         options: of its exploration.
     """
-    poses = robot.poses
-    known = poses.localizer.fiducials if isinstance(poses, SelfLocalisation) else lambda: None
-    motion = options.robot.localization.motion
-    return FiducialLocalizationError(poses.rig, known, options.prediction, motion)
+    known, motion = robot.link.fiducials, options.robot.localization.motion
+    return FiducialLocalizationError(robot.link.rig, known, options.prediction, motion)
 
 
 def _description(place: str) -> str:

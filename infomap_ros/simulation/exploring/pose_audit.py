@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import invert_transform
+from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation.exploring.pose_source import CameraPose, PosedScan
+from infomap_ros.pipeline.range_estimator import RangeMeasurement
+from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.simulation.simulator import Simulator
+
+_KEPT = 100  # true poses, at the stamps of the newest images
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,18 +22,17 @@ class AuditedPose:
     """A pose that the robot believed, and how wrong it was.
 
     Attributes:
-        stamp: [ns].
-        pose: as the robot had it.
+        pose: as the robot had it, with covariance.
         error: true minus believed, (dt, dtheta) of `geometry.transforms` in the map, shape (6,).
     """
 
-    stamp: int
-    pose: CameraPose
+    pose: PoseRecord
     error: FloatArray
 
     @property
     def nees(self) -> float:
         """Normalised estimation error squared: 6 on average where the covariance is true."""
+        assert self.pose.covariance is not None
         return float(self.error @ np.linalg.solve(self.pose.covariance, self.error))
 
 
@@ -52,7 +54,7 @@ class PredictedSigma:
 
 
 class PoseAudit:
-    """Compares the poses of scans with the truth as they are taken.
+    """Compares the poses of fused scans with the truth; implements `simulated_robot.Observer`.
 
     Args:
         simulator: knows the truth.
@@ -68,13 +70,23 @@ class PoseAudit:
         self.poses: list[AuditedPose] = []
         self.predictions: list[PredictedSigma] = []
         self._expected: tuple[float, float] | None = None
+        self._true: dict[int, FloatArray] = {}
 
-    def note(self, scan: PosedScan) -> None:
-        """Compare the pose of a scan that has been taken just now."""
-        audited = self.audit(scan.stamp, scan.pose)
+    def image_taken(self, stamp: int) -> None:
+        """Remember where the camera truly is now, at `stamp` [ns]."""
+        self._true[stamp] = self._T_map_world @ self._simulator.true_camera_pose()
+        while len(self._true) > _KEPT:
+            del self._true[next(iter(self._true))]
+
+    def scan_fused(self, scan: Scan[RangeMeasurement]) -> None:
+        """Compare the pose of a scan with the truth."""
+        true, covariance = self._true.get(scan.pose.stamp), scan.pose.covariance
+        if true is None or covariance is None:
+            return
+        audited = audit_pose(scan.pose, true)
         self.poses.append(audited)
         if self._expected is not None:
-            claimed = position_sigma(scan.pose.covariance)
+            claimed = position_sigma(covariance)
             distance = float(np.linalg.norm(audited.error[:3]))
             self.predictions.append(PredictedSigma(*self._expected, claimed, distance))
             self._expected = None
@@ -89,26 +101,21 @@ class PoseAudit:
         sigma = position_sigma(before)
         self._expected = sigma, sigma + growth
 
-    def audit(self, stamp: int, pose: CameraPose) -> AuditedPose:
-        """Compare a pose that the robot believes now with the truth."""
-        return audit_pose(stamp, pose, self._T_map_world @ self._simulator.true_camera_pose())
-
     def figures(self) -> dict[str, float]:
         """Errors of the poses of all scans; see `pose_errors`."""
         return pose_errors(self.poses)
 
 
-def audit_pose(stamp: int, pose: CameraPose, T_map_camera: FloatArray) -> AuditedPose:
+def audit_pose(pose: PoseRecord, T_map_camera: FloatArray) -> AuditedPose:
     """Compare a pose with the truth.
 
     Args:
-        stamp: [ns].
-        pose: as the robot believed it.
+        pose: as the robot believed it, with covariance.
         T_map_camera: as it truly was, shape (4, 4).
     """
     turn = Rotation.from_matrix(T_map_camera[:3, :3] @ pose.transform[:3, :3].T).as_rotvec()
     error = np.concatenate([T_map_camera[:3, 3] - pose.transform[:3, 3], turn])
-    return AuditedPose(stamp, pose, error)
+    return AuditedPose(pose, error)
 
 
 def mean_nees(poses: Sequence[AuditedPose]) -> float | None:

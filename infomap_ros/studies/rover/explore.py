@@ -29,7 +29,7 @@ from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationRun,
     WorldConfig,
 )
-from infomap_ros.simulation.exploring.exploring_robot import ExploringRobotConfig
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobotConfig
 from infomap_ros.simulation.exploring.visible_surface import (
     VisibleSurface,
     VisibleSurfaceConfig,
@@ -100,7 +100,7 @@ class RoverTask:
             world=WorldConfig(self.config.world, self.seed, self.config.size),
             task=TaskConfig(known_fraction=1.0, max_views=self.views, vain_views=self.views),
             planner=self._planner(),
-            robot=ExploringRobotConfig(pose_source="simulator"),
+            robot=SimulatedRobotConfig(pose_source="simulator", images_while_moving=False),
             simulator=SimulatorConfig(camera=camera),
         )
 

@@ -94,7 +94,7 @@ class TeamExploration:
         task = task_in(scene, options.task, self.T_world_map)
         task = dataclasses.replace(task, known_fraction=1.0)
         self._outfits = [
-            RobotOutfit(n, own, task, model, out / str(n), self._on_view, audit.note)
+            RobotOutfit(n, own, task, model, out / str(n), self._on_view, audit)
             for n, (own, audit) in enumerate(zip(self._own_options(), self.audits, strict=True))
         ]
         self._missions: dict[int, Mission] = {}
@@ -180,7 +180,7 @@ class TeamExploration:
         known = robot.known_voxels
         while not self._is_over:
             self._is_over = len(self._endings) == len(self.robots)
-            self.world.simulators[number].step(_TICK)
+            robot.let_pass(_TICK)
             if robot.may_go_on and robot.known_voxels > _MORE * known:
                 del self._endings[number]
                 return

@@ -29,8 +29,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.exploration_run import localization_error
-from infomap_ros.simulation.exploring.exploring_robot import SimulatedRobot
-from infomap_ros.simulation.exploring.pose_source import PosedScan
+from infomap_ros.simulation.exploring.simulated_robot import Observer, SimulatedRobot
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 from infomap_ros.team import TeamMember, version_at
@@ -39,7 +38,6 @@ from infomap_ros.team.sent import message_bytes
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
 LOCALISATION_FILE = "localisation.infomap"
 _BUSY = 1.0  # [s] until a robot that had nothing to do asks again
-_TICK = 0.1  # [s]
 _TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
 
 
@@ -54,7 +52,7 @@ class RobotOutfit:
         model: of the robot.
         folder: for its files.
         on_view: called after each view, with the robot.
-        on_scan: called with each scan that was fused.
+        observer: of what it measures.
     """
 
     number: int
@@ -63,7 +61,7 @@ class RobotOutfit:
     model: RobotModel
     folder: Path
     on_view: Callable[[TeamRobot], None]
-    on_scan: Callable[[PosedScan], None]
+    observer: Observer
 
 
 class TeamRobot:
@@ -94,18 +92,19 @@ class TeamRobot:
         self.sent, self._told = 0, -np.inf
         self._bodies = TeamBodies(body=options.robot.body)
         self._robot = SimulatedRobot(
-            simulator, outfit.model, self.map, options.robot, outfit.on_scan, self._bodies
+            simulator, outfit.model, self.map, options.robot, outfit.observer, self._bodies
         )
+        self._link = self._robot.link
         if (located := outfit.folder / LOCALISATION_FILE).exists():
-            self._robot.poses.resume(located)
+            self._link.resume(located)
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
         )
-        rig, error = self._robot.poses.rig, localization_error(self._robot, options)
+        rig, error = self._link.rig, localization_error(self._robot, options)
         planner = ViewPlanner(outfit.model, rig, outfit.task, planning, error)
         self._teamwork = Teamwork(outfit.number, session, version)
         self._planner = TeamPlanner(
-            planner, self._teamwork, self._announce, self._let_pass, lambda: simulator.time
+            planner, self._teamwork, self._announce, self.let_pass, lambda: simulator.time
         )
         self._spoken: list[tuple[str, Any, int]] = []
         self._announced, self._knows_its_place = -np.inf, False
@@ -126,12 +125,12 @@ class TeamRobot:
     def explore(self) -> Ending:
         """Explore to the end; first tell and hear who is where, after a restart what is known."""
         try:
-            self._robot.state()
+            self._robot.begin()
         except PoseUnavailableError as error:
             return self._exploration.end(Ending(EndReason.FAILED, str(error)))
         self._knows_its_place = True
         recovery = self.outfit.options.sharing.recovery if self.mission.views else 0.0
-        self._let_pass(recovery + _TELLING)
+        self.let_pass(recovery + _TELLING)
         return self._exploration.run()
 
     def stop(self) -> None:
@@ -155,7 +154,7 @@ class TeamRobot:
             lambda: self._robot.state().joints,
             lambda joints: model.solids_in(model.base_frame, joints),
             lambda: self._teamwork.present(simulator.time),
-            lambda: self._let_pass(PAUSE),
+            lambda: self.let_pass(PAUSE),
             lambda state, reason: self._exploration.say(state, reason),
         )
 
@@ -168,10 +167,10 @@ class TeamRobot:
             TeammatesBusyError: the exploration is asked to stop while it waits for others.
         """
         self.map.save(self.outfit.folder / MAP_FILE)
-        self._robot.poses.save(self.outfit.folder / LOCALISATION_FILE)
-        self._let_pass(_TELLING)
+        self._link.save(self.outfit.folder / LOCALISATION_FILE)
+        self.let_pass(_TELLING)
         self.outfit.on_view(self)
-        around = Surrounding(T_map_start=np.array(self.mission.home_pose))
+        around = Surrounding.of(self.mission)
         while True:
             try:
                 shared = self.member.replica.voxel_map
@@ -179,7 +178,7 @@ class TeamRobot:
             except TeammatesBusyError:
                 if self._control.interrupted():
                     raise
-                self._let_pass(_BUSY)
+                self.let_pass(_BUSY)
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         """The way to where the robot has stood."""
@@ -236,7 +235,7 @@ class TeamRobot:
             if not self._bodies.is_described(agent.robot):
                 self._bodies.describe(agent.robot, self.outfit.model)
             self._bodies.hear(agent)
-            self._robot.forget_teammates()
+            self._link.forget_teammates()
 
     def _announce(self) -> None:
         """Tell with the next messages where this robot is and where it is heading."""
@@ -245,16 +244,15 @@ class TeamRobot:
             self._simulator.stamp,
             self._robot.state(),
             self.outfit.model,
-            self._robot.poses.rig.left,
+            self._link.rig.left,
             self.outfit.options.planner.max_range,
         )
         text = self._teamwork.tell(presence).text
         self._spoken.append(("agent", text, len(text)))
 
-    def _let_pass(self, seconds: float) -> None:
-        """Let others speak, and hear them."""
-        for _ in range(round(seconds / _TICK)):
-            self._simulator.step(_TICK)
+    def let_pass(self, seconds: float) -> None:
+        """Let others speak, and hear them [s]."""
+        self._link.let_pass(seconds)
 
     def _own_map(self) -> VoxelMap:
         options, path = self.outfit.options, self.outfit.folder / MAP_FILE

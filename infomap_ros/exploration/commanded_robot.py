@@ -1,35 +1,25 @@
-"""The robot as the exploration sees it, moved through base_path and arm_trajectory."""
+"""A robot that is sent paths and trajectories, and is watched until it has carried them out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
-from nav_msgs.msg import Path
-from sensor_msgs.msg import PointCloud2
-from trajectory_msgs.msg import JointTrajectory
 
+from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.messages import POINT_CLOUD
-from infomap_ros.messages.fields import MessageFields
-from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.arm.controller_trajectories import stopping_path
 from infomap_ros.motion.route import ArmPath
-from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome
-from infomap_ros.nodes.planning.motion_results import MotionResults
-from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 
 
 @dataclass(frozen=True)
-class RosRobotConfig:
+class CommandedRobotConfig:
     """When a motion of the robot counts as done, and when as failed.
 
     Raises:
@@ -70,58 +60,92 @@ class RosRobotConfig:
 _STILL = 0.02  # [m or rad]; what moves less stands: poses are noisy
 
 
-class RosRobot:
+class RobotLink(Protocol):
+    """What there is between the exploration and a robot: topics, or a simulator's own objects."""
+
+    def known_state(self, in_odometry: bool = False) -> RobotState | None:
+        """Where it is now, in the map or in the frame of odometry; None where that is unknown."""
+
+    def joint_positions(self) -> Mapping[str, float]:
+        """Newest position of each joint, by name [rad or m]."""
+
+    def joint_velocities(self) -> Mapping[str, float]:
+        """Velocity of each joint, by name [rad/s or m/s]."""
+
+    @property
+    def fused_scans(self) -> int:
+        """Scans of this robot that have been fused so far."""
+
+    def send_base_path(self, poses: FloatArray, in_odometry: bool) -> str:
+        """Have the base drive through poses (x, y, yaw), shape (K, 3), of map or odometry.
+
+        Returns:
+            Name of the motion, for `result`.
+        """
+
+    def send_arm_path(self, path: ArmPath) -> str:
+        """Have the arm move, beginning now; returns the name of the motion."""
+
+    @property
+    def tells_results(self) -> bool:
+        """Whether what moves the robot tells what becomes of motions."""
+
+    def result(self, motion: str) -> str | None:
+        """What became of a motion: empty where it succeeded, else why not; None as yet."""
+
+    def wait_until(
+        self, condition: Callable[[], bool], timeout: float, interrupted: Interrupted
+    ) -> bool:
+        """Let time pass until a condition holds, at most `timeout` [s]; whether it holds."""
+
+
+class CommandedRobot:
     """Implements `infomap_ros.exploration.robot.Robot`; called by one thread that may block.
 
     Args:
-        node: publishes base_path and arm_trajectory, listens to map_updates.
-        tracker: knows where the robot is.
+        link: to the robot.
+        config: when its motions are done.
 
     Attributes:
-        in_odometry: ways of the base are given in the frame of odometry, not in the map.
+        in_odometry: paths of the base are given in the frame of odometry, not in the map.
     """
 
     in_odometry = False
 
-    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
-        self._config, self._tracker = node.config(RosRobotConfig), tracker
-        self._map_frame = node.config(RobotTrackerConfig).map_frame
-        self._clock, self._types = node.get_clock(), RclpyMessageTypes()
-        self._results = MotionResults(node, tracker.notify)
-        self._fused, self._last_base = 0, (0.0, 0.0, 0.0)
-        self._paths = node.advertise(Path, "base_path", qos.stream(depth=1))
-        self._trajectories = node.advertise(JointTrajectory, "arm_trajectory", qos.stream(depth=1))
-        node.listen(PointCloud2, "map_updates", self._on_update, qos.stream(depth=50))
-        self._newest_update = 0
+    def __init__(self, link: RobotLink, config: CommandedRobotConfig | None = None) -> None:
+        self._link, self._config = link, config or CommandedRobotConfig()
+        self._last_base = (0.0, 0.0, 0.0)
 
     def state(self) -> RobotState:
-        """Where it is now; see `RobotTracker.state`. Waits where messages were lost."""
-        self._wait(self._tracker.is_complete, self._config.patience, lambda: False)
-        return self._tracker.state()
+        """Where it is now. Waits where messages were lost.
+
+        Raises:
+            PoseUnavailableError: pose, joints or description do not arrive.
+        """
+        link = self._link
+        self._wait(lambda: link.known_state() is not None, lambda: False)
+        if (state := link.known_state()) is None:
+            raise PoseUnavailableError("the robot's pose, joints or description are not known")
+        return state
 
     @property
     def sees(self) -> bool:
-        """Whether a scan has been fused since this object was made."""
-        return self._fused > 0
+        """Whether a scan of it has been fused."""
+        return self._link.fused_scans > 0
 
     def look(self, interrupted: Interrupted) -> str:
         """Wait until scans taken from here have been fused."""
-        before, wanted = self._fused, self._config.scans_per_view + 1  # one may be from before
-        done = self._wait(
-            lambda: self._fused - before >= wanted, self._config.patience, interrupted
-        )
-        return "" if done else f"no new scan was fused within {self._config.patience:g} s"
+        link = self._link
+        wanted = link.fused_scans + self._config.scans_per_view + 1  # one may be from before
+        if self._wait(lambda: link.fused_scans >= wanted, interrupted):
+            return ""
+        return f"no new scan was fused within {self._config.patience:g} s"
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
-        """Send the trajectory and wait for its result, or until the joints are where it ends."""
+        """Send the path and wait for its result, or until the joints are where it ends."""
         goal = dict(zip(path.joint_names, path.positions[-1], strict=True))
-        label = f"trajectory {self._now()}"
-        self._trajectories.publish(encode_arm_trajectory(self._types, 0, path, label=label))
-        end = self._finish(
-            lambda: self._farthest(goal)[1] <= self._tolerance,
-            lambda: self._results.of_trajectory(label),
-            interrupted,
-        )
+        motion, tolerance = self._link.send_arm_path(path), self._config.joint_tolerance
+        end = self._finish(motion, lambda: self._farthest(goal)[1] <= tolerance, interrupted)
         if end is not None:
             return Motion(end)
         name, error = self._farthest(goal)
@@ -130,7 +154,7 @@ class RosRobot:
 
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Send the path and wait for its result, or until the base rests at its end."""
-        stamp = self._send_path(poses)
+        motion = self._link.send_base_path(poses, self.in_odometry)
         travelled = [self.place()]
 
         def arrived() -> bool:
@@ -139,12 +163,12 @@ class RosRobot:
             near = left <= self._config.position_tolerance
             return near and turn <= self._config.heading_tolerance
 
-        end = self._finish(arrived, lambda: self._results.of_path(stamp), interrupted)
+        end = self._finish(motion, arrived, interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
         if end is not None:
             return Motion(end, path)
         here = self.place()
-        self._send_path(np.array([here]))  # stay
+        self._link.send_base_path(np.array([here]), self.in_odometry)  # stay
         left, turn = _away(here, poses[-1])
         stopped = f"the base has stopped {left:.2f} m and {turn:.2f} rad from its goal"
         return Motion(_broken_off(interrupted, stopped), path)
@@ -153,53 +177,45 @@ class RosRobot:
         """Where the base is, or was when that was last known: messages may be lost on the way.
 
         Returns:
-            x, y [m] and yaw [rad], in the frame in which ways are given.
+            x, y [m] and yaw [rad], in the frame in which paths are given.
         """
-        state = self._tracker.known_state(self.in_odometry)
+        state = self._link.known_state(self.in_odometry)
         if state is not None:
             self._last_base = planar_pose(state.T_map_base)
         return self._last_base
 
-    @property
-    def _tolerance(self) -> float:
-        return self._config.joint_tolerance
-
-    def _wait(self, condition: Callable[[], bool], time: float, interrupted: Interrupted) -> bool:
-        return self._tracker.wait_until(condition, time, interrupted)
+    def _wait(self, condition: Callable[[], bool], interrupted: Interrupted) -> bool:
+        return self._link.wait_until(condition, self._config.patience, interrupted)
 
     def _finish(
-        self,
-        arrived: Callable[[], bool],
-        result: Callable[[], MotionResult | None],
-        interrupted: Interrupted,
+        self, motion: str, arrived: Callable[[], bool], interrupted: Interrupted
     ) -> str | None:
         """Wait for a motion to end for as long as something moves.
 
         Args:
+            motion: its name.
             arrived: whether it looks as if it were done, where nobody tells.
-            result: what robot_driver tells.
             interrupted: breaks it off.
 
         Returns:
-            Empty where it is done, else what robot_driver says of its failure; None where that
-            says nothing, and the robot has to be stopped.
+            Empty where it is done, else what is told of its failure; None where nothing is told,
+            and the robot has to be stopped.
         """
-        driven = self._results.are_offered
+        link, is_told = self._link, self._link.tells_results
 
         def ended() -> bool:
-            if driven:
-                return result() is not None or not self._results.are_offered
+            if is_told:
+                return link.result(motion) is not None or not link.tells_results
             return arrived()
 
         while True:
             moved = partial(self._has_left, self._whereabouts())
-            goes_on = self._wait(_either(ended, moved), self._config.patience, interrupted)
-            arrived()  # notes the way
-            told = result()
-            if told is not None:
-                return "" if told.outcome is Outcome.SUCCEEDED else told.reason
+            goes_on = self._wait(_either(ended, moved), interrupted)
+            arrived()  # notes the path
+            if (told := link.result(motion)) is not None:
+                return told
             if ended():
-                return "robot_driver has gone" if driven else ""
+                return "what moves the robot has gone" if is_told else ""
             if not goes_on:
                 return None
 
@@ -208,42 +224,22 @@ class RosRobot:
 
     def _whereabouts(self) -> FloatArray:
         """Base pose and joint positions, to see whether anything moves [m, rad]."""
-        joints = self._tracker.joint_positions()
+        joints = self._link.joint_positions()
         return np.array([*self.place(), *(joints[name] for name in sorted(joints))])
-
-    def _on_update(self, message: PointCloud2) -> None:
-        stamp, _ = MessageFields(message, POINT_CLOUD).header()
-        if stamp != self._newest_update:  # one scan may come in several messages
-            self._newest_update = stamp
-            self._fused += 1
-            self._tracker.notify()
-
-    def _now(self) -> int:
-        return int(self._clock.now().nanoseconds)
 
     def _farthest(self, goal: dict[str, float]) -> tuple[str, float]:
         """The joint that is farthest from its goal, and how far [rad or m]."""
-        positions = self._tracker.joint_positions()
+        positions = self._link.joint_positions()
         errors = {name: abs(positions.get(name, np.inf) - q) for name, q in goal.items()}
         name = max(errors, key=errors.__getitem__)
         return name, float(errors[name])
 
     def _hold_arm(self, path: ArmPath) -> None:
         """Have the arm slow down and stay."""
-        positions, speeds = self._tracker.joint_positions(), self._tracker.joint_velocities()
+        positions, speeds = self._link.joint_positions(), self._link.joint_velocities()
         here = np.array([positions[name] for name in path.joint_names])
         velocities = np.array([speeds.get(name, 0.0) for name in path.joint_names])
-        stop = stopping_path(path.joint_names, here, velocities)
-        self._trajectories.publish(encode_arm_trajectory(self._types, 0, stop))
-
-    def _send_path(self, poses: FloatArray) -> int:
-        """Publish a path; returns its stamp [ns]."""
-        frame, stamp = (
-            self._tracker.odom_frame if self.in_odometry else self._map_frame,
-            self._now(),
-        )
-        self._paths.publish(encode_base_path(self._types, stamp, frame, poses))
-        return stamp
+        self._link.send_arm_path(stopping_path(path.joint_names, here, velocities))
 
 
 def _either(first: Callable[[], bool], second: Callable[[], bool]) -> Callable[[], bool]:

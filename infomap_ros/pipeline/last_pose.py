@@ -9,7 +9,7 @@ from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBuffer
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.nodes.robot.carried_pose import CarriedPose
+from infomap_ros.pipeline.carried_pose import CarriedPose
 
 _MOST_WAITING = 50
 

@@ -1,0 +1,253 @@
+"""Simulated time that waits until every node has used what it was sent.
+
+So a run does not depend on how fast the machine is, and two runs are the same. Each node reports,
+whenever it rests, how many messages it has sent and used on each topic since it was started. The
+simulator adds them up: where all that was sent on a topic has been used by each of its listeners,
+nothing is under way any more, and time may pass (the vector counters of F. Mattern, "Algorithms for
+distributed termination detection", Distributed Computing 2, 1987, DOI 10.1007/BF01782776).
+
+A node whose own thread waits for time to pass (the explorer) says until which moment it has waited.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.nodes.common import qos
+
+REPORTS = "lockstep_reports"
+TIME = "lockstep_time"
+
+_USED, _SENT, _WAITED = "used ", "sent ", "waited until"
+_QUIET = 0.3  # [s] without a report, and
+_SETTLING = 1.0  # [s] with all, after which everybody has found everybody
+_LOG_PERIOD = 10.0  # [s]
+
+
+@dataclass(frozen=True)
+class LockstepConfig:
+    """Whether a node takes part.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    lockstep: bool = parameter(
+        False,
+        "Report which messages have been used, for a simulator whose lockstep_nodes names this "
+        "node: its time waits for that.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class LockstepReporter:
+    """Counts the messages of a node and reports them whenever it rests.
+
+    Args:
+        node: whose messages are counted.
+        rests: whether no work is at hand besides callbacks.
+    """
+
+    def __init__(self, node: Node, rests: Callable[[], bool]) -> None:
+        self._name, self._rests = node.get_fully_qualified_name(), rests
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.RLock()
+        self._reported: Counter[str] | None = None
+        self.waited_until: Callable[[], int | None] = lambda: None
+        self._waited: int | None = None
+        self._publisher = node.create_publisher(DiagnosticStatus, REPORTS, qos.stream(depth=500))
+
+    def listens(self, topic: str) -> None:
+        """The node listens to a topic, full name."""
+        with self._lock:
+            self._counts[_USED + topic] += 0
+
+    def used(self, topic: str) -> None:
+        """A message was used, as far as its callback does so."""
+        with self._lock:
+            self._counts[_USED + topic] += 1
+        self.report()
+
+    def count(self, publisher: Publisher) -> None:
+        """Count what is sent by a publisher from now on."""
+        topic, publish = publisher.topic_name, publisher.publish
+
+        def counted(message: Any) -> None:
+            with self._lock:
+                self._counts[_SENT + topic] += 1
+            publish(message)
+            self.report()
+
+        publisher.publish = counted
+
+    def report(self) -> None:
+        """Report, where something has changed and the node rests."""
+        with self._lock:
+            waited = self.waited_until()
+            is_same = self._counts == self._reported and waited == self._waited
+            if is_same or not self._rests():
+                return
+            self._reported, self._waited = self._counts.copy(), waited
+            values = dict(self._counts) if waited is None else {**self._counts, _WAITED: waited}
+            pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+            self._publisher.publish(DiagnosticStatus(name=self._name, values=pairs))
+
+
+class LockstepConductor:
+    """Lets time pass when nothing is under way.
+
+    Args:
+        node: the simulator; reports as the others do.
+        names: of the other nodes that take part, in its namespace.
+        stops: whether the node ends.
+    """
+
+    def __init__(self, node: Node, names: Collection[str], stops: Callable[[], bool]) -> None:
+        self._node, self._stops = node, stops
+        base = node.get_namespace().rstrip("/")
+        self._names = {node.get_fully_qualified_name(), *(f"{base}/{name}" for name in names)}
+        self._news = threading.Condition()
+        self._reports: dict[str, Mapping[str, int]] = {}
+        self._base: dict[tuple[str, str], int] = {}
+        self._heard, self._complete = time.monotonic(), 0.0
+        node.create_subscription(DiagnosticStatus, REPORTS, self._on_report, qos.stream(depth=500))
+        self._publisher = node.create_publisher(Clock, TIME, qos.stream(depth=10))
+
+    def begin(self) -> None:
+        """Wait until all are there and quiet; what was sent before is not counted."""
+        self._wait(lambda: self._names <= self._reports.keys())
+        self._complete = time.monotonic()
+        self._wait(self._is_quiet)
+        with self._news:
+            self._base = {key: missing for key, missing in self._missing().items() if missing}
+
+    def settle(self, stamp: int) -> None:
+        """Wait until nothing is under way; then say so, and wait for those who act on it.
+
+        Args:
+            stamp: of the moment to which time has come [ns].
+        """
+        self._wait(self._is_settled)
+        now = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+        self._publisher.publish(Clock(clock=now))
+        self._wait(lambda: self._have_waited(stamp) and self._is_settled())
+
+    def _on_report(self, message: DiagnosticStatus) -> None:
+        with self._news:
+            self._reports[message.name] = {pair.key: int(pair.value) for pair in message.values}
+            self._heard = time.monotonic()
+            self._news.notify_all()
+
+    def _wait(self, condition: Callable[[], bool]) -> None:
+        told = time.monotonic()
+        with self._news:
+            while not (self._stops() or condition()):
+                self._news.wait(0.05)
+                if time.monotonic() - told > _LOG_PERIOD:
+                    told = time.monotonic()
+                    self._node.get_logger().info(f"time waits for {self._waited_for()}")
+
+    def _is_quiet(self) -> bool:
+        now = time.monotonic()
+        return now - self._heard > _QUIET and now - self._complete > _SETTLING
+
+    def _have_waited(self, stamp: int) -> bool:
+        return all(report.get(_WAITED, stamp) >= stamp for report in self._reports.values())
+
+    def _is_settled(self) -> bool:
+        return all(missing == self._base.get(key, 0) for key, missing in self._missing().items())
+
+    def _missing(self) -> dict[tuple[str, str], int]:
+        """How many messages each node has not used yet of those sent, by node and topic."""
+        sent: Counter[str] = Counter()
+        for report in self._reports.values():
+            for key, count in report.items():
+                if key.startswith(_SENT):
+                    sent[key.removeprefix(_SENT)] += count
+        return {
+            (name, topic): sent[topic] - count
+            for name, report in self._reports.items()
+            for key, count in report.items()
+            if key.startswith(_USED) and (topic := key.removeprefix(_USED)) in sent
+        }
+
+    def _waited_for(self) -> str:
+        absent = sorted(self._names - self._reports.keys())
+        behind = [
+            f"{name} ({topic})"
+            for (name, topic), missing in self._missing().items()
+            if missing != self._base.get((name, topic), 0)
+        ]
+        return ", ".join(absent + behind) or "what the explorer does next"
+
+
+class LockstepTime:
+    """The time of a simulator in lockstep, for a thread that waits for things to happen.
+
+    Args:
+        node: in lockstep.
+        reporter: of the node.
+        runs: whether the thread runs.
+    """
+
+    def __init__(self, node: Node, reporter: LockstepReporter, runs: Callable[[], bool]) -> None:
+        self._reporter, self._runs = reporter, runs
+        self._news = threading.Condition()
+        self._now, self._waited, self._is_over = 0, -1, False
+        reporter.waited_until = self._waited_until
+        node.create_subscription(Clock, TIME, self._on_time, qos.stream(depth=10))
+
+    def wait_until(
+        self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
+    ) -> bool:
+        """Wait until a condition holds, looked at once at each moment of the simulated time.
+
+        Args:
+            condition: as above.
+            timeout: [s], simulated.
+            interrupted: breaks the waiting off.
+        """
+        end = self._now + 1e9 * timeout
+        while not condition():
+            if self._is_over or interrupted() or self._now > end:
+                return False
+            self._let_pass()
+        return True
+
+    def stop(self) -> None:
+        """Let nobody wait any more."""
+        with self._news:
+            self._is_over = True
+            self._news.notify_all()
+
+    def _let_pass(self) -> None:
+        with self._news:
+            self._waited = before = self._now
+        self._reporter.report()
+        with self._news:
+            self._news.wait_for(lambda: self._now > before or self._is_over)
+            self._waited = -1
+
+    def _waited_until(self) -> int | None:
+        """Until when the thread has waited [ns]; -1 while it acts, None where there is none."""
+        with self._news:
+            return self._waited if self._runs() else None
+
+    def _on_time(self, message: Clock) -> None:
+        with self._news:
+            self._now = message.clock.sec * 10**9 + message.clock.nanosec
+            self._news.notify_all()

@@ -1,0 +1,95 @@
+"""The robot's topics as the exploration uses them: base_path, arm_trajectory, map_updates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+from trajectory_msgs.msg import JointTrajectory
+
+from infomap_ros.exploration.robot import Interrupted, RobotState
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages import POINT_CLOUD
+from infomap_ros.messages.fields import MessageFields
+from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
+from infomap_ros.motion.route import ArmPath
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving.motion_result import Outcome
+from infomap_ros.nodes.planning.motion_results import MotionResults, path_name
+from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+
+
+class RobotTopics:
+    """Implements `infomap_ros.exploration.commanded_robot.RobotLink`.
+
+    Args:
+        node: publishes base_path and arm_trajectory, listens to map_updates.
+        tracker: knows where the robot is.
+
+    Attributes:
+        fused_scans: see `RobotLink`.
+    """
+
+    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+        self._tracker, self._map_frame = tracker, node.config(RobotTrackerConfig).map_frame
+        self._clock, self._types = node.get_clock(), RclpyMessageTypes()
+        self._paths = node.advertise(Path, "base_path", qos.stream(depth=1))
+        self._trajectories = node.advertise(JointTrajectory, "arm_trajectory", qos.stream(depth=1))
+        self._results = MotionResults(node, tracker.notify)
+        self.fused_scans = self._newest_update = 0
+        node.listen(PointCloud2, "map_updates", self._on_update, qos.stream(depth=50))
+
+    def known_state(self, in_odometry: bool = False) -> RobotState | None:
+        """See `RobotLink`."""
+        return self._tracker.known_state(in_odometry)
+
+    def joint_positions(self) -> dict[str, float]:
+        """See `RobotLink`."""
+        return self._tracker.joint_positions()
+
+    def joint_velocities(self) -> dict[str, float]:
+        """See `RobotLink`."""
+        return self._tracker.joint_velocities()
+
+    def send_base_path(self, poses: FloatArray, in_odometry: bool) -> str:
+        """See `RobotLink`."""
+        frame, now = self._tracker.odom_frame if in_odometry else self._map_frame, self._now()
+        self._paths.publish(encode_base_path(self._types, now, frame, poses))
+        return path_name(now)
+
+    def send_arm_path(self, path: ArmPath) -> str:
+        """See `RobotLink`."""
+        label = f"trajectory {self._now()}"
+        self._trajectories.publish(encode_arm_trajectory(self._types, 0, path, label=label))
+        return label
+
+    @property
+    def tells_results(self) -> bool:
+        """See `RobotLink`."""
+        return self._results.are_offered
+
+    def result(self, motion: str) -> str | None:
+        """See `RobotLink`."""
+        result = self._results.of(motion)
+        if result is None:
+            return None
+        return "" if result.outcome is Outcome.SUCCEEDED else result.reason
+
+    def wait_until(
+        self, condition: Callable[[], bool], timeout: float, interrupted: Interrupted
+    ) -> bool:
+        """See `RobotLink`."""
+        return self._tracker.wait_until(condition, timeout, interrupted)
+
+    def _now(self) -> int:
+        return int(self._clock.now().nanoseconds)
+
+    def _on_update(self, message: PointCloud2) -> None:
+        stamp, _ = MessageFields(message, POINT_CLOUD).header()
+        if stamp != self._newest_update:  # one scan may come in several messages
+            self._newest_update = stamp
+            self.fused_scans += 1
+            self._tracker.notify()

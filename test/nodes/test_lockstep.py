@@ -1,0 +1,109 @@
+"""A short exploration by the nodes in lockstep, and in one process: the same choices and map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from std_srvs.srv import Trigger
+
+from infomap_ros.cli.settings import with_settings
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.nodes.explorer import ExplorerNode
+from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
+from infomap_ros.nodes.live.live_exploration import robot_parameters
+from infomap_ros.nodes.map_fusion import MapFusionNode
+from infomap_ros.nodes.next_best_view import NextBestViewNode
+from infomap_ros.nodes.simulator import SimulatorNode
+from infomap_ros.nodes.stereo_range import StereoRangeNode
+from infomap_ros.pipeline.map_hash import map_hash
+from infomap_ros.simulation.exploring.exploration_run import (
+    ExplorationOptions,
+    ExplorationRun,
+    task_in,
+)
+
+NODES = {
+    "fiducial_localization": FiducialLocalizationNode,
+    "stereo_range": StereoRangeNode,
+    "map_fusion": MapFusionNode,
+    "next_best_view": NextBestViewNode,
+    "explorer": ExplorerNode,
+}
+RESUMES = ("simulator", "fiducial_localization", "map_fusion", "explorer")
+CAMERA = {"camera.width": 320, "camera.height": 240, "camera.supersampling": 1}
+PLANNER = {"arm_views": 50, "choice.candidates.candidates": 200, "threads": 1}
+VIEWS, RANGE = 2, 3.0
+
+
+def in_process(out: Path) -> tuple[list[dict[str, Any]], str, ExplorationRun]:
+    """The exploration in this process."""
+    settings = ["world.name=mars", "world.seed=2", "world.size=4.5", f"task.max_views={VIEWS}"]
+    settings += [f"simulator.{name}={value}" for name, value in CAMERA.items()]
+    settings += [f"planner.{name}={value}" for name, value in PLANNER.items()]
+    settings += [f"planner.max_range={RANGE}", "map.threads=1"]
+    run = ExplorationRun(with_settings(ExplorationOptions(), settings), out)
+    run.run()
+    run.close()
+    return entries(out), map_hash(run.map), run
+
+
+def by_nodes(out: Path, graph: Any, run: ExplorationRun) -> tuple[list[dict[str, Any]], str]:
+    """The same by nodes in lockstep."""
+    task = task_in(run.simulator.world, run.options.task, run.T_world_map)
+    area: dict[str, object] = {
+        "task.region_low": task.region_low,
+        "task.region_high": task.region_high,
+    }
+    area |= {"task.max_views": VIEWS}
+    own: dict[str, dict[str, object]] = {
+        "simulator": {"world": "mars", "world_seed": 2, "world_size": 4.5, "seed": 2, **CAMERA}
+        | {"lockstep_nodes": list(NODES), "state_file": "", "commands": "topics"},
+        "fiducial_localization": {"state_file": "", "fiducials_period": 0.0},
+        "map_fusion": {"max_range": RANGE, "map_file": str(out / "map.infomap"), "threads": 1}
+        | {"waiting.max_wait": 1.0, "autosave_period": 0.0},
+        "next_best_view": {**area, **PLANNER, "max_range": RANGE},
+        "explorer": area,
+    }
+    parameters = robot_parameters(out, graph.namespace + "/")
+    for name, node in {"simulator": SimulatorNode, **NODES}.items():
+        values = parameters[name] | own.get(name, {}) | {"lockstep": True, "resume": False}
+        known = {key: value for key, value in values.items() if key != "resume" or name in RESUMES}
+        graph.add(node, **{key: native(value) for key, value in known.items()})
+    log = out / "exploration.jsonl"
+    graph.spin_until(
+        lambda: log.is_file() and '"end"' in log.read_text(), "the exploration to end", 600.0
+    )
+    client = graph.tester.create_client(Trigger, "map_fusion/save")
+    graph.spin_until(client.service_is_ready, "save")
+    answer = client.call_async(Trigger.Request())
+    graph.spin_until(answer.done, "the file")
+    return entries(out), map_hash(VoxelMap.load(out / "map.infomap"))
+
+
+def entries(out: Path) -> list[dict[str, Any]]:
+    """What the run log says of choices, motions and the map, but for how long it took."""
+    lines = (out / "exploration.jsonl").read_text().splitlines()
+    told = [json.loads(line) for line in lines[1:]]
+    return [{k: v for k, v in entry.items() if k not in ("t", "seconds")} for entry in told]
+
+
+def native(value: object) -> object:
+    """A value as a parameter of ROS."""
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def test_the_nodes_choose_and_map_as_the_exploration_in_one_process(
+    graph: Any, tmp_path: Path
+) -> None:
+    for name in ("one", "nodes"):
+        (tmp_path / name).mkdir()
+    first, first_map, run = in_process(tmp_path / "one")
+    second, second_map = by_nodes(tmp_path / "nodes", graph, run)
+
+    assert sum(entry["kind"] == "decision" for entry in first) == VIEWS
+    assert second == first
+    assert second_map == first_map

@@ -4,8 +4,9 @@ Each world is a run of `infomap_ros.nodes.live.demo`: simulator, localization, r
 and loop are processes, the world has its usual size, and at the end map and poses are compared with
 the truth (docs/exploration_worlds.md says what the figures mean). One JSON file per world in the
 output folder; a world whose file is there is not run again, so a series that was broken off goes on
-where it was. Writes the table into table.md and prints it; `--table` runs nothing. A world takes 10
-to 60 minutes of two cores.
+where it was. Writes the table into table.md and prints it; `--table` runs nothing. Simulated time
+waits for the nodes, so that a row does not depend on the machine; with `--real-time` they think
+while time passes. A world takes 10 to 60 minutes of two cores.
 
     python benchmarks/live_worlds.py --worlds mars:1 office:2 cave:3 --out out/live_worlds
 """
@@ -117,6 +118,7 @@ def main() -> int:
     parser.add_argument("--voxel-size", type=float, default=usual.voxel_size, help="[m]")
     parser.add_argument("--strategy", default=usual.strategy)
     parser.add_argument("--timeout", type=float, default=usual.timeout, help="of a world [s]")
+    parser.add_argument("--real-time", dest="lockstep", action="store_false")
     options = vars(parser.parse_args())
     out, only_table = options.pop("out"), options.pop("table")
     worlds = [name.partition(":")[::2] for name in options.pop("worlds")]

@@ -59,16 +59,16 @@ def by_nodes(out: Path, graph: Any, run: ExplorationRun) -> tuple[list[dict[str,
     area |= {"task.max_views": VIEWS}
     own: dict[str, dict[str, object]] = {
         "simulator": {"world": "mars", "world_seed": 2, "world_size": 4.5, "seed": 2, **CAMERA}
-        | {"lockstep_nodes": list(NODES), "state_file": "", "commands": "topics"},
+        | {"state_file": ""},
         "fiducial_localization": {"state_file": "", "fiducials_period": 0.0},
         "map_fusion": {"max_range": RANGE, "map_file": str(out / "map.infomap"), "threads": 1}
         | {"waiting.max_wait": 1.0, "autosave_period": 0.0},
         "next_best_view": {**area, **PLANNER, "max_range": RANGE},
         "explorer": area,
     }
-    parameters = robot_parameters(out, graph.namespace + "/")
+    parameters = robot_parameters(out, graph.namespace + "/", lockstep=True)
     for name, node in {"simulator": SimulatorNode, **NODES}.items():
-        values = parameters[name] | own.get(name, {}) | {"lockstep": True, "resume": False}
+        values = parameters[name] | own.get(name, {}) | {"resume": False}
         known = {key: value for key, value in values.items() if key != "resume" or name in RESUMES}
         graph.add(node, **{key: native(value) for key, value in known.items()})
     log = out / "exploration.jsonl"

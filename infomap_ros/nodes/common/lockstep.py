@@ -34,6 +34,7 @@ _USED, _SENT, _WAITED = "used ", "sent ", "waited until"
 _QUIET = 0.3  # [s] without a report, and
 _SETTLING = 1.0  # [s] with all, after which everybody has found everybody
 _LOG_PERIOD = 10.0  # [s]
+_LOST = 60.0  # [s] without news after which a message that nobody has used counts as lost
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ class LockstepConductor:
         self._complete = time.monotonic()
         self._wait(self._is_quiet)
         with self._news:
-            self._base = {key: missing for key, missing in self._missing().items() if missing}
+            self._base = self._missing()
 
     def settle(self, stamp: int) -> None:
         """Wait until nothing is under way; then say so, and wait for those who act on it.
@@ -141,10 +142,10 @@ class LockstepConductor:
         Args:
             stamp: of the moment to which time has come [ns].
         """
-        self._wait(self._is_settled)
+        self._wait(self._is_settled_or_lost)
         now = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
         self._publisher.publish(Clock(clock=now))
-        self._wait(lambda: self._have_waited(stamp) and self._is_settled())
+        self._wait(lambda: self._have_waited(stamp) and self._is_settled_or_lost())
 
     def _on_report(self, message: DiagnosticStatus) -> None:
         with self._news:
@@ -170,6 +171,15 @@ class LockstepConductor:
 
     def _is_settled(self) -> bool:
         return all(missing == self._base.get(key, 0) for key, missing in self._missing().items())
+
+    def _is_settled_or_lost(self) -> bool:
+        if self._is_settled():
+            return True
+        if time.monotonic() - self._heard < _LOST:
+            return False
+        self._node.get_logger().warning(f"counts as lost: {self._waited_for()}")
+        self._base = self._missing()
+        return True
 
     def _missing(self) -> dict[tuple[str, str], int]:
         """How many messages each node has not used yet of those sent, by node and topic."""

@@ -59,6 +59,8 @@ class DemoConfig:
         voxel_size: [m].
         strategy: that chooses views.
         timeout: [s].
+        lockstep: simulated time waits for the nodes, so that the run does not depend on the
+            machine; else they think while it passes.
     """
 
     world: str = "mars"
@@ -69,6 +71,7 @@ class DemoConfig:
     voxel_size: float = 0.05
     strategy: str = "largest_information"
     timeout: float = 3600.0
+    lockstep: bool = False
 
 
 def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, object]:
@@ -88,9 +91,9 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
     empty_folder(out)
     world = demo_world(config.world, config.seed, config.size)
     start = time.monotonic()
-    status = Status(status_line({}), console=console)
+    status, parameters = Status(status_line({}), console=console), _parameters(config, world)
     with status:
-        with LiveExploration(out, _parameters(config, world)) as run:
+        with LiveExploration(out, parameters, lockstep=config.lockstep) as run:
             observed, picture = LiveTruth(run), FirstPicture(run.map_file, out / PICTURE_FILE)
             _start(run, picture, status, console)
             run.follow(lambda: status.update(status_line(run.figures)), config.timeout)
@@ -209,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "demo", about, "out/demo", usual.max_views, usual.voxel_size, usual.size
     )
     parser.add_argument("--strategy", default=usual.strategy, help="that chooses views")
+    parser.add_argument("--lockstep", action="store_true", help="simulated time waits for nodes")
     parser.add_argument("--timeout", type=float, default=usual.timeout, help="[s]")
     options = vars(parser.parse_args(arguments))
     out = options.pop("out")

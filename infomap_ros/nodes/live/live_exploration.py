@@ -38,7 +38,7 @@ Parameters = Mapping[str, object]
 
 
 def robot_parameters(
-    out: Path, namespace: str = "/", *, localised: bool = True
+    out: Path, namespace: str = "/", *, localised: bool = True, lockstep: bool = False
 ) -> dict[str, dict[str, object]]:
     """Parameters of the nodes of one simulated robot that explores, by node name.
 
@@ -48,12 +48,13 @@ def robot_parameters(
         out: folder of its files, an absolute path.
         namespace: of the robot.
         localised: by fiducial_localization; else the simulator tells the camera's pose.
+        lockstep: simulated time waits for the nodes, and the robot is driven by topics.
     """
 
     def reliable(*topics: str) -> dict[str, str]:
         return reliable_inputs(topics, namespace)
 
-    updates = reliable("map_updates", "camera_pose", "joint_states")
+    updates = reliable("map_updates", "camera_pose", "joint_states", "odom", *_IMAGES[1::2])
     nodes: dict[str, dict[str, object]] = {
         "simulator": {
             "pace": 0.0,
@@ -76,7 +77,7 @@ def robot_parameters(
             "resume": True,
             "autosave_period": _AUTOSAVE,
             "waiting.max_wait": _MAX_WAIT,
-            **reliable("points2", "camera_pose", "joint_states"),
+            **reliable("points2", "camera_pose", "camera_pose_uncertainty", "joint_states"),
         },
         "next_best_view": {**simulated_motion_noise(), **updates},
         "explorer": {
@@ -87,11 +88,14 @@ def robot_parameters(
             **updates,
         },
     }
-    if has_actions():
+    if has_actions() and not lockstep:
         nodes["simulator"] |= driven_simulator()
         nodes["robot_driver"] = {**simulated_driver(), **reliable("joint_states")}
     if not localised:
         del nodes["fiducial_localization"]
+    if lockstep:
+        nodes["simulator"]["lockstep_nodes"] = [name for name in nodes if name != "simulator"]
+        nodes = {name: {**values, "lockstep": True} for name, values in nodes.items()}
     return nodes
 
 
@@ -102,6 +106,7 @@ class LiveExploration(LiveGraph):
         out: folder for map, mission, log of the run and logs of the nodes.
         parameters: further parameters by node name.
         localised: by fiducial_localization; else the simulator tells the camera's pose.
+        lockstep: simulated time waits for the nodes.
 
     Attributes:
         figures: what exploration_status says, by name.
@@ -115,12 +120,13 @@ class LiveExploration(LiveGraph):
         parameters: Mapping[str, Parameters] | None = None,
         *,
         localised: bool = True,
+        lockstep: bool = False,
     ) -> None:
         super().__init__(out)
         out = out.absolute()
         self.figures: dict[str, str] = {}
         self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
-        own = robot_parameters(out, localised=localised)
+        own = robot_parameters(out, localised=localised, lockstep=lockstep)
         given = parameters or {}
         self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
 

@@ -5,12 +5,15 @@ The requirements are ranges, wide enough for the packages of Ubuntu 24.04 under 
 because a ROS installation brings its own.
 """
 
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "infomap_ros"
 HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link to this file
+INIT = (HERE / NAME / "__init__.py").read_text(encoding="utf-8")
+VERSION = re.search(r'^__version__ = "(.+)"$', INIT, re.MULTILINE)[1]
 
 
 def share(folder: str) -> list[tuple[str, list[str]]]:
@@ -26,8 +29,8 @@ def share(folder: str) -> list[tuple[str, list[str]]]:
 
 setup(
     name=NAME,
-    version="0.1.0",
-    description="Stereo images to a probabilistic 3-D map with honest uncertainty, with ROS 2",
+    version=VERSION,
+    description="Probabilistic 3-D maps from stereo or depth images, with calibrated uncertainty",
     long_description=(HERE / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     author="infomap_ros maintainers",

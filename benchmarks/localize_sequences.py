@@ -35,7 +35,7 @@ from infomap_ros.pipeline.view_estimator import FramedView
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
 from infomap_ros.replay.localizing.localize_run import LocalizeRun, records_of
-from infomap_ros.replay.sequences import convert
+from infomap_ros.replay.sequences import SequenceOptions, convert
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -50,6 +50,7 @@ class Sequence:
         truth: topic.
         delta: length of the pieces over which relative errors are taken [m].
         settings: other than the defaults.
+        options: of the conversion.
     """
 
     form: str
@@ -57,16 +58,22 @@ class Sequence:
     truth: str
     delta: float
     settings: tuple[str, ...] = ()
+    options: SequenceOptions = SequenceOptions()
 
 
+KITCHEN = SequenceOptions(
+    calibration=(Path(__file__).parent / "calibrations" / "rgbd_kitchen.yaml",),
+    rate=30.0,
+    down=(0.0, 0.893, 0.450),  # from planes fitted to floor and table in six frames
+)
 SEQUENCES = {
     "rover_rocks": Sequence("bag", "bags/rover_rocks", "/ground_truth/camera_pose", 0.5),
     "rover_rocks, images alone": Sequence(
         "bag", "bags/rover_rocks", "/ground_truth/camera_pose", 0.5, ("input.motion=none",)
     ),
     "room loop": Sequence("loop", "room_loop", "/camera_pose", 0.5),
-    "tumvi_room1": Sequence("kalibr", "tumvi_room1", "/camera_pose", 0.03),
-    "rgbd_kitchen": Sequence("kitchen", "rgbd_kitchen", "/camera_pose", 0.5),
+    "tumvi_room1": Sequence("euroc", "tumvi_room1", "/camera_pose", 0.03),
+    "rgbd_kitchen": Sequence("rgbd", "rgbd_kitchen", "/camera_pose", 0.5, (), KITCHEN),
 }
 
 
@@ -80,7 +87,7 @@ def bag_of(sequence: Sequence, data: Path, work: Path) -> Path | None:
     if not (data / sequence.folder).is_dir():
         return None
     if not (bag / "metadata.yaml").exists():
-        convert(sequence.form, data / sequence.folder, bag, overwrite=True)
+        convert(sequence.form, data / sequence.folder, bag, sequence.options, overwrite=True)
     return bag
 
 

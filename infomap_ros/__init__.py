@@ -1,7 +1,36 @@
-"""Information-driven stereo mapping for mobile manipulators with ROS 2."""
+"""Information-driven stereo mapping for mobile manipulators with ROS 2.
 
+import infomap_ros
+
+rocks = infomap_ros.map_bag("bags/rover_rocks")
+rocks.show()
+"""
+
+from importlib import import_module as _import_module
 from pathlib import Path as _Path
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
 
 from infomap_ros._kernel_cache import use_kernel_cache as _use_kernel_cache
 
+if _TYPE_CHECKING:
+    from infomap_ros.mapping import VoxelMap
+    from infomap_ros.replay.mapped_bag import localize_bag, map_bag
+
+__version__ = "0.1.0"
+__all__ = ["VoxelMap", "__version__", "localize_bag", "map_bag"]
+
 _use_kernel_cache(_Path(__file__).resolve().parent)
+
+_PLACES = {
+    "VoxelMap": "infomap_ros.mapping",
+    "localize_bag": "infomap_ros.replay.mapped_bag",
+    "map_bag": "infomap_ros.replay.mapped_bag",
+}
+"""Where the names are that are loaded when they are asked for: they take seconds."""
+
+
+def __getattr__(name: str) -> _Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(_import_module(_PLACES[name]), name)

@@ -33,13 +33,14 @@ class ConfigError(InfomapError, ValueError):
     """A parameter has an impossible value.
 
     Attributes:
-        parameter: Name of the parameter.
+        parameter: Name of the parameter, or the option of a command, which begins with ``--``.
         value: The value that was refused.
         expected: What would have been accepted, in words.
     """
 
     def __init__(self, parameter: str, value: object, expected: str) -> None:
-        super().__init__(f"parameter '{parameter}' is {value!r}, expected {expected}")
+        name = parameter if parameter.startswith("--") else f"parameter '{parameter}'"
+        super().__init__(f"{name} is {value!r}, expected {expected}")
         self.parameter = parameter
         self.value = value
         self.expected = expected

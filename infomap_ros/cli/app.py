@@ -7,6 +7,7 @@ import sys
 
 import typer
 
+from infomap_ros import __version__
 from infomap_ros.cli.late_commands import (
     PASSED_ON,
     LateCommand,
@@ -18,39 +19,69 @@ from infomap_ros.errors import InfomapError
 COMMANDS = {
     "map": LateCommand(
         "infomap_ros.cli.map_command:map_bag",
-        "Map a recorded bag: map file, .ply, pictures and summary.json.",
+        "Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json.",
+        "infomap map bags/rover_rocks --out out/rocks",
     ),
     "localize": LateCommand(
         "infomap_ros.cli.localize_command:localize",
-        "Follow the camera through a bag: TUM trajectory, 6x6 covariances, picture, summary.json.",
+        "Estimate the camera's trajectory: TUM file, 6x6 covariances, picture, summary.json.",
+        "infomap localize bags/rover_rocks --out out/trajectory",
     ),
     "explore": LateCommand(
         "infomap_ros.cli.explore_command:explore",
-        "Explore a simulated world: map file, .ply, report.html and summary.json.",
+        "Explore a simulated world: report.html, map.png, map file, .ply and summary.json.",
+        "infomap explore --world office --seed 3 --max-views 10 --out out/office",
     ),
     "show": LateCommand(
         "infomap_ros.cli.show_command:show",
         "Print what a map file holds, and draw it.",
+        "infomap show out/rocks/map.infomap --out rocks.png",
     ),
     "convert": LateCommand(
         "infomap_ros.cli.convert_command:convert",
-        "Turn a recorded sequence into a bag.",
+        "Turn a folder of images into a bag.",
+        "infomap convert kitti sequences/03 kitti_03",
+    ),
+    "tags": LateCommand(
+        "infomap_ros.cli.tags_command:tags",
+        "Find tags in photos, and draw them.",
+        "infomap tags photos/*.jpg --family 36h11 --out out/tags",
     ),
     "draw-target": LateCommand(
         "infomap_ros.cli.draw_target_command:draw_target",
-        "Draw a board of tags in true scale, and print the settings with which it is found.",
+        "Draw a board of tags in true scale, and print the matching detector settings.",
+        "infomap draw-target --columns 3 --rows 2 --side 0.08 --out board.pdf",
     ),
     "calibrate-noise": LateCommand(
         "infomap_ros.cli.calibrate_noise_command:calibrate_noise",
         "Fit the noise models of the stereo sensor to pairs with true disparity.",
+        "infomap calibrate-noise middlebury/Motorcycle --out out/noise",
     ),
     "study": LateCommand(
         "infomap_ros.cli.study_commands:app", "Experiments with the package, and their figures."
     ),
 }
 
-app = new_app("Stereo images to a probabilistic 3-D map with honest uncertainty.")
+app = new_app(
+    "Build probabilistic 3-D maps from stereo or depth images, with calibrated uncertainty.",
+    has_completion=True,
+)
 add_commands(app, COMMANDS)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"infomap_ros {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="print it, and end"
+    ),
+) -> None:
+    """Answered by the callback of its option."""
 
 
 @app.command("record-demo-bag", context_settings=PASSED_ON)
@@ -63,7 +94,7 @@ def record_demo_bag(context: typer.Context) -> None:
 
 @app.command(context_settings=PASSED_ON)
 def doctor(context: typer.Context) -> None:
-    """Say what a live ROS graph lacks."""
+    """Diagnose a running ROS system: missing topics, frames, calibration."""
     try:
         from infomap_ros.nodes.diagnosis.doctor import main as examine
     except ModuleNotFoundError as error:

@@ -7,7 +7,8 @@ from typing import Annotated, Optional
 
 import typer
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import chosen, lists_settings
+from infomap_ros.cli.results import results_in
 from infomap_ros.stereo import StereoConfig, calibration
 from infomap_ros.stereo.ground_truth import load_pairs
 from infomap_ros.stereo.noise_plot import draw_noise_fit
@@ -30,14 +31,16 @@ def calibrate_noise(
         typer.Option("--set", metavar="stereo.NAME=VALUE", help="of the sensor"),
     ] = None,
     half_sizes: Annotated[bool, typer.Option(help="fit to the pairs at half size too")] = True,
+    settings: Annotated[bool, lists_settings(CalibrationOptions)] = False,
 ) -> None:
     """Fit the noise models of the stereo sensor to pairs with true disparity."""
-    config = with_settings(CalibrationOptions(), setting or []).stereo
+    del settings  # the callback has answered it
+    config = chosen(CalibrationOptions(), {}, setting).stereo
     pairs = [pair for folder in folders for pair in load_pairs(folder)]
-    fit = calibration.calibrate_noise(pairs, config, half_sizes=half_sizes)
-    out.mkdir(parents=True, exist_ok=True)
-    draw_noise_fit(fit, out / "noise.png")
-    summary = fit.summary()
-    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    with results_in(out, overwrite=True):
+        fit = calibration.calibrate_noise(pairs, config, half_sizes=half_sizes)
+        draw_noise_fit(fit, out / "noise.png")
+        summary = fit.summary()
+        (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     typer.echo(fit.table())
     typer.echo(json.dumps(summary))

@@ -6,24 +6,48 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any, Optional, TypeVar
 
 import typer
 
-from infomap_ros.cli.settings import setting_names
+from infomap_ros.cli.settings import settings_table, with_settings
+
+Options = TypeVar("Options")
 
 Bag = Annotated[
-    Path, typer.Argument(help="rosbag2 folder, .mcap, .db3, or ROS 1 .bag", show_default=False)
+    Path,
+    typer.Argument(
+        help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a folder of images", show_default=False
+    ),
 ]
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
-Source = Annotated[Optional[str], typer.Option(help="auto, stereo or depth")]
-Rectify = Annotated[Optional[str], typer.Option(help="auto, yes or no")]
-_Topic = Annotated[str, typer.Option(show_default=False, metavar="TOPIC", rich_help_panel="Topics")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace the results of another run")]
+Source = Annotated[str, typer.Option(help="auto, stereo or depth")]
+Rectify = Annotated[str, typer.Option(help="whether images are raw: auto, yes or no")]
+Calibration = Annotated[
+    Optional[list[Path]],
+    typer.Option(
+        help="of a folder of images: Kalibr, ROS, OpenCV, KITTI or Middlebury; one file, or the "
+        "left and the right camera's"
+    ),
+]
 Urdf = Annotated[str, typer.Option(help="URDF file, in place of the bag's", metavar="URDF")]
 Setting = Annotated[
     Optional[list[str]],
-    typer.Option("--set", metavar="SECTION.NAME=VALUE", help="any setting"),
+    typer.Option("--set", metavar="SECTION.NAME=VALUE", help="override a setting; may be repeated"),
 ]
+_TOPICS = {
+    "left_image": "left images",
+    "right_image": "right images",
+    "left_info": "camera info of the left images",
+    "right_info": "camera info of the right images",
+    "depth": "depth images",
+    "info": "camera info of the depth images",
+    "color": "color images of the same pixels as the depth images",
+    "pose_topic": "poses, odometry or tf",
+    "odometry": "odometry",
+    "joints": "joint states",
+}
 
 
 IMAGE_TOPICS = ("left_image", "right_image", "left_info", "right_info", "depth", "info")
@@ -47,7 +71,7 @@ def takes_topics(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
             for p in inspect.signature(command).parameters.values()
             if p.name != "topics"
         ]
-        topics = [inspect.Parameter(n, keyword, default="", annotation=_Topic) for n in names]
+        topics = [inspect.Parameter(n, keyword, default="", annotation=_topic(n)) for n in names]
 
         @wraps(command)
         def run(**given: Any) -> None:
@@ -61,23 +85,40 @@ def takes_topics(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
     return give
 
 
-def lists_settings(options: Callable[[], Any]) -> Callable[[bool], None]:
-    """What ``--settings`` of a command does: print the names of all its settings, and end."""
+def _topic(name: str) -> Any:
+    """The option of a topic."""
+    told = {"show_default": False, "metavar": "TOPIC", "rich_help_panel": "Topics"}
+    return Annotated[str, typer.Option(help=_TOPICS[name], **told)]  # type: ignore[call-overload]
+
+
+def lists_settings(options: Callable[[], Any]) -> Any:
+    """The option ``--settings`` of a command: print all its settings, and end."""
 
     def list_settings(wanted: bool) -> None:
         if wanted:
-            typer.echo("\n".join(setting_names(options())))
+            typer.echo(settings_table(options()))
             raise typer.Exit
 
-    return list_settings
+    about = "list all settings with default, unit, range and meaning"
+    return typer.Option("--settings", callback=list_settings, is_eager=True, help=about)
 
 
-def given_settings(shortcuts: Mapping[str, object], more: list[str] | None) -> list[str]:
-    """The settings of a command line; those of ``--set`` come last, so that they count.
+def chosen(
+    options: Options, shortcuts: Mapping[str, tuple[str, object]], more: list[str] | None
+) -> Options:
+    """The options as a command line asks for; those of ``--set`` come last, so that they count.
 
     Args:
-        shortcuts: values of options that stand for a setting, by its name; None if not given.
+        options: with their defaults.
+        shortcuts: setting and value by the option that stands for it; None if not given.
         more: of ``--set``.
+
+    Raises:
+        ConfigError: a value is refused; names the option.
     """
-    given = [f"{name}={value}" for name, value in shortcuts.items() if value is not None]
-    return given + (more or [])
+    given = {o: (name, value) for o, (name, value) in shortcuts.items() if value is not None}
+    settings = [f"{name}={value}" for name, value in given.values()]
+    names = {name: option for option, (name, _) in given.items()}
+    later = {setting.partition("=")[0].strip() for setting in more or []}
+    shown = {name: option for name, option in names.items() if name not in later}
+    return with_settings(options, settings + (more or []), shown)

@@ -2,20 +2,66 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
-from infomap_ros.replay.sequences import FORMATS
+from infomap_ros.cli.command_options import Calibration
+from infomap_ros.replay.sequences import LAYOUTS, SequenceOptions
 from infomap_ros.replay.sequences import convert as convert_sequence
+
+_DEFAULTS = SequenceOptions()
+_WORDS = {"auto": None, "yes": True, "no": False}
 
 
 def convert(
-    form: Annotated[str, typer.Argument(metavar="FORMAT", help=", ".join(FORMATS))],
-    folder: Annotated[Path, typer.Argument(help="where the sequence is", show_default=False)],
-    out: Annotated[Path, typer.Argument(help="folder of the bag", show_default=False)],
-    overwrite: Annotated[bool, typer.Option(help="replace a bag that is there")] = False,
+    layout: Annotated[str, typer.Argument(metavar="LAYOUT", help=", ".join(LAYOUTS))],
+    folder: Annotated[Path, typer.Argument(help="where the images are", show_default=False)],
+    out: Annotated[
+        Path, typer.Argument(metavar="BAG", help="folder of the bag", show_default=False)
+    ],
+    calibration: Calibration = None,
+    left: Annotated[str, typer.Option(help="folder or pattern of the left images")] = "",
+    right: Annotated[str, typer.Option(help="folder or pattern of the right images")] = "",
+    depth: Annotated[str, typer.Option(help="folder or pattern of the depth images")] = "",
+    color: Annotated[str, typer.Option(help="folder or pattern of the color images")] = "",
+    stamps: Annotated[
+        Optional[Path],
+        typer.Option(help="file of times, or of times and names; else the images' names tell"),
+    ] = None,
+    rate: Annotated[
+        float, typer.Option(help="of frames that are only numbered [Hz]")
+    ] = _DEFAULTS.rate,
+    poses: Annotated[
+        Optional[Path], typer.Option(help="poses: TUM, EuRoC or KITTI (else looked for)")
+    ] = None,
+    depth_unit: Annotated[
+        float, typer.Option(help="of the numbers in depth images [m]; 0: 0.001, in tum 0.0002")
+    ] = _DEFAULTS.depth_unit,
+    rectified: Annotated[
+        str, typer.Option(help="whether the images are rectified: auto (calibration), yes, no")
+    ] = "auto",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a bag")] = False,
 ) -> None:
-    """Turn a recorded sequence into a bag."""
-    count = convert_sequence(form, folder, out, overwrite)
+    """Turn a folder of images into a bag.
+
+    LAYOUT images: left and right (or depth and color) in folders or by names. euroc: cam0, cam1
+    (EuRoC, TUM-VI). kitti: image_0, image_1. tum: rgb.txt, depth.txt. rgbd: frame-N.depth.png,
+    frame-N.color.jpg, frame-N.pose.txt. Any of them is also mapped directly: infomap map FOLDER.
+    """
+    if rectified not in _WORDS:
+        raise typer.BadParameter("expected auto, yes or no", param_hint="--rectified")
+    options = SequenceOptions(
+        calibration=tuple(calibration or ()),
+        left=left,
+        right=right,
+        depth=depth,
+        color=color,
+        stamps=stamps,
+        rate=rate,
+        poses=poses,
+        depth_unit=depth_unit,
+        is_rectified=_WORDS[rectified],
+    )
+    count = convert_sequence(layout, folder, out, options, overwrite)
     typer.echo(json.dumps({"bag": str(out), "messages": count}))

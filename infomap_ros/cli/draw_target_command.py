@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_drawing import save_board
 
 _DEFAULTS = TagBoardConfig()
@@ -17,14 +17,18 @@ def draw_target(
     side: Annotated[float, typer.Option(help="edge of a black square [m]")] = _DEFAULTS.side,
     columns: Annotated[int, typer.Option(help="tags side by side")] = _DEFAULTS.columns,
     rows: Annotated[int, typer.Option(help="tags one below the other")] = _DEFAULTS.rows,
-    gap: Annotated[float, typer.Option(help="white between tags [m]")] = _DEFAULTS.gap,
-    margin: Annotated[float, typer.Option(help="white around the tags [m]")] = _DEFAULTS.margin,
-    family: Annotated[str, typer.Option(help="family of the tags")] = _DEFAULTS.family,
-    first_id: Annotated[int, typer.Option(help="id at the top left")] = _DEFAULTS.first_id,
+    gap: Annotated[float, typer.Option(help="gap between tags [m]")] = _DEFAULTS.gap,
+    margin: Annotated[
+        float, typer.Option(help="white margin around the tags [m]")
+    ] = _DEFAULTS.margin,
+    family: Annotated[
+        str, typer.Option(help=f"family of the tags: {', '.join(FAMILIES)}")
+    ] = _DEFAULTS.family,
+    first_id: Annotated[int, typer.Option(help="first tag id (top left)")] = _DEFAULTS.first_id,
     mounting: Annotated[str, typer.Option(help="upright or flat")] = _DEFAULTS.mounting,
     dpi: Annotated[int, typer.Option(help="dots per inch")] = 300,
 ) -> None:
-    """Draw a board of tags in true scale, and print the settings with which it is found."""
+    """Draw a board of tags in true scale, and print the matching detector settings."""
     config = TagBoardConfig(
         family=family,
         side=side,

@@ -1,37 +1,111 @@
 """Command ``infomap explore``."""
 
-import json
-from typing import Annotated, Optional
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from infomap_ros.cli.command_options import Out, Setting
-from infomap_ros.cli.settings import with_settings
-from infomap_ros.errors import ExplorationError
+from infomap_ros.cli.command_options import Out, Overwrite, Setting, chosen, lists_settings
+from infomap_ros.cli.progress_bar import says_when_it_compiles
+from infomap_ros.cli.results import length, results_in, say_results
+from infomap_ros.cli.study_options import check_strategy
+from infomap_ros.errors import ExplorationError, InvalidInputError
+from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import EndReason
+from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.exploring.run_progress import RunProgress
+
+_DEFAULTS = ExplorationOptions()
+_INTERRUPTED = 130  # exit status, as shells have it
+_FILES = {
+    "report.html": "the run in a browser: map in 3-D, each choice and its reason",
+    "map.png": "the map from above and from the side, and its uncertainty",
+    "map.ply": "the surface, for CloudCompare or MeshLab",
+    "map.infomap": "the map itself, for infomap show and VoxelMap.load",
+    "exploration.jsonl": "the log of the run",
+    "summary.json": "the figures of the run",
+}
 
 
 def explore(
     out: Out,
-    world: Annotated[str, typer.Option(help="mars, office or cave")] = "mars",
-    seed: Annotated[int, typer.Option(help="of the world and of all noise")] = 1,
+    world: Annotated[str, typer.Option(help="mars, office or cave")] = _DEFAULTS.world.name,
+    seed: Annotated[
+        int, typer.Option(help="random seed for world and noise")
+    ] = _DEFAULTS.world.seed,
     strategy: Annotated[
-        Optional[str], typer.Option(help="name of a strategy, or a class by its dotted path")
-    ] = None,
+        str,
+        typer.Option(help="name of a strategy, or a class by its dotted path (current folder too)"),
+    ] = _DEFAULTS.planner.strategy,
+    max_views: Annotated[
+        int, typer.Option(help="views after which it ends; 0: no limit")
+    ] = _DEFAULTS.task.max_views,
     setting: Setting = None,
+    overwrite: Overwrite = False,
+    settings: Annotated[bool, lists_settings(ExplorationOptions)] = False,
 ) -> None:
-    """Explore a simulated world: map file, .ply, report.html and summary.json."""
-    given = [f"world.name={world}", f"world.seed={seed}"]
-    given += [] if strategy is None else [f"planner.strategy={strategy}"]
-    options = with_settings(ExplorationOptions(), given + (setting or []))
-    with RunProgress(Console(stderr=True)) as progress:
+    """Explore a simulated world: report.html, map.png, map file, .ply and summary.json.
+
+    Ctrl-C ends the run early: map and report of what was seen until then are written.
+    """
+    del settings  # the callback has answered it
+    check_strategy(strategy)
+    shortcuts: dict[str, tuple[str, object]] = {
+        "--world": ("world.name", world),
+        "--seed": ("world.seed", seed),
+        "--strategy": ("planner.strategy", strategy),
+        "--max-views": ("task.max_views", max_views),
+    }
+    options = chosen(_DEFAULTS, shortcuts, setting)
+    with results_in(out, overwrite):
+        _explore(options, out)
+
+
+def _explore(options: ExplorationOptions, out: Path) -> None:
+    console = Console(stderr=True)
+    with RunProgress(console) as progress, says_when_it_compiles(console):
         run = ExplorationRun(options, out, progress.show)
-        ending = run.run()
+        with _stops_when_interrupted(run.control, console):
+            ending = run.run()
     summary = run.write_results(ending)
     run.close()
-    typer.echo(json.dumps(summary))
+    voxels = length(run.map.config.voxel_size)
+    name = f"{options.world.name} {options.world.seed}"
+    try:
+        draw_map_views(run.map, out / "map.png", f"Exploration of {name}")
+    except InvalidInputError:  # nothing was seen
+        (out / "map.png").unlink(missing_ok=True)
+    sentences = [
+        f"{name}: {ending.reason.value}, {ending.detail}".rstrip(", "),
+        f"{summary['views']} views, {summary['distance']} m driven, "
+        f"{100.0 * float(str(summary['known_fraction'])):.1f} % known, "
+        f"{run.map.surface_voxels:,} surface voxels of {voxels}",
+    ]
+    say_results(sentences, summary, out, _FILES)
     if ending.reason is EndReason.FAILED:
         raise ExplorationError(ending.detail)
+    if ending.reason is EndReason.STOPPED:
+        raise typer.Exit(_INTERRUPTED)
+
+
+@contextmanager
+def _stops_when_interrupted(control: Control, console: Console) -> Iterator[None]:
+    """Let Ctrl-C end the exploration in order; a second one ends the program."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        signal.signal(signal.SIGINT, before)
+        control.ask(Request.STOP)
+        console.print("infomap: stopping; map and report follow (Ctrl-C again: leave at once)")
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -27,10 +27,12 @@ class LateCommand(NamedTuple):
     Attributes:
         place: ``module:name`` of a function that typer can make a command of, or of a group.
         help: what the list of commands says: the first line of its docstring, or of the group.
+        example: a command line that its help ends with; empty for a group.
     """
 
     place: str
     help: str
+    example: str = ""
 
     def load(self) -> Any:
         """The function or group."""
@@ -44,14 +46,14 @@ def add_commands(app: typer.Typer, commands: Mapping[str, LateCommand]) -> None:
         app.command(name, help=command.help, context_settings=PASSED_ON)(_passing_on(command))
 
 
-def new_app(help: str) -> typer.Typer:
+def new_app(help: str, has_completion: bool = False) -> typer.Typer:
     """An application in the manner of all of the package's."""
     return typer.Typer(
         help=help,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",  # leaves the brackets of units alone
-        add_completion=False,
+        add_completion=has_completion,
         context_settings=_HELPS,
     )
 
@@ -62,7 +64,8 @@ def _passing_on(command: LateCommand) -> Callable[[typer.Context], None]:
         app = loaded
         if not isinstance(loaded, typer.Typer):
             app = new_app(command.help)
-            app.command(context_settings=_HELPS)(loaded)
+            example = f"Example: `{command.example}`"
+            app.command(context_settings=_HELPS, epilog=example)(loaded)
         app(context.args, prog_name=context.command_path)
 
     return pass_on

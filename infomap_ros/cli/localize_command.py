@@ -1,29 +1,34 @@
 """Command ``infomap localize``."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
 from infomap_ros.cli.command_options import (
     IMAGE_TOPICS,
     Bag,
+    Calibration,
     Out,
+    Overwrite,
     Rectify,
     Setting,
     Source,
     Urdf,
-    given_settings,
+    chosen,
     lists_settings,
     takes_topics,
 )
 from infomap_ros.cli.progress_bar import run_with_bar
-from infomap_ros.cli.settings import with_settings
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.cli.results import length, results_in, say_results
+from infomap_ros.errors import BagError
+from infomap_ros.replay.localizing.localize_files import FILES, write_localize_files
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
+from infomap_ros.replay.recording import Recording, open_recording
+
+_DEFAULTS = LocalizeOptions()
 
 
 @takes_topics(*IMAGE_TOPICS, "color", "odometry", "joints")
@@ -31,44 +36,54 @@ def localize(
     bag: Bag,
     out: Out,
     topics: Mapping[str, str],
-    source: Source = None,
-    rectify: Rectify = None,
+    calibration: Calibration = None,
+    source: Source = _DEFAULTS.input.source,
+    rectify: Rectify = _DEFAULTS.input.rectify,
     motion: Annotated[
-        Optional[str], typer.Option(help="auto, odometry, or none for the images alone")
-    ] = None,
-    target: Annotated[Optional[str], typer.Option(help="kind of the target, none or tags")] = None,
+        str, typer.Option(help="auto, odometry, or none for the images alone")
+    ] = _DEFAULTS.input.motion,
+    target: Annotated[
+        str, typer.Option(help="kind of the target: none, tags or model (a mesh)")
+    ] = _DEFAULTS.target.kind,
     robot: Urdf = "",
     setting: Setting = None,
-    settings: Annotated[
-        bool,
-        typer.Option(
-            "--settings", callback=lists_settings(LocalizeOptions), is_eager=True, help="list them"
-        ),
-    ] = False,
+    overwrite: Overwrite = False,
+    settings: Annotated[bool, lists_settings(LocalizeOptions)] = False,
 ) -> None:
-    """Follow the camera through a bag: TUM trajectory, 6x6 covariances, picture, summary.json."""
+    """Estimate the camera's trajectory: TUM file, 6x6 covariances, picture, summary.json."""
     del settings  # the callback has answered it
-    shortcuts = {
-        "input.source": source,
-        "input.rectify": rectify,
-        "input.motion": motion,
-        "target.kind": target,
+    shortcuts: dict[str, tuple[str, object]] = {
+        "--source": ("input.source", source),
+        "--rectify": ("input.rectify", rectify),
+        "--motion": ("input.motion", motion),
+        "--target": ("target.kind", target),
     }
-    given = given_settings(shortcuts, setting)
-    options = with_settings(LocalizeOptions(topics=topics, robot=robot), given)
-    _localize(bag, out, options)
+    options = chosen(LocalizeOptions(topics=topics, robot=robot), shortcuts, setting)
+    with open_recording(bag, calibration or ()) as recording, results_in(out, overwrite):
+        _localize(recording, out, options)
 
 
-def _localize(bag: Path, out: Path, options: LocalizeOptions) -> None:
-    from infomap_ros.replay.localizing.localize_files import write_localize_files
+def _localize(recording: Recording, out: Path, options: LocalizeOptions) -> None:
+    run = LocalizeRun(recording, options)
+    run_with_bar(run.run, "locating", "views", run.inputs.frames)
+    summary = write_localize_files(run, out)
+    for text in [*recording.problems, *_remarks(run)]:
+        typer.echo(f"infomap: {text}", err=True)
+    say_results(_sentences(run, summary), summary, out, FILES)
+    poses, views = int(summary["poses"]), int(summary["views"])
+    if 2 * poses < views:
+        raise BagError(f"{views - poses} of {views} views could not be located")
 
-    with BagReader(bag) as reader:
-        run = LocalizeRun(reader, options)
-        run_with_bar(run.run, "locating", "views", run.inputs.frames)
-        summary = write_localize_files(run, out)
-        for text in [*reader.problems, *_remarks(run)]:
-            typer.echo(f"infomap: {text}", err=True)
-    typer.echo(json.dumps(summary))
+
+def _sentences(run: LocalizeRun, summary: Mapping[str, int | float | str]) -> list[str]:
+    """The run as a person is told it."""
+    motion = run.inputs.odometry_topic or "the images alone"
+    return [
+        f"{summary['poses']} of {summary['views']} views located in {run.seconds:.1f} s, "
+        f"by {motion}",
+        f"path of {length(float(summary['path_length']))}, position sigma at its end "
+        f"{length(float(summary['final_position_sigma']))}",
+    ]
 
 
 def _remarks(run: LocalizeRun) -> list[str]:

@@ -1,6 +1,5 @@
 """Command ``infomap map``."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Optional
@@ -10,21 +9,26 @@ import typer
 from infomap_ros.cli.command_options import (
     IMAGE_TOPICS,
     Bag,
+    Calibration,
     Out,
+    Overwrite,
     Rectify,
     Setting,
     Source,
     Urdf,
-    given_settings,
+    chosen,
     lists_settings,
     takes_topics,
 )
 from infomap_ros.cli.progress_bar import run_with_bar
-from infomap_ros.cli.settings import with_settings
-from infomap_ros.errors import CapacityError
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.cli.results import length, results_in, say_results
+from infomap_ros.errors import BagError, CapacityError
+from infomap_ros.replay.mapping.map_files import FILES, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.recording import Recording, open_recording
+
+_DEFAULTS = MapOptions()
 
 
 @takes_topics(*IMAGE_TOPICS, "pose_topic", "joints")
@@ -32,63 +36,82 @@ def map_bag(
     bag: Bag,
     out: Out,
     topics: Mapping[str, str],
-    voxel_size: Annotated[Optional[float], typer.Option(help="edge of a voxel [m]")] = None,
-    max_range: Annotated[Optional[float], typer.Option(help="farthest mapped point [m]")] = None,
-    source: Source = None,
-    rectify: Rectify = None,
-    poses: Annotated[Optional[str], typer.Option(help="auto, bag or localize")] = None,
+    calibration: Calibration = None,
+    voxel_size: Annotated[
+        float, typer.Option(help="edge of a voxel [m]")
+    ] = _DEFAULTS.map.voxel_size,
+    max_range: Annotated[
+        float, typer.Option(help="farthest mapped point [m]")
+    ] = _DEFAULTS.map.max_range,
+    source: Source = _DEFAULTS.input.source,
+    rectify: Rectify = _DEFAULTS.input.rectify,
+    poses: Annotated[
+        str, typer.Option(help="where poses come from: auto, bag or localize")
+    ] = _DEFAULTS.input.poses,
     map_frame: Annotated[Optional[str], typer.Option(help="frame of the map")] = None,
     pose_frame: Annotated[
-        Optional[str], typer.Option(help="whose pose the pose topic tells")
+        Optional[str], typer.Option(help="frame whose pose the pose topic gives")
     ] = None,
     robot: Urdf = "",
     setting: Setting = None,
-    settings: Annotated[
-        bool,
-        typer.Option(
-            "--settings", callback=lists_settings(MapOptions), is_eager=True, help="list them"
-        ),
-    ] = False,
+    overwrite: Overwrite = False,
+    settings: Annotated[bool, lists_settings(MapOptions)] = False,
 ) -> None:
-    """Map a recorded bag: map file, .ply, pictures and summary.json."""
+    """Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json."""
     del settings  # the callback has answered it
-    shortcuts = {
-        "map.voxel_size": voxel_size,
-        "map.max_range": max_range,
-        "input.source": source,
-        "input.rectify": rectify,
-        "input.poses": poses,
-        "input.map_frame": map_frame,
-        "input.pose_frame": pose_frame,
+    shortcuts: dict[str, tuple[str, object]] = {
+        "--voxel-size": ("map.voxel_size", voxel_size),
+        "--max-range": ("map.max_range", max_range),
+        "--source": ("input.source", source),
+        "--rectify": ("input.rectify", rectify),
+        "--poses": ("input.poses", poses),
+        "--map-frame": ("input.map_frame", map_frame),
+        "--pose-frame": ("input.pose_frame", pose_frame),
     }
-    given = given_settings(shortcuts, setting)
-    options = with_settings(MapOptions(topics=topics, robot=robot), given)
-    _map(bag, out, options)
+    options = chosen(MapOptions(topics=topics, robot=robot), shortcuts, setting)
+    with open_recording(bag, calibration or ()) as recording, results_in(out, overwrite):
+        _map(recording, out, options)
 
 
-def _map(bag: Path, out: Path, options: MapOptions) -> None:
-    from infomap_ros.replay.mapping.map_files import write_map_files
-
-    with BagReader(bag) as reader:
-        run = MapRun(reader, options)
-        run_with_bar(run.run, "mapping", "frames", run.inputs.frames)
-        summary = write_map_files(run, out)
-        for text in _remarks(run, reader):
-            typer.echo(f"infomap: {text}", err=True)
-    typer.echo(json.dumps(summary))
+def _map(recording: Recording, out: Path, options: MapOptions) -> None:
+    run = MapRun(recording, options)
+    run_with_bar(run.run, "mapping", "frames", run.inputs.frames)
+    summary = write_map_files(run, out)
+    for text in _remarks(run, recording):
+        typer.echo(f"infomap: {text}", err=True)
+    say_results(_sentences(run), summary, out, FILES)
     if run.full:
         raise CapacityError(f"the map is full, what came later is not in it: {run.full}")
+    if why := run.why_mostly_dropped():
+        raise BagError(why)
 
 
-def _remarks(run: MapRun, reader: BagReader) -> list[str]:
+def _sentences(run: MapRun) -> list[str]:
+    """The run as a person is told it."""
+    of = run.frames + sum(run.dropped.values())
+    bounds, size = run.map.bounds(), run.map.config.voxel_size
+    lines = [f"{run.frames} of {of} frames mapped in {run.seconds:.1f} s"]
+    lines.append(f"{run.map.surface_voxels:,} surface voxels of {length(size)}")
+    if bounds is not None:
+        low, high = bounds[0] * size, (bounds[1] + 1) * size
+        ends = zip("xyz", low, high, strict=True)
+        lines[-1] += ", " + ", ".join(f"{name} {a:.2f} to {b:.2f} m" for name, a, b in ends)
+    where = run.inputs.pose_topic or "the images (no poses were recorded)"
+    lines.append(f"poses from {where}, in frame {run.inputs.map_frame}")
+    return lines
+
+
+def _remarks(run: MapRun, recording: Recording) -> list[str]:
     """What the user should know beside the figures."""
-    remarks = list(reader.problems)
-    remarks += [f"{count} messages skipped: {text}" for text, count in reader.skipped.items()]
+    remarks = list(recording.problems)
+    remarks += [f"{count} messages skipped: {text}" for text, count in recording.skipped.items()]
     remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
     remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
     if run.builder.assumed_poses:
+        assumed = run.assumed
         remarks.append(
-            f"{run.inputs.pose_topic} has no covariance: assumed.default_position_sigma and "
-            "assumed.default_rotation_sigma stand in for it"
+            f"{run.inputs.pose_topic} has no covariance: poses are taken to be right to "
+            f"{length(assumed.default_position_sigma)} and {assumed.default_rotation_sigma:g} rad "
+            "(--set assumed.default_position_sigma=, assumed.default_rotation_sigma=)"
         )
     return remarks

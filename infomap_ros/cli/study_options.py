@@ -14,12 +14,12 @@ import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-from infomap_ros.errors import InfomapError
+from infomap_ros.errors import ConfigError, InfomapError
 from infomap_ros.views.ranking.strategies import make_strategy
 
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
 Quick = Annotated[bool, typer.Option("--quick", help="a small study, in less than a minute")]
-Jobs = Annotated[int, typer.Option(help="processes; 0 for one per core")]
+Jobs = Annotated[int, typer.Option(help="processes; 0 for one per core", min=0)]
 Strategies = Annotated[
     str,
     typer.Option(help="names or dotted paths of classes, with commas; the study's own if empty"),
@@ -42,11 +42,25 @@ def chosen_strategies(names: str, usual: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         ConfigError: there is no such strategy.
     """
-    sys.path.insert(0, str(Path.cwd()))
     found = tuple(name.strip() for name in names.split(",")) if names else usual
     for name in found:
-        make_strategy(name)
+        check_strategy(name, "--strategies")
     return found
+
+
+def check_strategy(name: str, option: str = "--strategy") -> None:
+    """Refuse what is no strategy, by the option; a class may be in a file of the current folder.
+
+    Raises:
+        ConfigError: there is no such strategy.
+    """
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        make_strategy(name)
+    except ConfigError as error:
+        raise ConfigError(option, error.value, error.expected) from error
 
 
 @contextmanager

@@ -37,6 +37,15 @@ class ParameterInfo:
     high: float | None = None
     choices: tuple[str, ...] = ()
 
+    def accepted(self) -> str:
+        """The choices or the range, briefly; empty where everything is accepted."""
+        if self.choices:
+            return "|".join(self.choices)
+        low, high = (None if end is None else f"{end:g}" for end in (self.low, self.high))
+        if low is None or high is None:
+            return f"at least {low}" if low else f"at most {high}" if high else ""
+        return f"{low} to {high}"
+
     def expectation(self) -> str:
         """What values are accepted, in words."""
         if self.choices:

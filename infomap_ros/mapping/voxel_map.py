@@ -40,6 +40,10 @@ class VoxelMap:
         self._clock = MotionClock()
         self._integrator = ScanIntegrator(self.config)
 
+    def __repr__(self) -> str:
+        size, known, surface = self.config.voxel_size, self.known_voxels, self.surface_voxels
+        return f"VoxelMap(voxel_size={size:g}, {known} known voxels, {surface} on surfaces)"
+
     def integrate(
         self,
         points: ArrayLike,

@@ -230,7 +230,11 @@ def _schedule(config: RecorderConfig) -> list[tuple[float, bool]]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Record a bag from the command line."""
     defaults = RecorderConfig()
-    parser = argparse.ArgumentParser(description="Record a stereo bag in simulation.")
+    parser = argparse.ArgumentParser(
+        prog="infomap record-demo-bag",
+        description="Record a stereo bag in simulation.",
+        epilog="Example: infomap record-demo-bag my_bag --pairs 20",
+    )
     parser.add_argument("out", type=Path, help="folder of the bag")
     parser.add_argument("--pairs", type=int, default=defaults.pairs)
     parser.add_argument("--rate", type=float, default=defaults.rate, help="pairs per second [Hz]")

@@ -13,11 +13,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
+import infomap_ros
 from infomap_ros import cli
 from infomap_ros.cli import study_commands as studies
+from infomap_ros.cli.results import results_in
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap
 
-from ..replay.scenes import depth_frames, fill_after, write
+from ..replay.scenes import START, STEP, depth_frames, fill_after, write
 
 
 @pytest.fixture
@@ -48,7 +51,8 @@ def test_map_leaves_everything_beside_its_summary(tmp_path, run):
     assert summary["seconds"] > 0
     assert summary["memory_bytes"] > 1000
     assert all(not isinstance(value, (dict, list)) for value in summary.values())
-    names = {"map.infomap", "map.ply", "map.png", "depth.png", "sigma.png", "summary.json"}
+    names = {"map.infomap", "map.ply", "map.png", "map.html"}
+    names |= {"depth.png", "sigma.png", "summary.json"}
     assert names == {path.name for path in (tmp_path / "out").iterdir()}
     loaded = VoxelMap.load(tmp_path / "out" / "map.infomap")
     assert loaded.known_voxels == summary["known_voxels"]
@@ -70,8 +74,22 @@ def test_map_with_given_topics_and_settings(tmp_path, run):
     ("arguments", "said"),
     [
         (["map", "{tmp}/nothing", "--out", "{tmp}/out"], "there is no bag"),
-        (["map", "{bag}", "--out", "{tmp}/out", "--voxel-size", "-1"], "voxel_size"),
+        (["map", "{bag}", "--out", "{tmp}/out", "--voxel-size", "-1"], "--voxel-size is -1.0"),
         (["map", "{bag}", "--out", "{tmp}/out", "--set", "map.size=1"], "map.voxel_size"),
+        (
+            ["map", "{bag}", "--out", "{tmp}/out", "--set", "map.voxel_sze=1"],
+            "--set is 'map.voxel_sze', expected the name of a setting (listed by --settings); did "
+            "you mean map.voxel_size",
+        ),
+        (["map", "{bag}", "--out", "{tmp}/out", "--set", "foo"], "--set is 'foo'"),
+        (
+            ["map", "{bag}", "--out", "{tmp}/out", "--set", "map.threads=-1"],
+            "--set map.threads is -1",
+        ),
+        (["explore", "--out", "{tmp}/out", "--world", "moon"], "--world is 'moon'"),
+        (["explore", "--out", "{tmp}/file"], "--out: cannot write to"),
+        (["explore", "--out", "/proc/foo"], "--out: cannot write to /proc/foo"),
+        (["explore", "--out", "{tmp}/out", "--strategy", "thrifty"], "--strategy is 'thrifty'"),
         (["map", "{bag}", "--out", "{tmp}/out", "--source", "stereo"], "no stereo pair"),
         (["map", "{bag}", "--out", "{tmp}/out", "--pose-topic", "/x"], "/x"),
         (["map", "{bag}", "--out", "{tmp}/file"], "file"),
@@ -128,16 +146,76 @@ def test_show_prints_and_draws(tmp_path, run):
 def test_settings_are_listed(tmp_path, run):
     status, out, _ = run("map", "--settings")
     assert status == 0
-    assert "map.voxel_size" in out.splitlines()
+    (line,) = [line for line in out.splitlines() if line.startswith("map.voxel_size=")]
+    assert line == "map.voxel_size=0.05  [m, 0.0001 to 10]  Edge length of a voxel."
+
+
+@pytest.mark.parametrize("command", ["localize", "explore", "calibrate-noise"])
+def test_settings_of_every_command_are_listed(run, command):
+    status, out, _ = run(command, "--settings")
+    assert status == 0
+    assert all("=" in line for line in out.splitlines())
+
+
+def test_version_is_said(run):
+    status, out, _ = run("--version")
+    assert (status, out) == (0, f"infomap_ros {infomap_ros.__version__}\n")
+
+
+def test_results_of_another_run_are_not_overwritten_unasked(tmp_path, run):
+    bag, out = write(tmp_path / "bag", depth_frames(2)), tmp_path / "out"
+    assert run("map", bag, "--out", out)[0] == 0
+    status, _, error = run("map", bag, "--out", out)
+    assert (status, "--overwrite" in error) == (1, True)
+    assert run("map", bag, "--out", out, "--overwrite")[0] == 0
+
+
+def test_two_runs_in_one_folder_are_refused(tmp_path):
+    refused = pytest.raises(InvalidInputError, match="another run is at work")
+    with results_in(tmp_path), refused, results_in(tmp_path):
+        pass
+
+
+def test_a_failed_run_leaves_no_folder(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames(2))
+    assert run("map", bag, "--out", tmp_path / "a" / "b", "--pose-topic", "/x")[0] == 1
+    assert not (tmp_path / "a").exists()
+
+
+def test_most_frames_dropped_is_a_failure_with_its_cause(tmp_path, run):
+    entries = [
+        (topic, record)
+        for topic, record in depth_frames(6)
+        if topic != "/camera_pose" or record.stamp <= START + STEP
+    ]
+    bag = write(tmp_path / "bag", entries)
+    status, out, error = run("map", bag, "--out", tmp_path / "out")
+    assert status == 1
+    assert json.loads(out)["frames"] == 2
+    assert "4 of 6 frames dropped" in error
+    assert "Likely cause: poses and images have different clocks" in error
+
+
+def test_a_person_is_told_which_file_to_open(tmp_path, run, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    bag = write(tmp_path / "bag", depth_frames())
+    status, out, _ = run("map", bag, "--out", tmp_path / "out")
+    assert status == 0
+    lines = out.splitlines()
+    assert lines[0].startswith("6 of 6 frames mapped in ")
+    (first,) = [line for line in lines if "open this first" in line]
+    assert str(tmp_path / "out" / "map.html") in first
+    assert "{" not in out
 
 
 @pytest.mark.parametrize(
-    "command", ["map", "show", "convert", "record-demo-bag", "calibrate-noise", "doctor"]
+    "command", [*(n for n in cli.COMMANDS if n != "study"), "record-demo-bag", "doctor"]
 )
-def test_every_command_explains_itself(run, command):
+def test_every_command_explains_itself_with_an_example(run, command):
     status, out, _ = run(command, "--help")
     assert status == 0
     assert "sage" in out
+    assert f"infomap {command} " in " ".join(out.partition("Example:")[2].split())
 
 
 LATE = [*cli.COMMANDS.values(), *studies.COMMANDS.values()]

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import matplotlib
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.pictures import (
     _below_ceiling,
+    _draw,
     _open_side,
     _raster,
     _surface,
     _View,
     draw_map_views,
+    map_from_above,
 )
 
 CAMERA = PinholeCamera(80, 60, 40.0, 40.0, 39.5, 29.5)
@@ -41,10 +46,10 @@ def wall_map(direction: tuple[float, float, float]) -> VoxelMap:
 @pytest.mark.parametrize(
     ("direction", "title"),
     [
-        ((1, 0, 0), "from -x"),
-        ((-1, 0, 0), "from +x"),
-        ((0, 1, 0), "from -y"),
-        ((0, -1, 0), "from +y"),
+        ((1, 0, 0), "side view along +x"),
+        ((-1, 0, 0), "side view along -x"),
+        ((0, 1, 0), "side view along +y"),
+        ((0, -1, 0), "side view along -y"),
     ],
 )
 def test_wall_is_drawn_from_the_side_of_the_camera(direction, title):
@@ -88,6 +93,53 @@ def test_ceiling_is_cut_from_the_view_from_above():
 def test_wall_is_not_taken_for_a_ceiling():
     surface = _surface(wall_map((1, 0, 0)))
     assert _below_ceiling(surface, 0.05)[1] == ""
+
+
+def floor_map(height: float) -> VoxelMap:
+    """Two floors beside each other, away from the origin, one `height` above the other."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    x, y = np.random.default_rng(1).uniform((3.0, -2.0), (4.0, 0.0), (20_000, 2)).T
+    points = np.column_stack([x, y, np.where(y < -1.0, 0.025, height + 0.025)])
+    for _ in range(2):
+        sensor = np.array([3.5, -1.0, 3.0])
+        points_there = (points - sensor).astype(np.float32)
+        voxel_map.integrate(points_there, make_transform(np.eye(3), sensor))
+    return voxel_map
+
+
+def test_a_flat_surface_has_the_color_of_its_height() -> None:
+    """What the color bar says: the colormap's own values, no shading."""
+    image = map_from_above(floor_map(0.9))
+    ends = [np.rint(255 * np.array(matplotlib.colormaps["viridis"](end))[:3]) for end in (0.0, 1.0)]
+    solid = image.pixels[image.pixels[..., 3] > 0][:, :3].astype(float)
+    for end in ends:
+        assert (np.abs(solid - end).max(axis=1) <= 3).mean() > 0.4, "half the map has this height"
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_axes_are_those_of_the_map(mirrored: bool) -> None:
+    """A point's pixel lies where the axes say that the point is."""
+    surface = _surface(floor_map(0.9))
+    view = _View(0, 2, 1, 1 if mirrored else -1, "side")
+    axes = Figure().add_subplot()
+    _draw(axes, surface, view, 0.05, surface.points[:, 2], Normalize(0, 1), "viridis", "z [m]")
+    left, right, bottom, top = axes.images[0].get_extent()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
+    assert sorted((left, right)) == pytest.approx([3.0, 4.0], abs=0.051)
+    assert (bottom, top) == pytest.approx((0.0, 0.95), abs=0.051)
+    assert bool(left > right) == mirrored
+
+
+def test_sheet_says_what_it_shows_and_where_the_camera_was(tmp_path) -> None:
+    path = np.array([[3.1, -1.5, 1.0], [3.9, -0.5, 1.0]])
+    voxel_map = floor_map(0.9)
+    draw_map_views(voxel_map, tmp_path / "without.png", "rocks")
+    draw_map_views(voxel_map, tmp_path / "with.png", "rocks", path)
+    red = [
+        int(((p[..., 0] > 0.8) & (p[..., 1] < 0.3) & (p[..., 2] < 0.3)).sum())
+        for p in (matplotlib.image.imread(tmp_path / f"{name}.png") for name in ("without", "with"))
+    ]
+    assert red[1] > red[0] + 200
 
 
 def test_picture_is_a_picture(tmp_path):

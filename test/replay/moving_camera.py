@@ -19,7 +19,8 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.sequences.entries import pinhole_calibration
+
+from .scenes import pinhole_calibration
 
 CAMERA = PinholeCamera(240, 180, 200.0, 200.0, 119.5, 89.5)
 START, STEP = 1_000_000_000, 100_000_000

@@ -10,6 +10,7 @@ import pytest
 
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import (
+    CameraCalibration,
     CameraInfoRecord,
     ImageRecord,
     PinholeCamera,
@@ -20,7 +21,6 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.sequences.entries import pinhole_calibration, rectified_pair
 
 WALL = 2.0
 """The wall is the plane x = WALL of the map; the camera looks along x [m]."""
@@ -34,6 +34,33 @@ COVARIANCE = np.diag([1e-6] * 3 + [1e-8] * 3)
 def pose_at(x: float, y: float = 0.0) -> np.ndarray:
     """T_map_camera of an optical frame that looks along x."""
     return make_transform([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [x, y, 0.0])
+
+
+def pinhole_calibration(camera: PinholeCamera, baseline: float = 0.0) -> CameraCalibration:
+    """The camera info of a rectified camera at `baseline` [m] to the right of the left one."""
+    projection = np.zeros((3, 4))
+    projection[:, :3] = camera.matrix
+    projection[0, 3] = -camera.fx * baseline
+    return CameraCalibration(
+        camera.width,
+        camera.height,
+        "plumb_bob",
+        np.zeros(5),
+        camera.matrix,
+        projection=projection,
+    )
+
+
+def rectified_pair(stamp: int, rig: StereoRig, left: np.ndarray, right: np.ndarray):
+    """Messages of one rectified pair."""
+    for side, pixels, camera, baseline in (
+        ("left", left, rig.left, 0.0),
+        ("right", right, rig.right, rig.baseline),
+    ):
+        frame, calibration = f"{side}_optical_frame", pinhole_calibration(camera, baseline)
+        yield f"/{side}/camera_info", CameraInfoRecord(stamp, frame, calibration)
+        encoding = "mono8" if pixels.ndim == 2 else "bgr8"
+        yield f"/{side}/image_rect", ImageRecord(stamp, frame, pixels, encoding)
 
 
 def depth_frames(count: int = 6, covariance: np.ndarray | None = COVARIANCE):

@@ -1,4 +1,4 @@
-"""Real sequences become bags that fit together, and folders that are none are refused."""
+"""Folders of images become bags, or are mapped as they are; what does not fit is listed."""
 
 from __future__ import annotations
 
@@ -7,23 +7,214 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
-from infomap_ros.errors import BagError, InvalidInputError
+from infomap_ros.errors import BagError, CalibrationError, InvalidInputError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, rig_from_calibrations
 from infomap_ros.pipeline.pixels import intensity_pixels
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
-from infomap_ros.replay.sequences import FORMATS, convert
+from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.recording import open_recording
+from infomap_ros.replay.sequences import LAYOUTS, SequenceOptions, SequenceReader, convert
+from infomap_ros.replay.sequences.calibration_files import read_calibration
+from infomap_ros.replay.sequences.frame_files import as_nanoseconds
 from infomap_ros.stereo.rectification import StereoRectifier
 
-FOLDERS = {
-    "kitchen": "rgbd_kitchen",
-    "kalibr": "tumvi_room1",
-    "rover": "rover_sandbox/run1",
-    "motorcycle": "stereo_motorcycle",
-    "aloe": "stereo_opencv_samples",
+from .real_sequences import REAL
+from .scenes import WALL, stereo_frames
+
+SIZE = (32, 24)
+FX, BASELINE = 50.0, 0.1
+
+KALIBR = f"""
+cam0:
+  camera_model: pinhole
+  intrinsics: [{FX}, {FX}, 15.5, 11.5]
+  distortion_model: radtan
+  distortion_coeffs: [0, 0, 0, 0]
+  resolution: [32, 24]
+cam1:
+  camera_model: pinhole
+  intrinsics: [{FX}, {FX}, 15.5, 11.5]
+  distortion_model: radtan
+  distortion_coeffs: [0, 0, 0, 0]
+  resolution: [32, 24]
+  T_cn_cnm1: [[1, 0, 0, -{BASELINE}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+"""
+KITTI = f"""
+P0: {FX} 0 15.5 0 0 {FX} 11.5 0 0 0 1 0
+P1: {FX} 0 15.5 -{FX * BASELINE} 0 {FX} 11.5 0 0 0 1 0
+"""
+MIDDLEBURY = f"""
+cam0=[{FX} 0 15.5; 0 {FX} 11.5; 0 0 1]
+cam1=[{FX} 0 15.5; 0 {FX} 11.5; 0 0 1]
+baseline=100
+"""
+
+
+def ros_info(shift: float) -> str:
+    """A camera_info file as camera_calibration writes it; `shift` is P[0, 3]."""
+
+    def matrix(rows: int, cols: int, data: list[float]) -> dict[str, object]:
+        return {"rows": rows, "cols": cols, "data": data}
+
+    k = [FX, 0.0, 15.5, 0.0, FX, 11.5, 0.0, 0.0, 1.0]
+    p = [FX, 0.0, 15.5, shift, 0.0, FX, 11.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+    content = {
+        "image_width": 32,
+        "image_height": 24,
+        "distortion_model": "plumb_bob",
+        "camera_matrix": matrix(3, 3, k),
+        "distortion_coefficients": matrix(1, 5, [0.0] * 5),
+        "rectification_matrix": matrix(3, 3, list(np.eye(3).ravel().tolist())),
+        "projection_matrix": matrix(3, 4, p),
+    }
+    return yaml.safe_dump(content)
+
+
+def opencv_text(names: dict[str, np.ndarray]) -> str:
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for name, value in names.items():
+        storage.write(name, value)
+    return str(storage.releaseAndGetString())
+
+
+K = np.array([[FX, 0, 15.5], [0, FX, 11.5], [0, 0, 1]])
+INTRINSICS = opencv_text({"M1": K, "D1": np.zeros((1, 5)), "M2": K, "D2": np.zeros((1, 5))})
+EXTRINSICS = opencv_text({"R": np.eye(3), "T": np.array([[-BASELINE], [0], [0]])})
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        [KALIBR],
+        [KITTI],
+        [MIDDLEBURY],
+        [ros_info(0.0), ros_info(-FX * BASELINE)],
+        [INTRINSICS, EXTRINSICS],
+    ],
+    ids=["kalibr", "kitti", "middlebury", "ros", "opencv"],
+)
+def test_every_calibration_gives_the_same_pair(tmp_path, texts):
+    files = [tmp_path / f"{place}.yaml" for place in range(len(texts))]
+    for path, text in zip(files, texts, strict=True):
+        path.write_text(text)
+    rig = rig_from_calibrations(*read_calibration(files, SIZE).as_pair("it").cameras)
+    assert rig.baseline == pytest.approx(BASELINE)
+    assert (rig.left.fx, rig.left.cx) == pytest.approx((FX, 15.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hello", "no known format"),
+        (KALIBR.replace(f"-{BASELINE}", "-100"), "baseline of 100 m"),
+        (KALIBR.replace(f"-{BASELINE}", f"{BASELINE}"), "not to the right|baseline"),
+        (KALIBR.replace("radtan", "strange"), "strange"),
+        (INTRINSICS, "no transform from the left to the right"),
+        (f"{FX} 0 15.5\n0 {FX} 11.5\n0 0 1\n", "describes one camera"),
+    ],
+)
+def test_a_calibration_that_cannot_be_used_is_named(tmp_path, text, said):
+    path = tmp_path / "calibration.yaml"
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration([path], SIZE).as_pair(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "nanoseconds"),
+    [
+        ("1520530308199447626", 1520530308199447626),
+        ("1520530308199447", 1520530308199447000),
+        ("1520530308199", 1520530308199000000),
+        ("1305031102.175304", 1305031102175304000),
+        ("12.5", 12500000000),
+    ],
+)
+def test_times_of_every_unit(text, nanoseconds):
+    assert as_nanoseconds(text) == nanoseconds
+
+
+def write_images(folder: Path, names: list[str], value: int = 100) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        cv2.imwrite(str(folder / name), np.full((24, 32), value, np.uint8))
+
+
+LAYOUT_FILES = {
+    "folders": (["left/000.png", "left/001.png"], ["right/000.png", "right/001.png"]),
+    "jpg": (["left/a_000.jpg", "left/a_001.jpg"], ["right/b_000.jpg", "right/b_001.jpg"]),
+    "names": (["left_0.png", "left_1.png"], ["right_0.png", "right_1.png"]),
+    "realsense": (["infra1/0.pgm", "infra1/1.pgm"], ["infra2/0.pgm", "infra2/1.pgm"]),
+    "middlebury": (["im0.png"], ["im1.png"]),
+    "euroc": (
+        ["mav0/cam0/data/1520530308199447626.png"],
+        ["mav0/cam1/data/1520530308199447630.png"],
+    ),
+    "kitti": (
+        ["image_0/000000.png", "image_0/000001.png"],
+        ["image_1/000000.png", "image_1/000001.png"],
+    ),
 }
-FRAMES = {"kitchen": 250, "kalibr": 15, "rover": 32, "motorcycle": 1, "aloe": 1}
+
+
+@pytest.mark.parametrize("layout", sorted(LAYOUT_FILES))
+def test_pairs_are_found_in_every_layout(tmp_path, layout):
+    left, right = LAYOUT_FILES[layout]
+    for name in (*left, *right):
+        write_images((tmp_path / name).parent, [Path(name).name])
+    (tmp_path / "calib.yaml").write_text(KALIBR)
+    reader = open_recording(tmp_path, [tmp_path / "calib.yaml"])
+    pair = find_stereo_topics({n: c.type_name for n, c in reader.topics.items()})
+    assert reader.topics[pair.left_image].count == len(left)
+    stamps = [r.record.stamp for r in reader.records([pair.left_image])]
+    assert stamps == sorted(set(stamps))
+    assert stamps == [r.record.stamp for r in reader.records([pair.right_image])]
+    if len(left) > 1:
+        assert stamps[1] - stamps[0] == 100_000_000  # 10 Hz where nobody says
+
+
+def test_patterns_times_and_poses_of_the_user(tmp_path):
+    write_images(tmp_path / "x", ["top_a.png", "top_b.png"], 10)
+    write_images(tmp_path / "y", ["low_a.png", "low_b.png"], 20)
+    (tmp_path / "times.txt").write_text("0.0\n0.25\n")
+    (tmp_path / "poses.tum").write_text("# t x y z q\n0.0 1 2 3 0 0 0 1\n0.25 1 2 4 0 0 0 1\n")
+    (tmp_path / "k.yaml").write_text(KALIBR)
+    options = SequenceOptions(
+        left="x",
+        right="y/*.png",
+        stamps=tmp_path / "times.txt",
+        poses=tmp_path / "poses.tum",
+        calibration=[tmp_path / "k.yaml"],
+    )
+    convert("images", tmp_path, tmp_path / "bag", options)
+    with BagReader(tmp_path / "bag") as bag:
+        records = {name: [r.record for r in bag.records([name])] for name in bag.topics}
+    lefts, poses = records["/left/image_raw"], records["/camera_pose"]
+    assert lefts[1].stamp - lefts[0].stamp == 250_000_000
+    assert [p.stamp for p in poses] == [image.stamp for image in lefts]
+    np.testing.assert_allclose([p.transform[:3, 3] for p in poses], [[1, 2, 3], [1, 2, 4]])
+    assert (lefts[0].pixels[0, 0], records["/right/image_raw"][0].pixels[0, 0]) == (10, 20)
+
+
+def test_tum_folder(tmp_path):
+    for name, value in (("rgb", 90), ("depth", 0)):
+        write_images(tmp_path / name, ["1305031102.175304.png"], value)
+    cv2.imwrite(
+        str(tmp_path / "depth" / "1305031102.160407.png"), np.full((24, 32), 5000, np.uint16)
+    )
+    (tmp_path / "rgb.txt").write_text("# t name\n1305031102.175304 rgb/1305031102.175304.png\n")
+    (tmp_path / "depth.txt").write_text("1305031102.160407 depth/1305031102.160407.png\n")
+    truth = "1305031102.1 0.5 0 1 0 0 0 1\n1305031102.2 0.6 0 1 0 0 0 1\n"
+    (tmp_path / "groundtruth.txt").write_text(truth)
+    (tmp_path / "k.txt").write_text(f"{FX} 0 15.5\n0 {FX} 11.5\n0 0 1\n")
+    reader = open_recording(tmp_path, [tmp_path / "k.txt"])
+    (depth,) = [r.record for r in reader.records(["/depth/image_rect"])]
+    assert depth.encoding == "32FC1"
+    assert depth.pixels[0, 0] == pytest.approx(1.0), "5000 in the file is one meter"
+    assert len(list(reader.records(["/camera_pose"]))) == 2
 
 
 def write_rgbd(folder: Path) -> Path:
@@ -42,7 +233,8 @@ def write_rgbd(folder: Path) -> Path:
 
 
 def test_rgbd_layout(tmp_path):
-    convert("rgbd", write_rgbd(tmp_path / "data"), tmp_path / "bag")
+    folder = write_rgbd(tmp_path / "data")
+    convert("rgbd", folder, tmp_path / "bag", SequenceOptions(rate=30.0))
     with BagReader(tmp_path / "bag") as bag:
         records = {name: [r.record for r in bag.records([name])] for name in bag.topics}
     depths, poses = records["/depth/image_rect"], records["/camera_pose"]
@@ -57,71 +249,120 @@ def test_rgbd_layout(tmp_path):
 
 def test_incomplete_sequence_names_what_is_missing(tmp_path):
     folder = write_rgbd(tmp_path / "data")
-    (folder / "frames" / "frame-000002.depth.png").unlink()
-    with pytest.raises(BagError, match=r"frame-000002\.depth\.png"):
+    (folder / "frames" / "frame-000002.color.jpg").unlink()
+    with pytest.raises(BagError, match="frame-000002"):
         convert("rgbd", folder, tmp_path / "bag")
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
-def test_empty_folder_is_refused(tmp_path, name):
-    with pytest.raises(BagError):
-        convert(name, tmp_path, tmp_path / "bag")
+def test_a_failed_conversion_leaves_nothing(tmp_path):
+    folder = write_rgbd(tmp_path / "data")
+    (folder / "frames" / "frame-000002.depth.png").write_bytes(b"no image")
+    with pytest.raises(BagError, match="not an image"):
+        convert("rgbd", folder, tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
 
 
-def test_unknown_format_lists_the_known(tmp_path):
+def test_a_bag_that_is_there_is_kept_and_the_way_out_named(tmp_path):
+    folder = write_rgbd(tmp_path / "data")
+    convert("rgbd", folder, tmp_path / "bag")
+    with pytest.raises(BagError, match="--overwrite"):
+        convert("rgbd", folder, tmp_path / "bag")
+    assert convert("rgbd", folder, tmp_path / "bag", overwrite=True) == 10
+
+
+@pytest.mark.parametrize("name", sorted(LAYOUTS))
+def test_a_folder_that_does_not_fit_is_refused_by_what_it_holds(tmp_path, name):
+    (tmp_path / "data" / "readings").mkdir(parents=True)
+    (tmp_path / "data" / "notes.pdf").write_text("")
+    with pytest.raises(BagError, match=r"holds readings/ \(0 entries\), 1 \.pdf"):
+        convert(name, tmp_path / "data", tmp_path / "bag")
+
+
+def test_missing_calibration_says_what_is_there_and_what_to_give(tmp_path):
+    write_images(tmp_path / "left", ["0.png"])
+    write_images(tmp_path / "right", ["0.png"])
+    with pytest.raises(CalibrationError, match=r"left/ \(1 entries\).*--calibration"):
+        open_recording(tmp_path)
+
+
+def test_images_of_another_size_than_the_calibration_are_named(tmp_path):
+    write_images(tmp_path / "left", ["0.png"])
+    write_images(tmp_path / "right", ["0.png"])
+    (tmp_path / "camchain.yaml").write_text(KALIBR.replace("[32, 24]", "[64, 48]"))
+    reader = open_recording(tmp_path)
+    with pytest.raises(BagError, match="32x24 px, its calibration 64x48"):
+        list(reader.records())
+
+
+def test_unknown_layout_lists_the_known(tmp_path):
     with pytest.raises(InvalidInputError, match="rgbd"):
-        convert("kitti", tmp_path, tmp_path / "bag")
+        convert("vrml", tmp_path, tmp_path / "bag")
 
 
-@pytest.fixture(scope="module", params=sorted(FOLDERS))
-def real_bag(request, real_data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp(request.param)
-    convert(request.param, real_data / FOLDERS[request.param], folder / "bag")
-    with BagReader(folder / "bag") as bag:
-        yield request.param, bag
+def test_a_folder_is_mapped_as_its_bag_would_be(tmp_path):
+    """The wall of the stereo scene, from files: at the plane where it was drawn."""
+    for topic, record in stereo_frames():
+        if isinstance(record, ImageRecord):
+            path = tmp_path / topic.split("/")[1] / f"{record.stamp + 10**18}.png"
+            path.parent.mkdir(exist_ok=True)
+            cv2.imwrite(str(path), record.pixels)
+    text = "cam0=[240 0 159.5; 0 240 119.5; 0 0 1]\ncam1=[240 0 159.5; 0 240 119.5; 0 0 1]\n"
+    (tmp_path / "calib.txt").write_text(text + "baseline=100\n")
+    rows = [f"{(10**18 + 10**9 + i * 10**8) / 1e9:.1f} 0 0 0 0.5 -0.5 0.5 -0.5" for i in range(3)]
+    (tmp_path / "poses.txt").write_text("\n".join(rows))
+    with open_recording(tmp_path) as folder:
+        run = MapRun(folder)
+        run.run()
+    assert run.frames == 3
+    _, means, _ = run.map.gaussians()
+    axis = int(np.argmin(means.std(axis=0)))
+    assert abs(np.median(means[:, axis])) == pytest.approx(WALL, abs=0.02)
 
 
-def test_real_sequence_has_what_mapping_needs(real_bag):
-    name, bag = real_bag
-    types = {topic: channel.type_name for topic, channel in bag.topics.items()}
-    if name == "kitchen":
-        image = find_depth_topics(types).depth
-    else:
-        image = find_stereo_topics(types).left_image
-    assert find_pose_topic(types) == "/camera_pose"
-    assert bag.topics[image].count == FRAMES[name]
-    poses = [r.record.stamp for r in bag.records(["/camera_pose"])]
-    stamps = [r.record.stamp for r in bag.records([image])]
-    assert poses[0] <= stamps[0]
-    assert poses[-1] >= stamps[-1]
+@pytest.fixture(scope="module", params=sorted(REAL))
+def real(request, real_data):
+    sequence = REAL[request.param]
+    folder = real_data / sequence.folder
+    return request.param, SequenceReader(folder, LAYOUTS[sequence.layout](folder, sequence.options))
 
 
-def test_real_calibration_fits_its_images(real_bag):
-    name, bag = real_bag
-    sides = ("depth", "rgb") if name == "kitchen" else ("left", "right")
+def test_real_sequence_has_what_mapping_needs(real):
+    name, recording = real
+    types = {topic: channel.type_name for topic, channel in recording.topics.items()}
+    find = find_depth_topics if name == "kitchen" else find_stereo_topics
+    image = find(types).names[0]
+    assert recording.topics[image].count == REAL[name].frames
+    if REAL[name].has_poses:
+        assert find_pose_topic(types) == "/camera_pose"
+        poses = [r.record.stamp for r in recording.records(["/camera_pose"])]
+        stamps = [stamp for stamp, _ in recording.sequence.streams[0].files]
+        assert poses[0] <= stamps[0]
+        assert poses[-1] >= stamps[-1]
+
+
+def test_real_calibration_fits_its_images(real):
+    name, recording = real
     infos, images = {}, {}
-    for side in sides:
-        for topic in (t for t in bag.topics if t.startswith(f"/{side}/")):
-            record = next(bag.records([topic])).record
-            if isinstance(record, CameraInfoRecord):
-                infos[side] = record.calibration
-            elif isinstance(record, ImageRecord):
-                images[side] = record
-    for side in sides:
-        size = infos[side].width, infos[side].height
-        assert size == images[side].pixels.shape[1::-1]
+    for stream in recording.sequence.streams:
+        first = {
+            t: next(recording.records([t])).record for t in (stream.info_topic, stream.image_topic)
+        }
+        infos[stream.name] = first[stream.info_topic].calibration
+        images[stream.name] = first[stream.image_topic]
+        size = infos[stream.name].width, infos[stream.name].height
+        assert size == images[stream.name].pixels.shape[1::-1]
     if name != "kitchen":
-        assert 0.05 < rig_from_calibrations(infos["left"], infos["right"]).baseline < 0.25
+        baseline = rig_from_calibrations(infos["left"], infos["right"]).baseline
+        assert 0.05 < baseline < 0.6
 
 
-def test_rectified_fisheye_rows_correspond(real_data, tmp_path):
+def test_rectified_fisheye_rows_correspond(real_data):
     """Corners of both rectified images lie in the same row.
 
     But for about -0.45 px, the same in all 15 pairs, that the calibration of the sequence leaves.
     """
-    convert("kalibr", real_data / "tumvi_room1", tmp_path / "bag")
-    with BagReader(tmp_path / "bag") as bag:
-        first = {name: next(bag.records([name])).record for name in bag.topics}
+    recording = open_recording(real_data / "tumvi_room1")
+    first = {name: next(recording.records([name])).record for name in recording.topics}
     rectifier = StereoRectifier(
         first["/left/camera_info"].calibration, first["/right/camera_info"].calibration
     )
@@ -140,8 +381,9 @@ def test_rectified_fisheye_rows_correspond(real_data, tmp_path):
 
 def test_poses_of_motion_capture_follow_its_file(real_data):
     """Independent of the reader: the camera keeps its distance to the captured body."""
-    entries = FORMATS["kalibr"](real_data / "tumvi_room1")
-    poses = [record for _, record in entries if isinstance(record, PoseRecord)]
+    recording = open_recording(real_data / "tumvi_room1")
+    poses = [entry.record for entry in recording.records(["/camera_pose"])]
+    assert all(isinstance(pose, PoseRecord) for pose in poses)
     table = np.loadtxt(real_data / "tumvi_room1" / "gt_imu_first3.5s.csv", delimiter=",")
     distances = [
         np.linalg.norm(pose.transform[:3, 3] - row[1:4])
@@ -149,6 +391,16 @@ def test_poses_of_motion_capture_follow_its_file(real_data):
     ]
     np.testing.assert_allclose(distances, distances[0], atol=1e-6)
     assert 0.05 < distances[0] < 0.15
+
+
+def test_camera_infos_of_a_bag_are_those_of_the_folder(real_data, tmp_path):
+    folder = real_data / "stereo_kitti_03"
+    convert("kitti", folder, tmp_path / "bag")
+    with BagReader(tmp_path / "bag") as bag, open_recording(folder) as images:
+        for topic in ("/left/camera_info", "/right/camera_info"):
+            infos = [next(r.records([topic])).record for r in (bag, images)]
+            assert all(isinstance(info, CameraInfoRecord) for info in infos)
+            assert infos[0].calibration == infos[1].calibration
 
 
 def test_pixels_of_every_brightness_encoding():

@@ -13,9 +13,10 @@ from infomap_ros.exploration.reports.report_page import sections, tables
 from infomap_ros.exploration.reports.report_page.axes import MINUS
 from infomap_ros.exploration.reports.report_page.page import Section, page
 from infomap_ros.exploration.reports.report_page.plan import plan
-from infomap_ros.exploration.reports.report_page.scene import scene_of
+from infomap_ros.exploration.reports.report_page.scene import add_camera_path, scene_of
 from infomap_ros.exploration.reports.report_page.surface import drawn_surface
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import MapImage, map_from_above
 
@@ -84,8 +85,18 @@ def write_map_report(
     introduction: str = "",
     figures: Mapping[str, object] | None = None,
     pictures: Pictures = (),
+    camera_path: FloatArray | None = None,
 ) -> None:
     """Write the report of a map alone: no run, else as `write_report`.
+
+    Args:
+        out: the HTML file.
+        voxel_map: the map, or its file.
+        title: heading of the page.
+        introduction: a paragraph before everything else.
+        figures: name -> value.
+        pictures: become part of the page.
+        camera_path: positions of the camera in their order, shape (N, 3) [m]; drawn where given.
 
     Raises:
         MapFileError: the map file cannot be used.
@@ -94,8 +105,10 @@ def write_map_report(
     opened = _opened(voxel_map)
     above = _above(opened)
     scene = scene_of(drawn_surface(opened), above.cut if above else None, None)
+    if camera_path is not None and len(camera_path) > 1:
+        add_camera_path(scene, camera_path)
     parts = [
-        Section("plan", "The map from above", _plan(above, None)),
+        Section("plan", "The map from above", _plan(above, None, camera_path)),
         Section("figures", "Figures", tables.parameters_table(figures or {})),
         Section("pictures", "Pictures", sections.pictures(pictures)),
     ]
@@ -120,7 +133,9 @@ def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
     ]
 
 
-def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
+def _plan(
+    above: MapImage | None, run: RecordedRun | None, camera_path: FloatArray | None = None
+) -> str:
     if above is None:
         return "<p>The map has no surface.</p>"
     low, high = above.heights
@@ -128,7 +143,13 @@ def _plan(above: MapImage | None, run: RecordedRun | None) -> str:
     note += f"; what lies above {above.cut:.2f} m is left out" if above.cut is not None else ""
     keys = _KEYS if run is not None else ""
     keys += f'<li><i class="key ramp"></i>{note.replace("-", MINUS)}</li>'
-    drawn = plan(above) if run is None else plan(above, run)
+    if run is not None:
+        drawn = plan(above, run)
+    elif camera_path is None:
+        drawn = plan(above)
+    else:
+        keys += '<li><i class="key camera"></i>path of the camera</li>'
+        drawn = plan(above, camera_path=camera_path)
     return f'<div class="above">{drawn}<ul class="keys">{keys}</ul></div>'
 
 

@@ -19,7 +19,7 @@ from infomap_ros.geometry import make_transform, transform_points
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 
-_FAMILIES = {
+FAMILIES = {
     "tag36h11": "DICT_APRILTAG_36H11",
     "tag36h10": "DICT_APRILTAG_36H10",
     "tag25h9": "DICT_APRILTAG_25H9",
@@ -41,7 +41,7 @@ class TagBoardConfig:
             numbers of ids and poses do not fit.
     """
 
-    family: str = parameter("tag36h11", "Family of the tags.", choices=tuple(_FAMILIES))
+    family: str = parameter("tag36h11", "Family of the tags.", choices=tuple(FAMILIES))
     side: float = parameter(
         0.16, "Edge of the black square of one tag.", unit="m", low=0.005, high=5.0
     )
@@ -90,7 +90,7 @@ class TagBoardConfig:
 
 def dictionary(family: str) -> cv2.aruco.Dictionary:
     """OpenCV's dictionary of a family of tags."""
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _FAMILIES[family]))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, FAMILIES[family]))
 
 
 def cells(family: str) -> int:

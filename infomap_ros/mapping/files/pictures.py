@@ -24,7 +24,11 @@ _HEADROOM = 2.0  # what lies higher above the floor may be a ceiling [m]
 _OVERHANG_SHARE = 0.1  # it is one when it hides more than this share of the columns
 LEAST_EVIDENCE = 0.3
 """Voxels with less than this share of the median surface voxel's log-odds are not drawn."""
-_LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
+_DARKEST = (
+    0.45  # brightness of a surface seen edge-on; one that faces the viewer has its bar's color
+)
+_FLAT = 0.4  # a view that is lower than this share of its width has its color bar below
+_WIDTH, _BARS, _TITLES = 14.0, 2.2, 1.1  # of the sheet, its color bars, and titles of a row [in]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +39,14 @@ class _Surface:
 
     Attributes:
         points: their centres, shape (K, 3) [m].
-        normals: unit normals, of any sign, shape (K, 3).
         sigmas: standard deviations along the normals, shape (K,) [m].
     """
 
     points: FloatArray
-    normals: FloatArray
     sigmas: FloatArray
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> _Surface:
-        return _Surface(self.points[chosen], self.normals[chosen], self.sigmas[chosen])
+        return _Surface(self.points[chosen], self.sigmas[chosen])
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,11 @@ class _View:
     towards: int
     sign: int
     title: str
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the axis across runs to the left."""
+        return (self.towards, self.sign) in ((0, -1), (1, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,15 +120,20 @@ def map_from_above(voxel_map: VoxelMap, colors: str = "viridis") -> MapImage:
     )
 
 
-def draw_map_views(voxel_map: VoxelMap, path: str | Path) -> None:
+def draw_map_views(
+    voxel_map: VoxelMap, path: str | Path, title: str = "", camera_path: FloatArray | None = None
+) -> None:
     """Draw the surface from above and from the side, and its standard deviation.
 
-    Where a ceiling hides the room, the view from above is cut below it. The side is the one from
-    which most of the surface is seen through free space.
+    The axes are those of the map's frame. Where a ceiling hides the room, the view from above is
+    cut below it. The side is the one from which most of the surface is seen through free space.
 
     Args:
         voxel_map: the map.
         path: PNG file to write.
+        title: of the sheet; the size of the voxels is added to it.
+        camera_path: positions of the camera in their order, shape (N, 3) [m, map]; drawn over the
+            map where given.
 
     Raises:
         InvalidInputError: the map has no surface to draw.
@@ -130,24 +142,57 @@ def draw_map_views(voxel_map: VoxelMap, path: str | Path) -> None:
     surface = _surface(voxel_map)
     if len(surface.points) == 0:
         raise InvalidInputError("voxel map", "has no surface to draw")
-    below, note = _below_ceiling(surface, voxel_map.config.voxel_size)
-    top, side = _View(0, 1, 2, 1, f"from above{note}"), _open_side(voxel_map, surface.points)
+    size = voxel_map.config.voxel_size
+    below, note = _below_ceiling(surface, size)
+    top, side = _View(0, 1, 2, 1, f"top view{note}"), _open_side(voxel_map, surface.points)
     distance = -side.sign * surface.points[:, side.towards]
     distance -= distance.min()
     heights, distances = _limits(surface.points[:, 2]), _limits(distance)
     sigmas = LogNorm(*_sigma_limits(surface.sigmas))
-    figure = Figure(figsize=(15.0, 8.0), layout="constrained")
+    shares, height = _layout(below, top, surface, side)
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     parts: dict[str, Axes] = figure.subplot_mosaic(
-        [["top", "side"], ["top", "sigma"]], width_ratios=(1.0, 1.5)
+        [["top", "side"], ["top", "sigma"]], width_ratios=shares
     )
     axes = [parts[name] for name in ("top", "side", "sigma")]
-    cell = _cell(surface.points, voxel_map.config.voxel_size)
-    _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "height [m]")
+    cell = _cell(surface.points, size)
+    _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "z [m]")
     _draw(axes[1], surface, side, cell, distance, distances, "viridis_r", "distance [m]")
-    label = "standard deviation along the normal [m]"
+    label = "sigma along the normal [m]"
     _draw(axes[2], surface, side, cell, surface.sigmas, sigmas, "magma", label, shaded=False)
+    if camera_path is not None and len(camera_path):
+        for one, view in zip(axes[:2], (top, side), strict=True):
+            _draw_camera_path(one, camera_path[:, [view.across, view.up]])
+        axes[0].legend(loc="upper right", fontsize="small")
+    parts_of_title = [title] if title else []
+    figure.suptitle(", ".join([*parts_of_title, f"voxels of {100.0 * size:g} cm"]))
     figure.savefig(path, dpi=110)
+
+
+def _layout(
+    below: _Surface, top: _View, surface: _Surface, side: _View
+) -> tuple[tuple[float, float], float]:
+    """Widths of the two columns, and the height of the sheet [in], that waste little paper."""
+    tall = _aspect(below.points, top)
+    flat = _aspect(surface.points, side)
+    width = _WIDTH - _BARS
+    left = (2.0 * flat * width + _TITLES) / (tall + 2.0 * flat)
+    left = float(np.clip(left, 0.3 * width, 0.65 * width))
+    height = max(tall * left, 2.0 * flat * (width - left) + _TITLES) + _TITLES
+    return (left, width - left), float(np.clip(height, 5.0, 12.0))
+
+
+def _aspect(points: FloatArray, view: _View) -> float:
+    extent = np.maximum(np.ptp(points, axis=0), 1e-3)
+    return float(extent[view.up] / extent[view.across])
+
+
+def _draw_camera_path(axes: Axes, path: FloatArray) -> None:
+    """The path over the map, its beginning marked; the axes stay as they are."""
+    axes.plot(path[:, 0], path[:, 1], "-", color="white", linewidth=3.0)
+    axes.plot(path[:, 0], path[:, 1], "-", color="tab:red", linewidth=1.5, label="camera path")
+    axes.plot(*path[0], "o", color="tab:red", markeredgecolor="white", label="its start")
 
 
 def _limits(values: FloatArray) -> Normalize:
@@ -160,8 +205,8 @@ def _surface(voxel_map: VoxelMap) -> _Surface:
     evidence = voxel_map.log_odds(centres)
     usual = float(np.median(evidence)) if len(evidence) else 0.0
     likely = evidence > max(0.0, LEAST_EVIDENCE * usual)
-    variances, normals = smallest_axes(covariances[likely])
-    return _Surface(centres[likely], normals, np.sqrt(np.maximum(variances, 0.0)))
+    variances, _ = smallest_axes(covariances[likely])
+    return _Surface(centres[likely], np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _sigma_limits(sigmas: FloatArray) -> tuple[float, float]:
@@ -194,8 +239,11 @@ def _below_ceiling(surface: _Surface, voxel_size: float) -> tuple[_Surface, str]
 
 def _open_side(voxel_map: VoxelMap, points: FloatArray) -> _View:
     """Of the four sides, the one from which most of the surface is seen through free space."""
-    names = {(0, 1): "+x", (0, -1): "-x", (1, 1): "+y", (1, -1): "-y"}
-    views = [_View(1 - axis, 2, axis, sign, f"from {name}") for (axis, sign), name in names.items()]
+    views = [
+        _View(1 - axis, 2, axis, sign, f"side view along {'-' if sign > 0 else '+'}{'xy'[axis]}")
+        for axis in (0, 1)
+        for sign in (1, -1)
+    ]
     return max(views, key=lambda view: _open_pixels(voxel_map, points, view))
 
 
@@ -214,7 +262,7 @@ def _raster(points: FloatArray, view: _View, cell: float, values: FloatArray) ->
     low = points.min(axis=0)
     columns = np.rint((points[:, view.across] - low[view.across]) / cell).astype(np.int64)
     rows = np.rint((points[:, view.up] - low[view.up]) / cell).astype(np.int64)
-    if (view.towards, view.sign) in ((0, -1), (1, 1)):  # there the axis runs to the left
+    if view.is_mirrored:
         columns = columns.max() - columns
     image = np.full((rows.max() + 1, columns.max() + 1), np.nan)
     order = np.argsort(view.sign * points[:, view.towards], kind="stable")
@@ -233,13 +281,38 @@ def _draw(
     label: str,
     shaded: bool = True,
 ) -> None:
-    """One view: colour by value; shaded, darker where the surface turns away from the light."""
+    """One view: colour by value; shaded, darker where the surface turns away from the viewer."""
     mapper = matplotlib.cm.ScalarMappable(scale, colors)
     pixels = _colored(surface, view, cell, values, mapper, shaded)
-    extent = (0.0, pixels.shape[1] * cell, 0.0, pixels.shape[0] * cell)
-    axes.imshow(pixels, origin="lower", extent=extent, interpolation="nearest")
-    axes.set(title=view.title, xlabel="m", ylabel="m")
-    axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8)
+    left, bottom = surface.points.min(axis=0)[[view.across, view.up]] - 0.5 * cell
+    right, top = left + pixels.shape[1] * cell, bottom + pixels.shape[0] * cell
+    across = (right, left) if view.is_mirrored else (left, right)
+    axes.imshow(pixels, origin="lower", extent=(*across, bottom, top), interpolation="nearest")
+    names = [f"{'xyz'[axis]} [m]" for axis in (view.across, view.up)]
+    axes.set(title=view.title, xlabel=names[0], ylabel=names[1])
+    place = "bottom" if pixels.shape[0] < _FLAT * pixels.shape[1] else "right"
+    bar = axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8, location=place)
+    if isinstance(scale, LogNorm):
+        bar.ax.tick_params(axis="both", which="both", labelsize="x-small")
+
+
+def _facing(depth: FloatArray, cell: float) -> FloatArray:
+    """Cosine between the normal of a drawn surface and the direction to the viewer, (H, W).
+
+    From the drawing itself: far voxels have covariances whose least axis is not their normal. 1
+    where a neighbor is missing.
+
+    Args:
+        depth: of the surface in each pixel [m]; NaN where there is none.
+        cell: edge of a pixel [m].
+    """
+    steps = [
+        np.gradient(depth, cell, axis=axis) if depth.shape[axis] > 1 else np.zeros_like(depth)
+        for axis in (0, 1)
+    ]
+    return np.asarray(
+        1.0 / np.sqrt(1.0 + np.nan_to_num(steps[0]) ** 2 + np.nan_to_num(steps[1]) ** 2)
+    )
 
 
 def _colored(
@@ -254,7 +327,7 @@ def _colored(
     image = _raster(surface.points, view, cell, values)
     pixels: NDArray[Any] = mapper.to_rgba(np.ma.masked_invalid(image))
     if shaded:
-        light = _raster(surface.points, view, cell, np.abs(surface.normals @ _LIGHT))
-        pixels[..., :3] *= (0.45 + 0.55 * np.nan_to_num(light))[..., None]
+        depth = _raster(surface.points, view, cell, surface.points[:, view.towards])
+        pixels[..., :3] *= (_DARKEST + (1.0 - _DARKEST) * _facing(depth, cell))[..., None]
     pixels[np.isnan(image)] = (1.0, 1.0, 1.0, 0.0)
     return pixels

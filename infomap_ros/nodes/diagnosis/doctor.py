@@ -204,7 +204,9 @@ def examine_graph(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of the doctor; returns 1 when something is wrong."""
-    parser = argparse.ArgumentParser(prog="infomap doctor", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="infomap doctor", description=__doc__, epilog="Example: infomap doctor --seconds 10"
+    )
     parser.add_argument("--seconds", type=float, default=5.0, help="how long to listen")
     parser.add_argument("--raw", action="store_true", help="the images are image_raw")
     options, ros_arguments = parser.parse_known_args(arguments)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import TextRecord, TransformRecord
 from infomap_ros.messages import JOINT_STATE, STRING, TF
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.bags.topics import Topics, check_present
 
 _TF_TYPES = (TF, "tf/msg/tfMessage")
 
 
-def types_of(bag: BagReader) -> dict[str, str]:
+def types_of(bag: Recording) -> dict[str, str]:
     """Type name of each topic of a bag."""
     return {topic: channel.type_name for topic, channel in bag.topics.items()}
 
 
-def frame_of(bag: BagReader, topic: str) -> str:
+def frame_of(bag: Recording, topic: str) -> str:
     """Frame of the first message on a topic.
 
     Raises:
@@ -38,7 +38,7 @@ def moving_tf_topics(tf_topics: list[str]) -> list[str]:
     return [name for name in tf_topics if not name.endswith("tf_static")]
 
 
-def static_transforms(bag: BagReader, tf_topics: list[str]) -> list[TransformRecord]:
+def static_transforms(bag: Recording, tf_topics: list[str]) -> list[TransformRecord]:
     """All transforms on those of the topics that carry fixed ones."""
     static = [name for name in tf_topics if name.endswith("tf_static")]
     records = (entry.record for entry in bag.records(static)) if static else iter(())
@@ -57,7 +57,7 @@ def joint_topics_of(types: Topics, given: str = "") -> list[str]:
     return [name for name, kind in types.items() if kind == JOINT_STATE]
 
 
-def description_in(bag: BagReader, types: Topics) -> str:
+def description_in(bag: Recording, types: Topics) -> str:
     """The robot description that a bag holds, empty where it holds none."""
     topics = [n for n, kind in types.items() if kind == STRING and n.endswith("robot_description")]
     records = (entry.record for entry in bag.records(topics)) if topics else iter(())

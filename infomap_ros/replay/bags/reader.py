@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
 from infomap_ros.errors import BagError, MalformedMessageError
 from infomap_ros.geometry.records import Record
@@ -49,6 +50,36 @@ class BagRecord:
     topic: str
     received: int
     record: Record
+
+
+class Recording(Protocol):
+    """What maps and trajectories are made from: a `BagReader`, or what can be read as one.
+
+    Attributes:
+        path: where it is.
+        topics: its topics by name.
+        problems: what is damaged, in sentences.
+        skipped: what could not be read, by reason.
+    """
+
+    path: Path
+    topics: dict[str, Channel]
+    problems: list[str]
+    skipped: Counter[str]
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+        """Records in order of time; see `BagReader.records`."""
+
+    def __enter__(self) -> Recording:
+        """For ``with``."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Release the files."""
 
 
 class BagReader:

@@ -43,7 +43,7 @@ _STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 class BagWriter:
     """Writes a rosbag2 that any ROS 2 tool can read; use it as a context manager.
 
-    Inside a ``with`` block that ends with an error the bag stays without its index.
+    A ``with`` block that ends with an error leaves no bag.
     """
 
     def __init__(self, path: Path | str, *, storage: str = "mcap", overwrite: bool = False) -> None:
@@ -72,6 +72,11 @@ class BagWriter:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except (WriterError, OSError) as error:
+            if self.path.exists():
+                raise BagError(
+                    f"cannot write a bag to {self.path}: something is there already; --overwrite "
+                    "replaces a bag"
+                ) from error
             raise BagError(f"cannot write a bag to {self.path}: {error}") from error
 
     def write(self, topic: str, record: Record, received: int | None = None) -> None:
@@ -133,6 +138,7 @@ class BagWriter:
             self.close()
         else:
             self._writer.abort()
+            shutil.rmtree(self.path, ignore_errors=True)
 
 
 def _holds_only_a_bag(folder: Path) -> bool:

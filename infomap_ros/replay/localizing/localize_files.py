@@ -19,6 +19,15 @@ from infomap_ros.replay.localizing.trajectory import Trajectory
 TRAJECTORY_FILE, CORRECTED_FILE = "trajectory.txt", "corrected_trajectory.txt"
 COVARIANCE_FILE, SUMMARY_FILE = "covariances.txt", "summary.json"
 
+FILES = {
+    "trajectory.png": "the path from above and from the side, and its uncertainty",
+    CORRECTED_FILE: "poses after all that was learned later, as TUM has them (for evo)",
+    TRAJECTORY_FILE: "poses as they were known at their stamps",
+    COVARIANCE_FILE: "their 6x6 covariances",
+    SUMMARY_FILE: "the figures of the run",
+}
+"""What `write_localize_files` leaves, what a person looks at first at the beginning."""
+
 _STATES = {"tracking": "tab:green", "coasting": "tab:orange", "lost": "tab:red", "searching": "0.5"}
 
 
@@ -80,7 +89,7 @@ def draw_run(run: LocalizeRun, path: Path) -> None:
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(2.0, 1.0))
     then, now = run.log.trajectory, run.log.corrected_trajectory
-    for column, (first, second, title) in enumerate(((0, 1, "from above"), (0, 2, "side"))):
+    for column, (first, second, title) in enumerate(((0, 1, "top view"), (0, 2, "side view"))):
         axes = figure.add_subplot(grid[0, column])
         _draw_path(axes, then, now, (first, second))
         axes.set_title(title)
@@ -89,7 +98,7 @@ def draw_run(run: LocalizeRun, path: Path) -> None:
 
 
 def _draw_path(axes: Axes, then: Trajectory, now: Trajectory, which: tuple[int, int]) -> None:
-    for trajectory, style, label in ((then, "-", "as known then"), (now, "--", "corrected")):
+    for trajectory, style, label in ((then, "-", "online"), (now, "--", "after corrections")):
         places = trajectory.transforms[:, :3, 3]
         axes.plot(places[:, which[0]], places[:, which[1]], style, label=label, linewidth=1.2)
     axes.set_xlabel(f"{'xyz'[which[0]]} [m]")
@@ -109,7 +118,8 @@ def _draw_certainty(axes: Axes, run: LocalizeRun, trajectory: Trajectory) -> Non
     for state, color in _STATES.items():
         stamps = np.array([o.stamp for o in run.log.localisations if o.state == state], np.int64)
         if len(stamps):
-            axes.plot(_times(stamps, start), np.zeros(len(stamps)), "|", color=color, label=state)
+            label = "dead reckoning" if state == "coasting" else state
+            axes.plot(_times(stamps, start), np.zeros(len(stamps)), "|", color=color, label=label)
     axes.grid(visible=True, alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
 

@@ -32,7 +32,7 @@ from infomap_ros.replay.bags.bag_contents import (
     types_of,
 )
 from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.bags.topics import Topics, check_present
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
@@ -115,7 +115,7 @@ class LocalizeInputs:
 
 
 def find_localize_inputs(
-    bag: BagReader, options: LocalizeOptions, *, is_dense: bool = False
+    bag: Recording, options: LocalizeOptions, *, is_dense: bool = False
 ) -> LocalizeInputs:
     """Look through a bag for what localisation needs; `is_dense` where range clouds are wanted too.
 
@@ -168,6 +168,6 @@ def _find_odometry(types: Topics, options: LocalizeOptions) -> str:
     return min(found, key=len, default="")
 
 
-def _find_robot(bag: BagReader, types: Topics, options: LocalizeOptions) -> RobotModel | None:
+def _find_robot(bag: Recording, types: Topics, options: LocalizeOptions) -> RobotModel | None:
     description = options.robot or description_in(bag, types)
     return options.description.read(description) if description else None

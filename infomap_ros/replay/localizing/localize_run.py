@@ -17,7 +17,7 @@ from infomap_ros.pipeline.pipeline import Localization, Pipeline
 from infomap_ros.pipeline.view_estimator import FramedView
 from infomap_ros.pipeline.view_synchronizer import ViewSynchronizer
 from infomap_ros.replay.bags.background import in_background
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.localizing.localization_log import LocalizationLog
 from infomap_ros.replay.localizing.localize_inputs import (
     LocalizeInputs,
@@ -40,7 +40,7 @@ class LocalizeRun:
         seconds: how long `run` took [s].
     """
 
-    def __init__(self, bag: BagReader, options: LocalizeOptions | None = None) -> None:
+    def __init__(self, bag: Recording, options: LocalizeOptions | None = None) -> None:
         """Look through the bag.
 
         Raises:
@@ -105,7 +105,7 @@ class LocalizeRun:
         return figures | {f"dropped: {reason}": count for reason, count in dropped.items()}
 
 
-def records_of(bag: BagReader, topics: tuple[str, ...]) -> Iterator[tuple[str, Record]]:
+def records_of(bag: Recording, topics: tuple[str, ...]) -> Iterator[tuple[str, Record]]:
     """Records of a bag with their topics, in order of time."""
     return ((entry.topic, entry.record) for entry in bag.records(topics))
 

@@ -38,7 +38,7 @@ from infomap_ros.replay.bags.bag_contents import (
     types_of,
 )
 from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.bags.topics import Topics, find_pose_topic
 from infomap_ros.replay.localizing.localize_inputs import (
     LocalizeInputConfig,
@@ -138,7 +138,7 @@ class MapInputs:
         return self.poses.map_frame
 
 
-def find_inputs(bag: BagReader, options: MapOptions) -> MapInputs:
+def find_inputs(bag: Recording, options: MapOptions) -> MapInputs:
     """Look through a bag for what mapping needs.
 
     Raises:
@@ -183,7 +183,7 @@ def _pose_topic(types: Topics, options: MapOptions) -> str:
 
 
 def _find_poses(
-    bag: BagReader, options: MapOptions, camera_frame: str, pose_topic: str
+    bag: Recording, options: MapOptions, camera_frame: str, pose_topic: str
 ) -> CameraPoses | LocatedPoses:
     if not pose_topic:
         return LocatedPoses("map", options.poses)
@@ -208,14 +208,14 @@ def _find_range(types: Topics, options: MapOptions) -> Perception:
     return find_images(types, options.input, options.topics, make_estimator)
 
 
-def _tf_map_frame(bag: BagReader, tf_topics: list[str]) -> str:
+def _tf_map_frame(bag: Recording, tf_topics: list[str]) -> str:
     """``map`` where the beginning of the recording has it."""
     edges = (entry.record for entry in islice(bag.records(tf_topics), _LOOKED_AT))
     return "map" if any(edge.frame_id == "map" for edge in edges) else ""
 
 
 def _find_body(
-    bag: BagReader, types: Topics, options: MapOptions, has_joints: bool
+    bag: Recording, types: Topics, options: MapOptions, has_joints: bool
 ) -> tuple[RobotBody, str]:
     """The robot's body, and why there is none to be removed."""
     if not options.input.remove_body:

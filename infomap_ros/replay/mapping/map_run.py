@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 from infomap_ros.errors import BagError, CapacityError
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.pipeline import Fused, Fusion, Localization, Located, Pipeline
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizer
 from infomap_ros.replay.bags.background import in_background
-from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.localizing.localization_log import LocalizationLog
 from infomap_ros.replay.localizing.localize_run import make_localization, records_of
 from infomap_ros.replay.mapping.map_inputs import (
@@ -24,6 +25,26 @@ from infomap_ros.replay.mapping.map_inputs import (
     localize_options,
 )
 
+_LIKELY_CAUSES = {
+    "match density": "the rows of the two images do not agree (calibration, --rectify yes or no, "
+    "left and right swapped), or there is too little texture",
+    "gap between poses": "poses are rarer than --set poses.max_gap=",
+    "has no place in": "no transform leads from the frame of the pose to the camera: record "
+    "/tf_static, or name the camera's own frame with --pose-frame",
+    "without its partner": "the stamps of left and right image differ by more than "
+    "--set input.pairing_tolerance=",
+    "no camera info": "images have no camera info: name it with --left-info, --right-info or "
+    "--info",
+    "after the last pose": "poses and images have different clocks, or the poses end before the "
+    "images",
+    "before the first pose": "poses and images have different clocks, or the images begin before "
+    "the poses",
+    "no pose": "the poses begin after the images or end before them",
+    "joint": "joint states are missing at the images' stamps: --set input.remove_body=false "
+    "maps without them",
+}
+"""What a reason for dropping a frame usually comes from, by words in it."""
+
 Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
 
@@ -32,6 +53,7 @@ class MapRun:
     """Maps a bag, frame by frame as its records come.
 
     Attributes:
+        name: of the bag.
         inputs: what the bag offers.
         builder: of the map.
         log: how the camera was located, empty where the bag tells its poses.
@@ -39,23 +61,28 @@ class MapRun:
         points: number of points that are in the map.
         dropped: frames that are not, by reason.
         first: the first measurement in the map.
+        camera_path: positions of the camera at the frames in the map, (x, y, z) each [m].
+        assumed: covariance of poses that have none.
         seconds: how long `run` took [s].
         full: why the map could not take more, empty while it could.
     """
 
-    def __init__(self, bag: BagReader, options: MapOptions | None = None) -> None:
+    def __init__(self, bag: Recording, options: MapOptions | None = None) -> None:
         """Look through the bag.
 
         Raises:
             BagError: it lacks what mapping needs.
             RobotModelError: its robot description cannot be used.
         """
-        self._bag, settings = bag, options or MapOptions()
+        self._bag, self.name = bag, bag.path.resolve().name
+        settings = options or MapOptions()
         self.inputs: MapInputs = find_inputs(bag, settings)
         self.log = LocalizationLog()
         self.frames = self.points = 0
         self.dropped: Counter[str] = Counter()
         self.first: RangeMeasurement | None = None
+        self.camera_path: list[FloatArray] = []
+        self.assumed = settings.assumed
         self.seconds, self.full = 0.0, ""
         localization = self._make_localization(settings)
         store = settings.scans if localization is not None else None
@@ -133,6 +160,7 @@ class MapRun:
             self.frames += 1
             self.points += done.report.points_used
             self.first = self.first or done.scan.cloud
+            self.camera_path.append(done.scan.pose.transform[:3, 3])
 
     def _on_drop(self, reason: str, sentence: str) -> None:
         self.dropped[sentence if reason == "robot description" else reason] += 1
@@ -145,7 +173,19 @@ class MapRun:
         if self.frames == 0:
             reasons = self.dropped + self.refused
             why = "; ".join(f"{n} x {reason}" for reason, n in reasons.most_common(3))
-            raise BagError(f"no frame could be mapped: {why or 'the bag has none'}")
+            cause = self.why_mostly_dropped().partition(". Likely")[2]
+            hint = f". Likely{cause}" if cause else ""
+            raise BagError(f"no frame could be mapped: {why or 'the bag has none'}{hint}")
+
+    def why_mostly_dropped(self) -> str:
+        """Where more frames were dropped than mapped, why, with the likely cause; else empty."""
+        count = sum(self.dropped.values())
+        if count <= self.frames:
+            return ""
+        reason = self.dropped.most_common(1)[0][0]
+        cause = next((cause for key, cause in _LIKELY_CAUSES.items() if key in reason), "")
+        text = f"{count} of {count + self.frames} frames dropped, mostly: {reason}"
+        return f"{text}. Likely cause: {cause}" if cause else text
 
     def summary(self) -> dict[str, int | float | str]:
         """Figures of the run, flat; ``dropped: <reason>`` counts frames."""

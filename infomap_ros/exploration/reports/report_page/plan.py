@@ -34,20 +34,23 @@ class _Sheet:
         return round(float(x), 1), round(float(y), 1)
 
 
-def plan(image: MapImage, *runs: RecordedRun) -> str:
+def plan(image: MapImage, *runs: RecordedRun, camera_path: FloatArray | None = None) -> str:
     """Draw the map from above with the paths of base and camera and the chosen views.
 
     Args:
         image: the map.
         runs: of the robots; the paths of all but the first are dashed.
+        camera_path: of a camera without a run, shape (N, 3) [m].
     """
     low = image.low
     high = low + np.array(image.pixels.shape[1::-1]) * image.cell
-    sheet = _Sheet(*_box(low, high, runs))
+    sheet = _Sheet(*_box(low, high, runs, camera_path))
     parts = [_picture(sheet, image, low, high), *_axes(sheet)]
     for index, run in enumerate(runs):
         kind = " dashed" if index else ""
         parts += [_path(sheet, motion, kind) for motion in run.of(Motion) if len(motion.path) > 1]
+    if camera_path is not None and len(camera_path) > 1:
+        parts.append(_trace(sheet, camera_path, "camera"))
     steps = [step for run in runs for step in run.steps]
     parts += [_view(sheet, place, step) for place, step in enumerate(steps)]
     return (
@@ -57,12 +60,15 @@ def plan(image: MapImage, *runs: RecordedRun) -> str:
     )
 
 
-def _box(low: FloatArray, high: FloatArray, runs: Sequence[RecordedRun]) -> tuple[FloatArray, ...]:
+def _box(
+    low: FloatArray, high: FloatArray, runs: Sequence[RecordedRun], path: FloatArray | None
+) -> tuple[FloatArray, ...]:
     """The map and all that is drawn over it."""
     motions = [motion for run in runs for motion in run.of(Motion)]
     steps = [step for run in runs for step in run.steps]
     points = [motion.path[:, :2] for motion in motions]
     points += [s.decision.pose[None, :2, 3] for s in steps if s.decision.pose is not None]
+    points += [] if path is None or not len(path) else [path[:, :2]]
     every = np.concatenate([low[None], high[None], *points])
     margin = 0.02 * float(np.ptp(every, axis=0).max())
     return every.min(axis=0) - margin, every.max(axis=0) + margin
@@ -105,8 +111,11 @@ def _axes(sheet: _Sheet) -> list[str]:
 
 def _path(sheet: _Sheet, motion: Motion, kind: str) -> str:
     who = "base" if motion.action in BASE_ACTIONS else "camera"
-    who += kind
-    trace = " ".join(f"{x},{y}" for x, y in map(sheet.place, motion.path))
+    return _trace(sheet, motion.path, who + kind)
+
+
+def _trace(sheet: _Sheet, path: FloatArray, who: str) -> str:
+    trace = " ".join(f"{x},{y}" for x, y in map(sheet.place, path))
     return f'<polyline class="halo" points="{trace}"/><polyline class="{who}" points="{trace}"/>'
 
 

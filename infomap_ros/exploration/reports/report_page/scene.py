@@ -82,6 +82,14 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
     return {"manifest": manifest, "arrays": arrays}
 
 
+def add_camera_path(scene: dict[str, Any], path: FloatArray) -> None:
+    """Add to a scene without a run where the camera was, shape (N, 3) [m]."""
+    thinned = [_thinned(path)]
+    scene["arrays"]["path_points"] = thinned[0].astype(np.float32)
+    scene["arrays"]["path_starts"] = _starts(thinned)
+    scene["manifest"]["paths"] = [{"who": "camera", "time": 0.0, "fail": ""}]
+
+
 def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], str]:
     """Arrays one after the other, compressed with zlib, as base64 text, and where each one is."""
     places, parts, offset = {}, [], 0

@@ -89,6 +89,7 @@ function connectPointer() {
 
 async function start() {
   document.body.classList.toggle("no-run", steps.length === 0);
+  document.body.classList.toggle("no-path", !(manifest.paths || []).length);
   connectMarks();
   connectCharts();
   try {
@@ -104,7 +105,7 @@ async function start() {
     byId("notice").textContent = `No 3-D view here (${error.message}). The pictures below show the map without.`;
   }
   connectTheme();
-  if (steps.length) choose(Math.max(0, steps.findLastIndex((step) => step.pose)));
+  if (steps.length) choose(Math.max(0, steps.findIndex((step) => step.pose)));
   document.documentElement.dataset.ready = viewer ? "3d" : "2d";
 }
 start();

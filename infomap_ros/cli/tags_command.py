@@ -1,0 +1,89 @@
+"""Command ``infomap tags``."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Optional
+
+import cv2
+import typer
+
+from infomap_ros.cli.command_options import Calibration
+from infomap_ros.cli.results import results_in
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import PinholeCamera
+from infomap_ros.localization.target.tag_board import FAMILIES
+from infomap_ros.localization.target.tag_detection import Tags
+from infomap_ros.localization.target.tag_photos import (
+    draw_tags,
+    find_tags,
+    read_photo,
+    tag_positions,
+)
+from infomap_ros.replay.sequences.calibration_files import read_calibration
+
+
+def tags(
+    images: Annotated[list[Path], typer.Argument(help="photos", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(help="folder for drawn photos and tags.csv", show_default=False)
+    ],
+    family: Annotated[
+        str, typer.Option(help=f"{', '.join(FAMILIES)}; empty: that of most tags found")
+    ] = "",
+    side: Annotated[
+        Optional[float],
+        typer.Option(help="edge of a black square [m]; with --calibration: where each tag is"),
+    ] = None,
+    calibration: Calibration = None,
+) -> None:
+    """Find tags in photos, and draw them."""
+    if family and family not in FAMILIES:
+        raise ConfigError("--family", family, f"one of {', '.join(FAMILIES)}")
+    if (side is None) != (not calibration):
+        raise InvalidInputError("--side", "goes with --calibration, and that with --side")
+    rows: list[list[object]] = []
+    with results_in(out, overwrite=True):
+        for path in images:
+            photo = read_photo(path)
+            name, found = find_tags(photo, family)
+            cv2.imwrite(str(out / f"{path.stem}_tags.png"), draw_tags(photo, found))
+            positions = [""] * len(found.ids)
+            if side is not None and calibration:
+                size = (photo.shape[1], photo.shape[0])
+                positions = _positions(found, side, calibration, size)
+            for one, corners, position in zip(found.ids, found.corners, positions, strict=True):
+                rows.append([path.name, name, int(one), *corners.ravel().round(3), position])
+            if sys.stdout.isatty():
+                ids = " ".join(str(one) for one in sorted(found.ids)) or "no tags"
+                typer.echo(f"{path.name}: {len(found.ids)} of {name}: {ids}")
+        _write(rows, out / "tags.csv")
+    if sys.stdout.isatty():
+        typer.echo(f"  {out}/*_tags.png  the photos with their tags\n  {out / 'tags.csv'}  corners")
+    else:
+        typer.echo(json.dumps({"photos": len(images), "tags": len(rows)}))
+    if not rows:
+        raise InvalidInputError("images", f"no tag of {family or 'any family'} was found")
+
+
+def _positions(found: Tags, side: float, files: list[Path], size: tuple[int, int]) -> list[str]:
+    """Middle of each tag in the optical frame, x y z [m]."""
+    raw = read_calibration(files, size).cameras[0]
+    k = raw.intrinsics
+    camera = PinholeCamera(raw.width, raw.height, k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+    flat = found.corners.reshape(-1, 1, 2)
+    undistort = cv2.undistortPoints
+    if raw.distortion_model == "equidistant":
+        undistort = cv2.fisheye.undistortPoints
+    straight = undistort(flat, k, raw.distortion[:14], P=k).reshape(-1, 4, 2)
+    places = tag_positions(found._replace(corners=straight), side, camera)
+    return [" ".join(f"{value:.4f}" for value in place) for place in places]
+
+
+def _write(rows: list[list[object]], path: Path) -> None:
+    corners = [f"{axis}{corner}_px" for corner in range(4) for axis in "uv"]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["photo", "family", "id", *corners, "x y z [m]"])
+        table.writerows(rows)

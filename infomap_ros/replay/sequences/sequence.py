@@ -1,0 +1,176 @@
+"""A sequence of images in files, read as a bag is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infomap_ros.errors import BagError
+from infomap_ros.geometry import (
+    CameraCalibration,
+    CameraInfoRecord,
+    ImageRecord,
+    PoseRecord,
+    Record,
+)
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.messages import CAMERA_INFO, IMAGE, POSE_WITH_COVARIANCE
+from infomap_ros.replay.bags.reader import BagRecord
+from infomap_ros.replay.bags.source import Channel
+from infomap_ros.replay.sequences.frame_files import Stamped
+
+POSE_TOPIC = "/camera_pose"
+
+Pixels = NDArray[np.generic]
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """The images of one camera.
+
+    Attributes:
+        name: namespace of its topics: ``left``, ``right``, ``depth``, ``rgb``.
+        frame_id: of its optical frame.
+        calibration: of the camera.
+        is_rectified: whether the images are rectified.
+        files: with their stamps [ns].
+        change: done to the pixels of each image.
+    """
+
+    name: str
+    frame_id: str
+    calibration: CameraCalibration
+    is_rectified: bool
+    files: Stamped
+    change: Callable[[Pixels], Pixels] = field(default=lambda pixels: pixels)
+
+    @property
+    def info_topic(self) -> str:
+        """Topic of its camera infos."""
+        return f"/{self.name}/camera_info"
+
+    @property
+    def image_topic(self) -> str:
+        """Topic of its images."""
+        return f"/{self.name}/image_{'rect' if self.is_rectified else 'raw'}"
+
+    def records(self, place: int) -> Iterator[tuple[str, Callable[[], Record]]]:
+        """Topic of each record of a frame, and what makes it."""
+        stamp, path = self.files[place]
+        yield self.info_topic, lambda: CameraInfoRecord(stamp, self.frame_id, self.calibration)
+        yield self.image_topic, lambda: self._image(stamp, path)
+
+    def _image(self, stamp: int, path: Path) -> ImageRecord:
+        pixels = self.change(read_image(path))
+        size = pixels.shape[1], pixels.shape[0]
+        told = self.calibration.width, self.calibration.height
+        if size != told:
+            raise BagError(
+                f"{path} has {size[0]}x{size[1]} px, its calibration {told[0]}x{told[1]}"
+            )
+        if self.name == "depth":
+            encoding = "16UC1" if pixels.dtype == np.uint16 else "32FC1"
+            return ImageRecord(stamp, self.frame_id, pixels, encoding)
+        return image_record(stamp, self.frame_id, pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSequence:
+    """Images of one or two cameras, and where the first one was.
+
+    Attributes:
+        layout: how the folder is laid out.
+        streams: as many images in each.
+        poses: stamps [ns] and T_map_camera of the (rectified) first camera, shape (4, 4); empty
+            where nobody knows.
+    """
+
+    layout: str
+    streams: tuple[Stream, ...]
+    poses: Sequence[tuple[int, FloatArray]] = ()
+
+    def events(self) -> Iterator[tuple[str, int, Callable[[], Record]]]:
+        """Topic, stamp and maker of every record, in order of time."""
+        order = [(stamp, 0, place) for place, (stamp, _) in enumerate(self.poses)]
+        order += [(stamp, 1, place) for place, (stamp, _) in enumerate(self.streams[0].files)]
+        for stamp, is_frame, place in sorted(order):
+            if is_frame:
+                for stream in self.streams:
+                    for topic, make in stream.records(place):
+                        yield topic, stamp, make
+            else:
+                yield POSE_TOPIC, stamp, self._pose_maker(place)
+
+    def _pose_maker(self, place: int) -> Callable[[], Record]:
+        stamp, pose = self.poses[place]
+        return lambda: PoseRecord(stamp, "map", pose)
+
+
+class SequenceReader:
+    """Reads a sequence of images as a `Recording`: nothing is copied.
+
+    Args:
+        path: of the folder.
+        sequence: what was found in it.
+    """
+
+    def __init__(self, path: Path, sequence: ImageSequence) -> None:
+        self.path, self.sequence = path, sequence
+        self.problems: list[str] = []
+        self.skipped: Counter[str] = Counter()
+        frames = len(sequence.streams[0].files)
+        types = {POSE_TOPIC: POSE_WITH_COVARIANCE} if sequence.poses else {}
+        for stream in sequence.streams:
+            types |= {stream.info_topic: CAMERA_INFO, stream.image_topic: IMAGE}
+        self.topics = {
+            name: Channel(name, kind, len(sequence.poses) if name == POSE_TOPIC else frames)
+            for name, kind in types.items()
+        }
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+        """Records in order of time.
+
+        Raises:
+            BagError: an image cannot be read, or has another size than its calibration.
+        """
+        wanted = self.topics if topics is None else topics
+        for topic, stamp, make in self.sequence.events():
+            if topic in wanted:
+                yield BagRecord(topic, stamp, make())
+
+    def __enter__(self) -> SequenceReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Nothing is open."""
+
+
+def read_image(path: Path) -> Pixels:
+    """Read an image file as it is; three channels are in the order B, G, R.
+
+    Raises:
+        BagError: there is no such file or it is not an image.
+    """
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise BagError(f"{path} is not there or not an image")
+    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] == 4 else pixels
+
+
+def image_record(stamp: int, frame_id: str, pixels: Pixels) -> ImageRecord:
+    """An image with the encoding that its type and channels have in files."""
+    wide = pixels.dtype == np.uint16
+    encoding = {2: "mono16" if wide else "mono8", 3: "bgr16" if wide else "bgr8"}[pixels.ndim]
+    return ImageRecord(stamp, frame_id, np.ascontiguousarray(pixels), encoding)

@@ -18,6 +18,9 @@ from infomap_ros.exploration.records.log_records import (
     Start,
 )
 
+RUN_ENDED = "planned next (run ended)"
+"""What came of the last choice, where the run ended before it was carried out."""
+
 _Kind = TypeVar("_Kind", bound=Record)
 
 
@@ -28,7 +31,7 @@ class Step:
     Attributes:
         decision: the choice.
         motions: that followed before the next decision.
-        outcome: "taken", "no view", "not taken, the run ended", or why the robot did not get there
+        outcome: "taken", "no view", `RUN_ENDED`, or why the robot did not get there
             or see.
     """
 
@@ -138,5 +141,5 @@ def _step(records: Sequence[Record]) -> Step:
     elif failures and not looked:
         outcome = failures[-1]
     else:
-        outcome = "taken" if looked else "not taken, the run ended"
+        outcome = "taken" if looked else RUN_ENDED
     return Step(decision, motions, outcome)

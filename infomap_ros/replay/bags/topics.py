@@ -92,10 +92,7 @@ def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -
         pairs = sorted(_pairs(topics), key=lambda pair: _preference(pair[0]))
         pairs = [p for p in pairs if left in (None, p[0]) and right in (None, p[1])]
         if not pairs:
-            raise BagError(
-                "no stereo pair: no two image topics whose names differ by left and right among "
-                + _listed(name for name in topics if topics[name] in _IMAGE_TYPES)
-            )
+            raise BagError(f"no stereo pair {_among(topics)}")
         left, right = pairs[0]
     return StereoTopics(
         left,
@@ -123,10 +120,8 @@ def find_depth_topics(topics: Topics, given: Mapping[str, str] | None = None) ->
     check_present(topics, named.values())
     depth = named.get("depth") or next(iter(sorted(_depth_images(topics), key=_preference)), None)
     if depth is None:
-        raise BagError(
-            "no depth camera: no image topic with 'depth' in its name among "
-            + _listed(name for name in topics if topics[name] in _IMAGE_TYPES)
-        )
+        images = [name for name, kind in topics.items() if kind in _IMAGE_TYPES]
+        raise BagError(f"no depth camera ('depth' in its topic) among the images {_listed(images)}")
     info = named.get("info") or find_camera_info(topics, depth)
     return DepthTopics(depth, info, named.get("color") or _color_of(topics, depth))
 
@@ -144,7 +139,7 @@ def find_pose_topic(topics: Topics, given: str | None = None) -> str:
         return given
     found = sorted((_pose_rank(n, t), n) for n, t in topics.items() if _pose_rank(n, t) < 9)
     if not found:
-        raise BagError(f"no pose, odometry or tf topic among {_listed(topics)}")
+        raise BagError(f"no pose, odometry or tf topic; the bag holds {_described(topics)}")
     return found[0][1]
 
 
@@ -168,6 +163,19 @@ def check_present(topics: Topics, names: Iterable[str]) -> None:
     """Raise `BagError` when a topic that the user names is not there."""
     if missing := [name for name in names if name not in topics]:
         raise BagError(f"no topic {', '.join(missing)} among {_listed(topics)}")
+
+
+def _among(topics: Topics) -> str:
+    """Among which images something was looked for; what else there is where there are none."""
+    images = [name for name, kind in topics.items() if kind in _IMAGE_TYPES]
+    if not images:
+        return f"in the bag, which has no image topics; it holds {_described(topics)}"
+    return f"(image topics that differ by left and right) among the images {_listed(images)}"
+
+
+def _described(topics: Topics) -> str:
+    """Topics with their types, as a person looks for them."""
+    return _listed(f"{name} ({kind.rpartition('/')[2]})" for name, kind in topics.items())
 
 
 def _listed(names: Iterable[str]) -> str:

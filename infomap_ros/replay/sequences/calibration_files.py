@@ -108,7 +108,7 @@ def read_calibration(files: Sequence[Path], size: Size) -> Calibration:
 def _read(path: Path, size: Size) -> Calibration:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
-        if text.lstrip().startswith(("%YAML:1.0", "%YAML 1.0", "<?xml")) and "opencv" in text:
+        if "opencv-matrix" in text or "opencv_storage" in text:
             return _opencv(path, size)
         if re.search(r"^\s*cam0\s*=\s*\[", text, re.MULTILINE):
             return _middlebury(text, size)

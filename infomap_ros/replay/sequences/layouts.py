@@ -31,10 +31,14 @@ from infomap_ros.replay.sequences.frame_files import (
 from infomap_ros.replay.sequences.registration import ColorCamera, register_depth
 from infomap_ros.replay.sequences.sequence import ImageSequence, Pixels, Stream, read_image
 
+_KITTI_PAIRS = (
+    *(("image_0", "image_1"), ("image_2", "image_3"), ("image_00", "image_01")),
+    *(("image_02", "image_03"), ("image_l", "image_r")),
+)
 _PAIRS = (
-    *(("left", "right"), ("image_0", "image_1"), ("image_2", "image_3")),
-    *(("image_00", "image_01"), ("image_02", "image_03"), ("infra1", "infra2")),
-    *(("cam0", "cam1"), ("mav0/cam0", "mav0/cam1"), ("camera0", "camera1")),
+    ("left", "right"),
+    *_KITTI_PAIRS,
+    *(("infra1", "infra2"), ("cam0", "cam1"), ("mav0/cam0", "mav0/cam1"), ("camera0", "camera1")),
 )
 _DEPTHS = tuple(("depth", color) for color in ("rgb", "color", "image", "images", "."))
 _PAIR_NAMES = (("*left*", "*right*"), ("*_l.*", "*_r.*"), ("*L.*", "*R.*"), ("im0.*", "im1.*"))
@@ -139,7 +143,7 @@ def kitti(folder: Path, options: SequenceOptions) -> ImageSequence:
         BagError: it is laid out in another way, or not complete.
         CalibrationError: there is no calibration that fits.
     """
-    found = _files(folder, "", "", _PAIRS[1:5], ())
+    found = _files(folder, "", "", _KITTI_PAIRS, ())
     if found is None:
         raise BagError(f"no image_0 and image_1 in {folder}: it holds {listing(folder)}")
     number = folder.resolve().name
@@ -215,7 +219,7 @@ def find_sequence(folder: Path, options: SequenceOptions) -> ImageSequence:
     """
     marks: dict[str, bool] = {
         "euroc": any((folder / name).is_dir() for name in ("mav0", "cam0")),
-        "kitti": any((folder / pair[0]).is_dir() for pair in _PAIRS[1:5]),
+        "kitti": any((folder / pair[0]).is_dir() for pair in _KITTI_PAIRS),
         "tum": (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file(),
         "rgbd": any(_below(folder, "frame-*.pose.txt")),
     }

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import html
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from infomap_ros.exploration.records.log_records import Decision, Message
-from infomap_ros.exploration.records.recorded_run import RecordedRun, Step
+from infomap_ros.exploration.records.recorded_run import RUN_ENDED, RecordedRun, Step
 from infomap_ros.exploration.reports.report_page.axes import DASH, MINUS, duration, number, quantity
 from infomap_ros.exploration.reports.report_page.scene import term_names, unit_of
 from infomap_ros.geometry.config import parameters_of
@@ -61,9 +62,7 @@ def views_table(run: RecordedRun) -> str:
     for place, step in enumerate(run.steps):
         rows += [_view_row(step, names), [html.escape(step.decision.reason)]]
         marks += [f' class="step" data-step="{place}" tabindex="0"', f' data-step="{place}"']
-    idle = [words(name) for name in every if name not in names]
-    note = f"<p>Zero throughout: {html.escape(', '.join(idle))}.</p>" if idle else ""
-    return table(heads, rows, "views", marks) + note
+    return table(heads, rows, "views", marks)
 
 
 def _view_row(step: Step, names: Sequence[str]) -> list[str]:
@@ -72,7 +71,7 @@ def _view_row(step: Step, names: Sequence[str]) -> list[str]:
     if decision.pose is not None:
         values = (f"{value:7.2f}" for value in decision.pose[:3, 3])
         place = "".join(values).replace("-", MINUS).replace(" ", _FIGURE_SPACE)
-    kind = "good" if step.taken else "bad"
+    kind = "good" if step.taken else "warn" if step.outcome == RUN_ENDED else "bad"
     possible = decision.considered - sum(decision.rejections.values())
     return [
         str(decision.view),
@@ -100,7 +99,7 @@ def rejections_table(run: RecordedRun) -> str:
             html.escape(kind),
             f'<span class="bar" style="width:{8.0 * count / largest:.2f}em"></span>{count:,}',
             f"{100.0 * count / considered:.1f} %",
-            html.escape(examples[kind].removeprefix(kind).removeprefix(":").strip()),
+            html.escape(_details_of(examples[kind])),
         ]
         for kind, count in counts.most_common()
     ]
@@ -122,8 +121,14 @@ def kinds_of_rejections(decisions: Sequence[Decision]) -> Counter[str]:
 
 
 def kind_of(reason: str) -> str:
-    """A reason without its details, which follow a colon."""
-    return reason.split(":")[0].strip()
+    """A reason without its details, which follow a colon or are numbers."""
+    return re.sub(r"\d+(?:[.,]\d+)*", "N", reason.split(":")[0]).strip()
+
+
+def _details_of(reason: str) -> str:
+    """What `kind_of` leaves out; the whole reason where that is a number in it."""
+    head, _, details = reason.partition(":")
+    return details.strip() if kind_of(reason) == head.strip() else reason
 
 
 def stages_table(run: RecordedRun) -> str:

@@ -22,7 +22,7 @@ const point = (p) => p.map((v) => v.toFixed(2).replace("-", "−")).join("  ");
 function showStep(n, arrays) {
   const step = steps[n], parts = [];
   parts.push(element("h3", step.pose ? `View ${step.view}` : `Decision ${n + 1}`));
-  parts.push(element("p", `${step.outcome}, decided at ${duration(step.time)}${step.strategy ? ` by ${words(step.strategy)}` : ""}`, step.taken ? "good" : "bad"));
+  parts.push(element("p", `${step.outcome}, decided at ${duration(step.time)}${step.strategy ? ` by ${words(step.strategy)}` : ""}`, step.taken ? "good" : step.outcome.startsWith("planned") ? "warn" : "bad"));
   if (step.reason) parts.push(element("p", step.reason));
   if (Object.keys(step.terms).length) parts.push(valuesTable("Terms of its rating", { ...step.terms, rating: step.rating }));
   const facts = {};

@@ -8,17 +8,11 @@ rocks.show()
 
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
-from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 from infomap_ros._kernel_cache import use_kernel_cache as _use_kernel_cache
 
-if _TYPE_CHECKING:
-    from infomap_ros.mapping import VoxelMap
-    from infomap_ros.replay.mapped_bag import localize_bag, map_bag
-
 __version__ = "0.1.0"
-__all__ = ["VoxelMap", "__version__", "localize_bag", "map_bag"]
 
 _use_kernel_cache(_Path(__file__).resolve().parent)
 

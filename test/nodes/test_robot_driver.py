@@ -67,7 +67,7 @@ class Bench:
         path = ArmPath(joints, knots, np.array([0.0, time]))
         self.trajectories.publish(encode_arm_trajectory(TYPES, 0, path, label=label))
 
-    def result(self, key: int | str, timeout: float = 15.0) -> MotionResult:
+    def result(self, key: int | str, timeout: float = 60.0) -> MotionResult:
         """What became of the command of this stamp or label."""
 
         def found() -> list[MotionResult]:

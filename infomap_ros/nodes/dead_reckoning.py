@@ -13,7 +13,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo
 
-from infomap_ros.geometry import OdometryRecord, PoseRecord
+from infomap_ros.geometry import OdometryRecord, PoseRecord, TransformRecord, invert_transform
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization import DeadReckoning, DeadReckoningConfig
@@ -22,6 +22,11 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.locating.odom_frame import (
+    MapFrameConfig,
+    OdomFrameBroadcaster,
+    frame_publisher,
+)
 from infomap_ros.nodes.robot.posture_listener import PostureListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
@@ -31,6 +36,7 @@ class DeadReckoningNode(MonitoredNode):
 
     CONFIGS = (
         (RobotTrackerConfig, ""),
+        (MapFrameConfig, ""),
         (DeadReckoningConfig, ""),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
@@ -47,6 +53,8 @@ class DeadReckoningNode(MonitoredNode):
             lambda _, __, why: self.drop("no odometry or joints at the stamp", why),
         )
         self._poses = self.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(depth=50))
+        tolerance = self.config(MapFrameConfig).transform_tolerance
+        self._odom_frame = OdomFrameBroadcaster(self, frame_publisher(self), tolerance)
         self._motion = PostureListener(
             self, self._answer, required=True, on_odometry=self._on_odometry
         )
@@ -81,6 +89,9 @@ class DeadReckoningNode(MonitoredNode):
         pose = self._reckoning.camera_pose(base, posture.T_base_camera, frame)
         pose = PoseRecord(pose.stamp, self._frames.map_frame, pose.transform, pose.covariance)
         self._poses.publish(encode_pose(self._types, pose))
+        T_map_odom = base.transform @ invert_transform(posture.T_odom_base)
+        names = self._frames.map_frame, self._motion.odom_frame
+        self._odom_frame.update(TransformRecord(base.stamp, *names, T_map_odom))
         self.health.produced()
 
 

@@ -42,6 +42,7 @@ from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_news import LocalizationNews
 from infomap_ros.nodes.locating.localization_warm_up import warm_up
+from infomap_ros.nodes.locating.odom_frame import MapFrameConfig
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.locating.view_inputs import ViewInputs
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
@@ -73,6 +74,7 @@ class FiducialLocalizationNode(MonitoredNode):
 
     CONFIGS = (
         (FiducialLocalizationConfig, ""),
+        (MapFrameConfig, ""),
         (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
         (TeamRadioConfig, "team_map."),

@@ -22,14 +22,17 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.messages import (
+    TF,
     decode_pose_with_covariance,
+    decode_transforms,
     encode_camera_info,
     encode_joint_state,
     encode_odometry,
     encode_text,
 )
 from infomap_ros.motion import RobotModel
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
 
 CAMERA = "left_camera_optical_frame"
@@ -83,6 +86,22 @@ def test_pose_between_two_odometries(graph: Any) -> None:
     assert (record.stamp, record.frame_id) == (10 * SECOND + SECOND // 10, "map")
     assert record.covariance is not None
     assert (np.diag(record.covariance) > 0.0).all()
+
+
+def test_the_frame_of_odometry_is_placed_in_the_map_again_and_again(graph: Any) -> None:
+    pytest.importorskip("tf2_msgs")
+    frames = graph.collect(message_class(TF), "/tf", qos.stream(100))
+    stage = Stage(graph)
+    stage.tell(10 * SECOND, x=1.0, pan=0.0)
+    stage.look(10 * SECOND)
+
+    graph.spin_until(lambda: len(frames) > 5, "frames")
+
+    edges = [edge for message in frames for edge in decode_transforms(message)]
+    assert {(edge.frame_id, edge.child_frame_id) for edge in edges} == {("map", "odom")}
+    assert edges[0].stamp == 10 * SECOND + SECOND // 2
+    assert len({edge.stamp for edge in edges}) == len(edges)
+    np.testing.assert_allclose(edges[-1].transform, np.eye(4), atol=1e-12)
 
 
 def test_what_is_known_of_the_way_is_forgotten_when_time_goes_back(graph: Any) -> None:

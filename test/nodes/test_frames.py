@@ -9,14 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.geometry import OdometryRecord, TransformRecord
+from infomap_ros.geometry import OdometryRecord, PoseRecord, TransformRecord, make_transform
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.messages import TF, decode_transforms
+from infomap_ros.messages import TF, decode_transforms, encode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import message_class
-from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
-from infomap_ros.nodes.locating.odom_frame import OdomFrameBroadcaster
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.locating.camera_root import CameraRoot
+from infomap_ros.nodes.locating.odom_frame import (
+    MapFrameConfig,
+    OdomFrameBroadcaster,
+    frame_publisher,
+)
 from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES
 
@@ -26,19 +30,21 @@ DESCRIPTION = find_share("config/rover.urdf").read_text("utf-8")
 class FramesNode(MonitoredNode):
     """Publishes all frames of a robot: of its links, of odometry and of the map."""
 
+    CONFIGS = ((MapFrameConfig, ""),)
+
     def __init__(self, **arguments: Any) -> None:
         super().__init__("frames", **arguments)
         simulator: Any = SimpleNamespace(
             description=DESCRIPTION, stamp=1, frame=lambda name: np.eye(4)
         )
         self.frames = SimulatorFrames(self, simulator)
-        self.outputs = LocalizationOutputs(self, "map", publish_tf=True)
+        self.publish_frame = frame_publisher(self)
 
     def publish(self, x: float) -> None:
         pose = np.eye(4)
         pose[0, 3] = x
         self.frames.publish(OdometryRecord(2, "odom", pose, None, "base_link"))
-        self.outputs.publish_frame(TransformRecord(2, "map", "odom", pose))
+        self.publish_frame(TransformRecord(2, "map", "odom", pose))
 
 
 def test_frames_of_two_robots_do_not_meet(graph: Any) -> None:
@@ -105,3 +111,29 @@ def test_while_the_clock_stands_nothing_is_repeated(graph: Any) -> None:
     begin = time.monotonic()
     graph.spin_until(lambda: time.monotonic() - begin > 0.4, "eight periods")
     assert len(sent) == 1
+
+
+def test_without_odometry_the_map_is_above_the_robot_and_no_frame_has_two_parents(
+    graph: Any,
+) -> None:
+    node = graph.add(partial(MonitoredNode, "locates"))
+    root = CameraRoot(node, "map")
+    static = graph.tester.create_publisher(message_class(TF), "/tf_static", qos.latched())
+    moving = graph.tester.create_publisher(message_class(TF), "/tf", qos.stream())
+    mount, arm = make_transform(np.eye(3), [0.1, 0, 0]), make_transform(np.eye(3), [0, 0, 0.7])
+    types = RclpyMessageTypes()
+    static.publish(encode_transforms(types, [TransformRecord(0, "hand", "optical", mount, True)]))
+    pose = PoseRecord(5, "map", make_transform(np.eye(3), [3.0, 2.0, 1.0]), None, "optical")
+
+    def found() -> TransformRecord | None:
+        moving.publish(encode_transforms(types, [TransformRecord(5, "base_link", "hand", arm)]))
+        return root.below_map(pose)
+
+    graph.spin_until(lambda: (edge := found()) and edge.child_frame_id == "base_link", "the base")
+    edge = found()
+    assert edge is not None
+    assert (edge.stamp, edge.frame_id) == (5, "map")
+    np.testing.assert_allclose(edge.transform[:3, 3], [2.9, 2.0, 0.3], atol=1e-12)
+
+    moving.publish(encode_transforms(types, [TransformRecord(6, "map", "odom", np.eye(4))]))
+    graph.spin_until(lambda: root.below_map(pose) is None, "another who places the robot")

@@ -50,18 +50,6 @@ class FiducialLocalizationConfig:
     queue_size: int = parameter(
         10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
-    publish_tf: bool = parameter(
-        True,
-        "Publish /tf: map to the frame of odometry, or where there is no odometry to the camera.",
-    )
-    transform_tolerance: float = parameter(
-        0.5,
-        "The transform from map to odometry, published at 20 Hz, is stamped so far ahead of its "
-        "image: longer than from an image to its pose, so that users of tf need not wait.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
     least_correction: float = parameter(
         0.002,
         "Keyframe poses are told again when one of them has moved by more than this, or turned by "

@@ -8,9 +8,14 @@ from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.localization.localizer import Localisation
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.locating.camera_root import CameraRoot
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
-from infomap_ros.nodes.locating.odom_frame import OdomFrameBroadcaster
+from infomap_ros.nodes.locating.odom_frame import (
+    MapFrameConfig,
+    OdomFrameBroadcaster,
+    frame_publisher,
+)
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
@@ -28,9 +33,11 @@ class LocalizationNews:
         self._node, self._localizer = node, localizer
         self._config = node.config(FiducialLocalizationConfig)
         self._map = node.config(RobotTrackerConfig).map_frame
-        self._outputs = LocalizationOutputs(node, self._map, publish_tf=self._config.publish_tf)
-        tolerance = self._config.transform_tolerance
-        self._odom_frame = OdomFrameBroadcaster(node, self._outputs.publish_frame, tolerance)
+        self._outputs = LocalizationOutputs(node, self._map)
+        tolerance = node.config(MapFrameConfig).transform_tolerance
+        self._publish_frame = frame_publisher(node)
+        self._odom_frame = OdomFrameBroadcaster(node, self._publish_frame, tolerance)
+        self._root = CameraRoot(node, self._map)
         self._state = ""
         self._changes = KeyframeChanges(self._config.least_correction)
         self._told_fiducials = -(2**62)
@@ -68,10 +75,10 @@ class LocalizationNews:
         if posture is not None:
             T_map_odom = pose.transform @ invert_transform(posture.T_odom_camera)
             edge = TransformRecord(pose.stamp, self._map, odom_frame, T_map_odom)
+            self._root.note_own(odom_frame)
             self._odom_frame.update(edge)
-        elif not odom_frame:
-            edge = TransformRecord(pose.stamp, self._map, pose.child_frame_id, pose.transform)
-            self._outputs.publish_frame(edge)
+        elif not odom_frame and (below := self._root.below_map(pose)) is not None:
+            self._publish_frame(below)
 
     def _tell_keyframes(self, result: Localisation) -> None:
         """Keyframes, where there is a new one or one has moved."""

@@ -11,10 +11,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.geometry import PoseRecord, TransformRecord
+from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localisation import Localisation
-from infomap_ros.messages import TF, encode_pose, encode_transforms
+from infomap_ros.messages import encode_pose
 from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
 from infomap_ros.messages.keyframes import (
     KeyframePoses,
@@ -24,7 +24,7 @@ from infomap_ros.messages.keyframes import (
 from infomap_ros.messages.pose_uncertainty import encode_pose_uncertainty
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
 
 _SIZE = 0.04  # of a marker [m]
@@ -36,10 +36,9 @@ class LocalizationOutputs:
     Args:
         node: that publishes.
         map_frame: name of the map's frame.
-        publish_tf: whether frames are published.
     """
 
-    def __init__(self, node: MonitoredNode, map_frame: str, *, publish_tf: bool) -> None:
+    def __init__(self, node: MonitoredNode, map_frame: str) -> None:
         self._types, self._map = RclpyMessageTypes(), map_frame
         self._uncertainties = node.advertise(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
         self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
@@ -48,12 +47,6 @@ class LocalizationOutputs:
         self._fiducials = node.advertise(PointCloud2, "fiducials", qos.latched())
         self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
         self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
-        self._tf = None
-        if publish_tf:
-            try:
-                self._tf = node.advertise(message_class(TF), "/tf", qos.stream(depth=100))
-            except ModuleNotFoundError:
-                node.get_logger().warning("no /tf: tf2_msgs is not installed")
 
     def publish_status(self, result: Localisation) -> None:
         """Publish what became of a view; latched, so that who comes late knows it too."""
@@ -69,11 +62,6 @@ class LocalizationOutputs:
                 encode_pose_uncertainty(self._types, pose.stamp, pose.frame_id, pose.uncertainty)
             )
         self._poses.publish(encode_pose(self._types, pose))
-
-    def publish_frame(self, edge: TransformRecord) -> None:
-        """Publish a transform at its stamp, where frames are published at all."""
-        if self._tf is not None:
-            self._tf.publish(encode_transforms(self._types, [edge]))
 
     def publish_keyframes(self, stamp: int, kept: KeptPoses) -> None:
         """Publish where the camera was at the keyframes, as it is known at `stamp` [ns].

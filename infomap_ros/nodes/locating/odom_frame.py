@@ -10,15 +10,62 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from rclpy.clock import Clock, ClockType
 
 from infomap_ros.geometry import TransformRecord
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.messages import TF, encode_transforms
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 
 PERIOD = 0.05
 """Between two publications [s]: controllers and costmaps of Nav2 look up at 5 to 20 Hz."""
+
+
+@dataclass(frozen=True)
+class MapFrameConfig:
+    """How the map's place in tf is told.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    publish_tf: bool = parameter(
+        True,
+        "Publish /tf: map to the frame of odometry, or where there is no odometry to the topmost "
+        "frame above the camera.",
+    )
+    transform_tolerance: float = parameter(
+        0.5,
+        "The transform from map to odometry, published at 20 Hz, is stamped so far ahead of its "
+        "image: longer than from an image to its pose, so that users of tf need not wait.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def frame_publisher(node: MonitoredNode) -> Callable[[TransformRecord], None]:
+    """What publishes a transform on /tf; nothing where that is not wanted or has no messages.
+
+    Args:
+        node: has a `MapFrameConfig`.
+    """
+    if not node.config(MapFrameConfig).publish_tf:
+        return lambda _: None
+    try:
+        publisher = node.advertise(message_class(TF), "/tf", qos.stream(depth=100))
+    except ModuleNotFoundError:
+        node.get_logger().warning("no /tf: tf2_msgs is not installed")
+        return lambda _: None
+    types = RclpyMessageTypes()
+    return lambda edge: publisher.publish(encode_transforms(types, [edge]))
 
 
 class OdomFrameBroadcaster:

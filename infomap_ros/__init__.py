@@ -1,9 +1,6 @@
 """Information-driven stereo mapping for mobile manipulators with ROS 2.
 
-import infomap_ros
-
-rocks = infomap_ros.map_bag("bags/rover_rocks")
-rocks.show()
+``infomap_ros.map_bag("bags/rover_rocks").show()`` maps a bag and opens the map in a browser.
 """
 
 from importlib import import_module as _import_module

@@ -41,8 +41,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     python = folder / "env" / "bin" / "python"
     own = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))",
                    folder=folder).strip())  # fmt: skip
-    # a path without the .pth files in it, of which one would lead to this checkout
-    (own / "shared.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    # the paths without the .pth files in them, of which one would lead to this checkout
+    shared = [path for path in sys.path if path.startswith(sysconfig.get_path("purelib"))]
+    (own / "shared.pth").write_text("\n".join(shared) + "\n")
     run(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, folder=folder)
     return folder
 

@@ -87,8 +87,12 @@ def takes_topics(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
 
 def _topic(name: str) -> Any:
     """The option of a topic."""
-    told = {"show_default": False, "metavar": "TOPIC", "rich_help_panel": "Topics"}
-    return Annotated[str, typer.Option(help=_TOPICS[name], **told)]  # type: ignore[call-overload]
+    return Annotated[
+        str,
+        typer.Option(
+            help=_TOPICS[name], show_default=False, metavar="TOPIC", rich_help_panel="Topics"
+        ),
+    ]
 
 
 def lists_settings(options: Callable[[], Any]) -> Any:

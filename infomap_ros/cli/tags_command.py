@@ -4,7 +4,7 @@ import csv
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import cv2
 import typer
@@ -73,9 +73,8 @@ def _positions(found: Tags, side: float, files: list[Path], size: tuple[int, int
     k = raw.intrinsics
     camera = PinholeCamera(raw.width, raw.height, k[0, 0], k[1, 1], k[0, 2], k[1, 2])
     flat = found.corners.reshape(-1, 1, 2)
-    undistort = cv2.undistortPoints
-    if raw.distortion_model == "equidistant":
-        undistort = cv2.fisheye.undistortPoints
+    is_fisheye = raw.distortion_model == "equidistant"
+    undistort: Any = cv2.fisheye.undistortPoints if is_fisheye else cv2.undistortPoints
     straight = undistort(flat, k, raw.distortion[:14], P=k).reshape(-1, 4, 2)
     places = tag_positions(found._replace(corners=straight), side, camera)
     return [" ".join(f"{value:.4f}" for value in place) for place in places]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def map_bag(
     """
     options = options or MapOptions()
     sizes = {"voxel_size": voxel_size, "max_range": max_range}
-    given = {name: value for name, value in sizes.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in sizes.items() if value is not None}
     options = replace(options, map=replace(options.map, **given))
     with open_recording(path, _files(calibration)) as recording:
         run = MapRun(recording, options)

@@ -187,11 +187,16 @@ def test_pointing_at_a_candidate_tells_its_rating_and_a_click_its_terms(page: Br
     assert "localization error" in details(page)
 
 
+def test_it_opens_at_the_first_view(page: Browser) -> None:
+    assert page.evaluate("document.getElementById('step').value") == "0"
+    assert "View 0" in details(page) or "View 1" in details(page)
+
+
 def test_stepping_shows_other_candidates(page: Browser) -> None:
     for layer in ("surface", "axes", "base", "camera", "views"):
         click(page, f"input[name={layer}]")
     before = picture(page)
-    click(page, "#before")
+    click(page, "#after")
     assert changed(before, picture(page)) > 1e-3
 
 

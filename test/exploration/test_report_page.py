@@ -32,6 +32,7 @@ from infomap_ros.exploration.reports.report_page.surface import (
     SIGMA_RANGE,
     drawn_surface,
 )
+from infomap_ros.exploration.reports.report_page.tables import kind_of
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 
@@ -194,6 +195,12 @@ def test_rejections_are_counted_by_reason(report: str) -> None:
                 kind = candidate["rejection"].split(":")[0]
                 counts[kind] = counts.get(kind, 0) + 1
     assert {row[0]: int(row[1].replace(",", "")) for row in rows} == counts
+
+
+def test_reasons_that_differ_in_a_number_are_one_row() -> None:
+    stances = [f"the arm is free at none of {count} stances: mostly arm" for count in (50, 13, 5)]
+    assert {kind_of(reason) for reason in stances} == {"the arm is free at none of N stances"}
+    assert kind_of("in collision: wheel") == "in collision"
 
 
 def test_text_of_the_log_cannot_become_markup(tmp_path: Path, voxel_map: VoxelMap) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.studies.common.bands import band, curve_band, ratio_band
 from infomap_ros.studies.common.runs import Kept, run_all
 from infomap_ros.studies.common.tables import markdown
@@ -83,6 +84,11 @@ def test_only_what_is_kept_is_returned_where_nothing_is_computed(tmp_path: Path)
     results = run_all(tasks, kept, 1, seen.append, compute=False)
     assert list(results) == [tasks[1]]
     assert seen == [1]
+
+
+def test_nothing_kept_and_nothing_computed_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"--draw-only: .* holds no run"):
+        run_all([Doubling(1)], Kept(tmp_path, Doubled), 1, compute=False)
 
 
 def test_markdown_table() -> None:

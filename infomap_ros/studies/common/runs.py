@@ -15,6 +15,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from infomap_ros.errors import InvalidInputError
+
 Result = TypeVar("Result")
 Result_co = TypeVar("Result_co", covariant=True)
 
@@ -92,10 +94,15 @@ def run_all(
 
     Returns:
         Results by task, in the order of the tasks.
+
+    Raises:
+        InvalidInputError: nothing is to be computed, and nothing is found.
     """
     kept.folder.mkdir(parents=True, exist_ok=True)
     found = {task: kept.load(task) for task in tasks}
     done = sum(result is not None for result in found.values())
+    if not done and not compute:
+        raise InvalidInputError("--draw-only", f"{kept.folder} holds no run of this study")
     if progress is not None:
         progress(done)
     missing = [task for task, result in found.items() if result is None] if compute else []

@@ -1,0 +1,63 @@
+"""Tags in photos are found, drawn and placed."""
+
+from __future__ import annotations
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from infomap_ros.cli.late_commands import new_app
+from infomap_ros.cli.tags_command import tags
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_drawing import draw_board
+
+SIDE, FOCAL = 0.1, 600.0
+BOARD = TagBoardConfig(family="tag25h9", side=SIDE, columns=2, rows=1, gap=0.04, first_id=7)
+PIXELS_PER_METRE = 1000.0
+"""Of the photo, which is the board straight on: it is at FOCAL / PIXELS_PER_METRE = 0.6 m."""
+
+
+@pytest.fixture
+def photo(tmp_path):
+    board = draw_board(BOARD, PIXELS_PER_METRE)
+    page = np.full((480, 640), 255, np.uint8)
+    height, width = board.shape
+    page[100 : 100 + height, 150 : 150 + width] = board
+    cv2.imwrite(str(tmp_path / "photo.jpg"), cv2.GaussianBlur(page, (0, 0), 0.7))
+    return tmp_path / "photo.jpg"
+
+
+def run(*arguments: object):
+    app = new_app("")
+    app.command()(tags)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_tags_are_found_drawn_and_placed(photo, tmp_path):
+    (tmp_path / "k.txt").write_text(f"{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n")
+    out = tmp_path / "out"
+    done = run(photo, "--out", out, "--side", SIDE, "--calibration", tmp_path / "k.txt")
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader((out / "tags.csv").open(encoding="utf-8")))
+    assert sorted(int(row["id"]) for row in rows) == [7, 8]
+    assert {row["family"] for row in rows} == {"tag25h9"}
+    for row in rows:
+        x, y, z = map(float, row["x y z [m]"].split())
+        middle = np.mean([[float(row[f"{axis}{i}_px"]) for axis in "uv"] for i in range(4)], axis=0)
+        assert z == pytest.approx(0.6, rel=0.01)
+        seen = (middle - [319.5, 239.5]) / FOCAL * z
+        assert (x, y) == pytest.approx(tuple(seen), abs=0.003)
+    drawn, before = cv2.imread(str(out / "photo_tags.png")), cv2.imread(str(photo))
+    assert drawn.shape == before.shape
+    assert (np.abs(drawn.astype(int) - before).max(axis=2) > 50).sum() > 300
+
+
+def test_a_photo_without_tags_is_said(tmp_path):
+    cv2.imwrite(str(tmp_path / "blank.png"), np.full((200, 200), 128, np.uint8))
+    done = run(tmp_path / "blank.png", "--out", tmp_path / "out")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "no tag of any family was found" in str(done.exception)

@@ -20,7 +20,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.errors import BagError, InfomapError
+from infomap_ros.errors import BagError, ConfigError, InfomapError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.messages import encode_clock
 from infomap_ros.nodes.bag_topics import advertise_topics
@@ -81,6 +81,8 @@ class BagPlayerNode(MonitoredNode):
         super().__init__("bag_player", **node_arguments)
         self._config = self.config(BagPlayerNodeConfig)
         self.finished: Future = Future()
+        if not self._config.bag:
+            raise ConfigError("bag", "", "a bag to play")
         self._reader = BagReader(self._config.bag)
         wanted = set(self._config.topics or self._reader.topics) - set(self._config.left_out)
         self._outlets = advertise_topics(self, self._reader, wanted)
@@ -180,7 +182,8 @@ class BagPlayerNode(MonitoredNode):
             remarks.append(f"{lost} messages of {self._config.paced_topic} were lost")
         for text in [*self._reader.problems, *remarks]:
             self.get_logger().warning(text)
-        self.get_logger().info(f"played {self._player.published} messages")
+        count = self._player.published
+        self.get_logger().info(f"played {count} messages; this ends, other nodes stay")
 
     def destroy_node(self) -> None:
         """Stop playing and close the bag."""

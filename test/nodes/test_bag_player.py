@@ -247,3 +247,8 @@ def test_what_is_no_bag_is_refused_by_name(graph: Any, tmp_path: Path, name: str
 def test_an_impossible_rate_is_refused_by_name(graph: Any, bag: Path) -> None:
     with pytest.raises(ConfigError, match="'rate'"):
         graph.add(BagPlayerNode, bag=str(bag), rate=0.0)
+
+
+def test_a_player_without_a_bag_names_the_parameter(graph: Any) -> None:
+    with pytest.raises(ConfigError, match="'bag'"):
+        graph.add(BagPlayerNode)

@@ -78,6 +78,18 @@ class MalformedMessageError(InfomapError, ValueError):
         self.problem = problem
 
 
+class SensorFaultError(InfomapError, RuntimeError):
+    """What a sensor delivers is not what it should be; nothing is measured by it meanwhile.
+
+    Attributes:
+        fault: its name, for counting.
+    """
+
+    def __init__(self, fault: str) -> None:
+        super().__init__(f"camera fault: {fault}")
+        self.fault = fault
+
+
 class FrameError(InfomapError, LookupError):
     """A coordinate frame is unknown or two frames that must agree do not."""
 

@@ -102,6 +102,8 @@ class Mission:
             look_poses(mission.looks)
         except (
             OSError,
+            OverflowError,
+            RecursionError,
             ValueError,
             KeyError,
             TypeError,

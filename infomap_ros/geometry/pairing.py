@@ -10,13 +10,15 @@ from infomap_ros.geometry.records import Record
 First = TypeVar("First", bound=Record)
 Second = TypeVar("Second", bound=Record)
 Either = TypeVar("Either", bound=Record)
+Other = TypeVar("Other", bound=Record)
 
 
 class StampPairing(Generic[First, Second]):
     """Match each record of one stream with the one of the other that was taken with it.
 
-    Within a stream stamps increase, so a record older than a matched pair can never be paired
-    any more and is dropped.
+    What was taken together comes in the same order on both streams. So what came before a matched
+    pair can never be paired any more and is dropped, whatever its stamp says: a stamp that is
+    wrong, or a clock that jumps, costs the records that have it and no others.
 
     Args:
         tolerance: largest difference of the two stamps [ns]; 0 pairs equal stamps only.
@@ -35,21 +37,13 @@ class StampPairing(Generic[First, Second]):
 
     def add_first(self, record: First) -> tuple[First, Second] | None:
         """Add a record of the first stream; returns the pair that it completes, if any."""
-        partner = self._nearest(record.stamp, self._second)
-        if partner is None:
-            self._keep(record, self._first)
-            return None
-        self._discard(record.stamp, partner.stamp)
-        return record, partner
+        partner = self._take_partner(record, self._first, self._second)
+        return None if partner is None else (record, partner)
 
     def add_second(self, record: Second) -> tuple[First, Second] | None:
         """Add a record of the second stream; returns the pair that it completes, if any."""
-        partner = self._nearest(record.stamp, self._first)
-        if partner is None:
-            self._keep(record, self._second)
-            return None
-        self._discard(partner.stamp, record.stamp)
-        return partner, record
+        partner = self._take_partner(record, self._second, self._first)
+        return None if partner is None else (partner, record)
 
     def clear(self) -> int:
         """Forget all unpaired records, for example when the clock jumped; returns how many."""
@@ -59,25 +53,28 @@ class StampPairing(Generic[First, Second]):
         self.unpaired += count
         return count
 
-    def _nearest(self, stamp: int, others: deque[Either]) -> Either | None:
-        near = [other for other in others if abs(other.stamp - stamp) <= self._tolerance]
-        return min(near, key=lambda other: abs(other.stamp - stamp), default=None)
+    def _take_partner(
+        self, record: Either, earlier: deque[Either], others: deque[Other]
+    ) -> Other | None:
+        """The nearest in time among the others, or none: then the record waits.
 
-    def _discard(self, first_stamp: int, second_stamp: int) -> None:
-        """Forget everything up to the matched pair; one of the two is among them."""
-        removed = _pop_until(self._first, first_stamp) + _pop_until(self._second, second_stamp)
-        self.unpaired += removed - 1
+        Of several with the same difference the one that came first is meant: a bag that starts
+        again has each stamp twice.
+        """
+        gaps = [abs(other.stamp - record.stamp) for other in others]
+        nearest = min(gaps, default=self._tolerance + 1)
+        if nearest > self._tolerance:
+            self._keep(record, earlier)
+            return None
+        self.unpaired += len(earlier)
+        earlier.clear()
+        for _ in range(gaps.index(nearest)):
+            others.popleft()
+            self.unpaired += 1
+        return others.popleft()
 
     def _keep(self, record: Either, queue: deque[Either]) -> None:
         queue.append(record)
         if len(queue) > self._capacity:
             queue.popleft()
             self.unpaired += 1
-
-
-def _pop_until(queue: deque[Either], stamp: int) -> int:
-    removed = 0
-    while queue and queue[0].stamp <= stamp:
-        queue.popleft()
-        removed += 1
-    return removed

@@ -108,8 +108,8 @@ class PoseBuffer:
 
         Raises:
             PoseUnavailableError: the stamp is older than the oldest pose, newer than the newest,
-                or between two poses more than `max_gap` apart. Its `reason` says which, and
-                `may_arrive` whether a later pose can change that.
+                or between two poses more than `max_gap` apart or of different origins. Its
+                `reason` says which, and `may_arrive` whether a later pose can change that.
         """
         place = bisect_left(self._stamps, stamp)
         if place < len(self._stamps) and self._stamps[place] == stamp:
@@ -142,6 +142,11 @@ class PoseBuffer:
                 f"more than {self.config.max_gap} s",
                 "gap between poses",
             )
+        if _origin(before) != _origin(after):
+            raise PoseUnavailableError(
+                f"stamp {stamp} ns lies between poses in maps of different origins",
+                "the map began anew",
+            )
         fraction = (stamp - before.stamp) / gap
         return PoseRecord(
             stamp,
@@ -168,4 +173,9 @@ def _mean_uncertainty(
         return None
     names = ("drift", "white", "offset", "clock")
     pairs = ((getattr(first, name), getattr(second, name)) for name in names)
-    return PoseUncertainty(*((1.0 - fraction) * one + fraction * other for one, other in pairs))
+    means = ((1.0 - fraction) * one + fraction * other for one, other in pairs)
+    return PoseUncertainty(*means, origin=first.origin)
+
+
+def _origin(pose: PoseRecord) -> int:
+    return 0 if pose.uncertainty is None else pose.uncertainty.origin

@@ -46,6 +46,8 @@ class PoseUncertainty:
         white: shape (6, 6).
         offset: shape (6, 6).
         clock: dimensionless, never decreasing from one pose to the next.
+        origin: names the origin of the map that the pose is in; 0 where it is not known. Poses
+            with different names are not in one map, whatever their frame is called.
 
     Raises:
         InvalidInputError: a part is no covariance.
@@ -55,6 +57,7 @@ class PoseUncertainty:
     white: FloatArray = field(default_factory=_no_covariance)
     offset: FloatArray = field(default_factory=_no_covariance)
     clock: float = 0.0
+    origin: int = 0
 
     def __post_init__(self) -> None:
         for name in ("drift", "white", "offset"):
@@ -82,7 +85,8 @@ class PoseUncertainty:
         of_drift, of_white = np.trace(inverse @ self.drift), np.trace(inverse @ self.white)
         share = of_drift / (of_drift + of_white) if of_white > 0.0 else 1.0
         left = positive_part(total - self.offset)
-        return PoseUncertainty(share * left, (1.0 - share) * left, self.offset, self.clock)
+        kept = self.offset, self.clock, self.origin
+        return PoseUncertainty(share * left, (1.0 - share) * left, *kept)
 
     def offset_at_origin(self, position: ArrayLike) -> FloatArray:
         """The offset told for the map's origin, shape (6, 6); `position` is the camera's [m]."""

@@ -29,11 +29,13 @@ class SavedLocalisation:
     Attributes:
         state: of `Localizer.state`.
         posture: None where odometry was not known.
+        origin: of the map, as in `PoseUncertainty`.
         has_keyframes: whether the stamps of the kept poses mean anything.
     """
 
     state: Mapping[str, NDArray[Any]]
     posture: RobotPosture | None
+    origin: int = 0
     has_keyframes: bool = True
 
     @property
@@ -48,6 +50,7 @@ class SavedLocalisation:
             MapFileError: the file cannot be written.
         """
         arrays = {f"localizer.{name}": np.asarray(array) for name, array in self.state.items()}
+        arrays["origin"] = np.array(self.origin)
         if self.posture is not None:
             arrays["T_odom_base"] = self.posture.T_odom_base
             arrays["T_base_camera"] = self.posture.T_base_camera
@@ -61,14 +64,14 @@ class SavedLocalisation:
             MapFileError: the file is missing, corrupt, or of another kind.
         """
         config, arrays = read_map_file(path)
-        if config.get("kind") != _KIND:
+        if config.get("kind") != _KIND or "origin" not in arrays:
             raise MapFileError(f"{path} holds no localisation")
         prefix = "localizer."
         state = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         posture = None
         if "T_odom_base" in arrays and "T_base_camera" in arrays:
             posture = RobotPosture(arrays["T_odom_base"], arrays["T_base_camera"])
-        return cls(state, posture)
+        return cls(state, posture, int(arrays["origin"]))
 
     def without_pose(self) -> SavedLocalisation:
         """The same knowledge of the scene; where the camera is has to be found out.
@@ -76,7 +79,8 @@ class SavedLocalisation:
         As for a camera that was carried elsewhere, or a clock that was set back.
         """
         anytime = {"stamp": np.array(-(2**62)), "was_known": np.array(False)}
-        return SavedLocalisation({**self.state, **anytime}, None, has_keyframes=False)
+        state = {**self.state, **anytime}
+        return SavedLocalisation(state, None, self.origin, has_keyframes=False)
 
     def resume(self, localizer: Localizer) -> None:
         """Have a localizer go on from here.

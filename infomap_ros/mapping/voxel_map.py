@@ -25,6 +25,8 @@ from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, s
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
 
+_ORIGIN_ARRAY = "origin"  # in a map file
+
 
 class VoxelMap:
     """Sparse, unbounded map: occupancy everywhere it was looked, a Gaussian where a surface is.
@@ -32,6 +34,9 @@ class VoxelMap:
     Voxel (i, j, k) is the cube from ``(i, j, k) * voxel_size`` to ``(i + 1, j + 1, k + 1) *
     voxel_size`` in the map frame [m]. Scans may come in any order: occupancy is the same to the
     bit, means of Gaussians within rounding; their covariances assume that clocks seldom go back.
+
+    Attributes:
+        origin: names the origin of the map frame, as in `PoseUncertainty`; 0 where not known.
     """
 
     def __init__(self, config: VoxelMapConfig | None = None) -> None:
@@ -39,6 +44,7 @@ class VoxelMap:
         self._storage = MapStorage()
         self._clock = MotionClock()
         self._integrator = ScanIntegrator(self.config)
+        self.origin = 0
 
     def __repr__(self) -> str:
         size, known, surface = self.config.voxel_size, self.known_voxels, self.surface_voxels
@@ -81,6 +87,7 @@ class VoxelMap:
         known = self.pose_uncertainty(pose_covariance, T_map_sensor)
         given = points, T_map_sensor, covariances, known, camera
         scan = scan_input.checked_scan(*given, config.default_sigma)
+        scan_input.check_within_limits(scan.transform, config.voxel_size)
         report = self._integrator.integrate(self._storage, scan, correlation)
         if isinstance(pose_covariance, PoseUncertainty):
             put_offset(self._storage, pose_covariance.offset_at_origin(scan.transform[:3, 3]))
@@ -279,6 +286,7 @@ class VoxelMap:
     def save(self, path: str | Path) -> None:
         """Write the map to one file, atomically. Scans that come later share no errors with it."""
         state = {name: array for name, array in self.state().items() if name != MEMORY_ARRAY}
+        state[_ORIGIN_ARRAY] = np.array(self.origin, np.uint32)
         write_map_file(Path(path), dataclasses.asdict(self.config), state)
 
     @classmethod
@@ -293,7 +301,9 @@ class VoxelMap:
             config = VoxelMapConfig(**parameters)
         except (TypeError, ConfigError) as error:
             raise MapFileError(f"{path}: its configuration is not valid: {error}") from error
-        return cls.from_state(config, state)
+        loaded = cls.from_state(config, state)
+        loaded.origin = int(state.get(_ORIGIN_ARRAY, np.zeros(())).max(initial=0))
+        return loaded
 
     def _quanta(self, points: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
         places = scan_input.checked_points(points, "points")

@@ -32,6 +32,7 @@ class KeyframePoses:
         stamps: of the keyframes, shape (K,), int64 [ns].
         transforms: pose of the camera at each, shape (K, 4, 4).
         covariances: of the poses in that frame, shape (K, 6, 6); None where not known.
+        origin: of the map, as in `PoseUncertainty`; 0 where not known.
     """
 
     stamp: int
@@ -39,6 +40,7 @@ class KeyframePoses:
     stamps: NDArray[np.int64]
     transforms: FloatArray
     covariances: FloatArray | None = None
+    origin: int = 0
 
 
 KEYFRAME_ROW = np.dtype(
@@ -48,10 +50,12 @@ KEYFRAME_ROW = np.dtype(
         ("z", "<f4"),
         ("sec", "<i4"),
         ("nanosec", "<u4"),
+        ("origin", "<u4"),
         ("covariance", "<f8", (36,)),
     ]
 )
-"""A keyframe: its position [m], its stamp, and the covariance of its pose, row by row."""
+"""A keyframe: its position [m], its stamp, the origin of the map, and the covariance of its pose,
+row by row."""
 
 
 def encode_keyframe_covariances(types: MessageTypes, record: KeyframePoses) -> Any:
@@ -65,26 +69,31 @@ def encode_keyframe_covariances(types: MessageTypes, record: KeyframePoses) -> A
     rows = np.zeros(len(record.stamps), KEYFRAME_ROW)
     rows["x"], rows["y"], rows["z"] = record.transforms[:, :3, 3].T
     rows["sec"], rows["nanosec"] = np.divmod(record.stamps, 1_000_000_000)
+    rows["origin"] = record.origin
     rows["covariance"] = record.covariances.reshape(-1, 36)
     return encode_rows(types, record.stamp, record.frame_id, rows)
 
 
 def decode_keyframe_covariances(
     message: object,
-) -> tuple[int, NDArray[np.int64], FloatArray]:
+) -> tuple[int, int, NDArray[np.int64], FloatArray]:
     """Read what `encode_keyframe_covariances` wrote.
 
     Returns:
-        Stamp of the message, stamps of the keyframes, shape (K,) [ns], and covariances (K, 6, 6).
+        Stamp of the message, origin of the map, stamps of the keyframes, shape (K,) [ns], and
+        covariances (K, 6, 6).
 
     Raises:
-        MalformedMessageError: it has other fields.
+        MalformedMessageError: it has other fields, or rows of different origins.
     """
     stamp, _, rows = decode_rows(message)
     if rows.dtype != KEYFRAME_ROW:
         raise MalformedMessageError(POINT_CLOUD, "does not hold covariances of keyframes")
+    origins = {int(origin) for origin in rows["origin"]}
+    if len(origins) > 1:
+        raise MalformedMessageError(POINT_CLOUD, "holds keyframes of different origins")
     stamps = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"]
-    return stamp, stamps, np.array(rows["covariance"]).reshape(-1, 6, 6)
+    return stamp, max(origins, default=0), stamps, np.array(rows["covariance"]).reshape(-1, 6, 6)
 
 
 def encode_keyframe_poses(types: MessageTypes, record: KeyframePoses) -> Any:

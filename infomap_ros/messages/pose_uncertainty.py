@@ -22,9 +22,9 @@ _UPPER = np.triu_indices(6)
 _PARTS = ("drift", "white", "offset")
 
 POSE_UNCERTAINTY_ROW = np.dtype(
-    [("clock", "<f8"), *((part, "<f8", (len(_UPPER[0]),)) for part in _PARTS)]
+    [("clock", "<f8"), ("origin", "<u4"), *((part, "<f8", (len(_UPPER[0]),)) for part in _PARTS)]
 )
-"""The clock and the upper triangle, row by row, of each part of `PoseUncertainty` [m, rad]."""
+"""Clock, origin and the upper triangle, row by row, of each part of `PoseUncertainty` [m, rad]."""
 
 
 def encode_pose_uncertainty(
@@ -39,7 +39,7 @@ def encode_pose_uncertainty(
         uncertainty: of the pose.
     """
     rows = np.zeros(1, POSE_UNCERTAINTY_ROW)
-    rows["clock"] = uncertainty.clock
+    rows["clock"], rows["origin"] = uncertainty.clock, uncertainty.origin
     for part in _PARTS:
         rows[part] = getattr(uncertainty, part)[_UPPER]
     return encode_rows(types, stamp, frame_id, rows)
@@ -63,7 +63,8 @@ def decode_pose_uncertainty(message: object) -> tuple[int, str, PoseUncertainty]
         raise MalformedMessageError(POINT_CLOUD, f"the clock reads {clock}")
     try:
         drift, white, offset = (_symmetric(rows[part][0]) for part in _PARTS)
-        return stamp, frame_id, PoseUncertainty(drift, white, offset, clock)
+        origin = int(rows["origin"][0])
+        return stamp, frame_id, PoseUncertainty(drift, white, offset, clock, origin)
     except (InvalidInputError, np.linalg.LinAlgError) as error:
         raise MalformedMessageError(POINT_CLOUD, str(error)) from error
 

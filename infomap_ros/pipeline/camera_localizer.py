@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, make_transform
+from infomap_ros.errors import InvalidInputError, SensorFaultError
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, invert_transform, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
@@ -19,6 +21,11 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.mapping import VoxelMap
+
+TARGET_ORIGIN = 1
+"""Names the origin of each map whose frame is that of the target: it is the same whoever begins."""
+
+_FROZEN_WAY, _FROZEN_TURN = 0.03, 0.03  # [m, rad]: beyond what odometry drifts in an image or two
 
 _LEAST_SIGMA = 1e-4
 """Of a pose that defines the map [m and rad]: in messages a covariance of zero means unknown."""
@@ -52,6 +59,8 @@ class CameraLocalizer:
         self._posture: RobotPosture | None = None
         self._saved: SavedLocalisation | None = None
         self._is_tracking = True
+        self._origin = 0
+        self._still: tuple[NDArray[np.uint8], RobotPosture] | None = None
 
     def locate(
         self,
@@ -72,8 +81,10 @@ class CameraLocalizer:
 
         Raises:
             InvalidInputError: the view is not later than those before.
+            SensorFaultError: the image is that of a view before, and the robot has moved since.
             MapFileError: what was saved does not fit; it is given up.
         """
+        self._check_frozen(view, posture)
         if self._localizer is None or view.camera != self._camera:
             self._begin(view, posture)
         assert self._localizer is not None
@@ -81,7 +92,23 @@ class CameraLocalizer:
         self._posture = posture
         result = self._localizer.locate(view, prior, voxel_map, body=body, others=others)
         self._is_tracking = result.state == "tracking"
-        return result
+        if result.uncertainty is None:
+            return result
+        return replace(result, uncertainty=replace(result.uncertainty, origin=self._origin))
+
+    def _check_frozen(self, view: RangeView, posture: RobotPosture | None) -> None:
+        """Notice that images stand still while odometry and joints do not.
+
+        Two images of a camera are never the same to the last bit.
+        """
+        still = self._still
+        if posture is None or still is None or not np.array_equal(view.image, still[0]):
+            self._still = None if posture is None else (view.image, posture)
+            return
+        moved = invert_transform(still[1].T_odom_camera) @ posture.T_odom_camera
+        turn = float(Rotation.from_matrix(moved[:3, :3]).magnitude())
+        if float(np.linalg.norm(moved[:3, 3])) > _FROZEN_WAY or turn > _FROZEN_TURN:
+            raise SensorFaultError("images are frozen while odometry moves")
 
     def _prior(self, posture: RobotPosture | None) -> MotionPrior | None:
         """Expected motion since the last view; None where odometry does not tell.
@@ -96,7 +123,7 @@ class CameraLocalizer:
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""
-        self._localizer = self._posture = self._saved = None
+        self._localizer = self._posture = self._saved = self._still = None
         self._is_tracking = True
 
     def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
@@ -119,7 +146,7 @@ class CameraLocalizer:
         """What is known, for a file; None before the first view."""
         if self._localizer is None:
             return self._saved
-        return SavedLocalisation(self._localizer.state(), self._posture)
+        return SavedLocalisation(self._localizer.state(), self._posture, self._origin)
 
     def resume(self, saved: SavedLocalisation) -> None:
         """Go on from what was saved, with the next view."""
@@ -140,10 +167,12 @@ class CameraLocalizer:
         self._camera = view.camera
         saved, self._saved = self._saved, None
         if saved is None:
+            self._origin = TARGET_ORIGIN if self._config.detector is not None else origin_of(view)
             return
         if saved.stamp >= view.stamp:
             saved = saved.without_pose()
         saved.resume(self._localizer)
+        self._origin = saved.origin
         self._posture = saved.posture
 
     def _make(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
@@ -155,6 +184,16 @@ class CameraLocalizer:
             sigmas += [kinematics.kinematics_rotation_sigma] * 3
         covariance = np.diag(np.square(sigmas))
         return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)
+
+
+def origin_of(view: RangeView) -> int:
+    """Names the origin of a map by the view with which it begins.
+
+    A bag that starts again begins with the same view, so its map goes on; a camera that begins
+    anew elsewhere sees another image at another time.
+    """
+    named = zlib.crc32(np.ascontiguousarray(view.image).tobytes(), view.stamp & 0xFFFFFFFF)
+    return max(named, TARGET_ORIGIN + 1)
 
 
 def looking_along_x(tilt: float) -> FloatArray:

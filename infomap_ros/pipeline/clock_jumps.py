@@ -1,4 +1,6 @@
-"""Clocks that jump back, as when a bag starts again: nothing on its way is lost, nothing is mixed.
+"""Clocks that jump, as when a bag starts again: nothing on its way is lost, nothing is mixed.
+
+A clock has jumped when several messages say so. A single wrong stamp is no jump.
 
 Streams of one source do not jump at the same moment: a cloud is measured later than its pose. So
 what was known before a jump is kept until the last stream has jumped too, and is used only for
@@ -7,19 +9,26 @@ data that are from before the jump.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from statistics import median
 from typing import Generic, Protocol, TypeVar
 
-from infomap_ros.geometry import ImageRecord, Record
-from infomap_ros.geometry.pairing import StampPairing
+from infomap_ros.geometry import Record
 
 CLOCK_JUMP = 1_000_000_000
 """Images and odometry older than the newest by more than this have jumped back [ns]."""
+
+LONE_STAMP = "lone stamp"
+"""Why a datum is dropped whose stamp no other agrees with."""
+
+_STEPS = 5  # last ones, whose median is the pace of a stream: two wrong ones do not change it
 
 Kept_contra = TypeVar("Kept_contra", bound=Record, contravariant=True)
 Kept = TypeVar("Kept", bound=Record)
 Found_co = TypeVar("Found_co", covariant=True)
 Found = TypeVar("Found")
+Item = TypeVar("Item")
 
 
 class Buffer(Protocol[Kept_contra, Found_co]):
@@ -69,46 +78,105 @@ class JumpingBuffer(Generic[Kept, Found]):
             self._newest = None
 
 
-class JumpingPairs:
-    """Pairs images of two streams by stamp, each only with one from the same side of a jump.
+class ClockGate(Generic[Item]):
+    """Lets data of one stream pass once their stamps are to be believed.
 
-    What still waits for its partner when both streams have jumped is dropped.
+    A stamp that goes on from those before passes at once. One that steps, back by more than
+    `CLOCK_JUMP` or ahead by more than the stream's own pace explains, is held until it is known
+    whether the clock has jumped or the stamp alone is wrong. The next datum tells: it goes on
+    from the step, or from before it. So may another stream (`agree`), or for a step ahead the
+    time that has passed where the data are received. A lone stamp is dropped.
 
     Args:
-        tolerance: largest difference of the stamps of a pair [ns].
-        jump: an image older than the newest of its stream by more than this has jumped back [ns].
-        on_drop: told why, for each image that is dropped.
+        on_drop: called with the reason, in short and in a sentence, of each datum that is dropped.
+        clock: time of the machine [s]; None where data come faster than they were taken.
     """
 
-    def __init__(self, tolerance: int, jump: int, on_drop: Callable[[str], None]) -> None:
-        self._tolerance, self._jump, self._on_drop = tolerance, jump, on_drop
-        self._newest = [0, 0]
-        self._rounds = [0, 0]
-        self._pairings: dict[int, StampPairing[ImageRecord, ImageRecord]] = {}
+    def __init__(
+        self,
+        on_drop: Callable[[str, str], None] = lambda *_: None,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        self._on_drop, self._clock = on_drop, clock
+        self._newest: int | None = None
+        self._steps: deque[int] = deque(maxlen=_STEPS)
+        self._held: list[tuple[int, Item]] = []
+        self._passed_at = 0.0
 
-    def add(self, side: int, image: ImageRecord) -> tuple[ImageRecord, ImageRecord] | None:
-        """Add an image of the first (0) or second (1) stream; returns the pair it completes."""
-        if image.stamp < self._newest[side] - self._jump:
-            self._newest[side] = image.stamp
-            self._rounds[side] += 1
-            self._drop_finished_rounds()
-        self._newest[side] = max(self._newest[side], image.stamp)
-        pairing = self._pairings.setdefault(self._rounds[side], StampPairing(self._tolerance))
-        before = pairing.unpaired
-        pair = pairing.add_second(image) if side else pairing.add_first(image)
-        for _ in range(pairing.unpaired - before):
-            self._on_drop("no partner")
-        return pair
+    def add(self, stamp: int, item: Item) -> list[tuple[Item, bool]]:
+        """Add a datum with its stamp [ns].
 
-    def drop_all(self, reason: str) -> None:
-        """Drop every image that still waits for its partner, for one reason."""
-        self._drop(list(self._pairings), reason)
+        Returns:
+            What may pass now, in its order, each with whether the clock has jumped back to it.
+        """
+        if self._newest is None or self._goes_on(self._newest, stamp) or self._took_so_long(stamp):
+            self._drop_held()
+            return [self._pass(stamp, item)]
+        if self._held and self._goes_on(self._held[-1][0], stamp):
+            self._drop_held(but=1)
+            return [*self._release(), self._pass(stamp, item)]
+        if self._held and self._is_pace(stamp):
+            return [*self._release(), self._pass(stamp, item)]
+        may_show_pace = self._held and self._held[-1][0] < stamp
+        self._drop_held(but=1 if may_show_pace else 0)
+        self._held.append((stamp, item))
+        return []
 
-    def _drop_finished_rounds(self) -> None:
-        finished = [number for number in self._pairings if number < min(self._rounds)]
-        self._drop(finished, "time went backwards")
+    def agree(self, stamp: int) -> list[tuple[Item, bool]]:
+        """Another stream has come to a stamp [ns]; returns as `add`."""
+        near = self._held and abs(stamp - self._held[-1][0]) <= self._most_ahead()
+        return self._release() if near else []
 
-    def _drop(self, rounds: list[int], reason: str) -> None:
-        for number in rounds:
-            for _ in range(self._pairings.pop(number).clear()):
-                self._on_drop(reason)
+    def finish(self) -> list[tuple[Item, bool]]:
+        """At the end of the data, what was only ahead may pass; returns as `add`."""
+        if self._held and self._held[0][0] < (self._newest or 0):
+            self._drop_held()
+        return self._release()
+
+    def _release(self) -> list[tuple[Item, bool]]:
+        """What was held is believed."""
+        held, self._held = self._held, []
+        return [self._pass(*each) for each in held]
+
+    def _pass(self, stamp: int, item: Item) -> tuple[Item, bool]:
+        newest = self._newest if self._newest is not None else stamp
+        has_jumped = stamp < newest - self._most_behind()
+        if stamp > newest:
+            self._steps.append(stamp - newest)
+        self._newest = stamp if has_jumped else max(newest, stamp)
+        self._passed_at = 0.0 if self._clock is None else self._clock()
+        return item, has_jumped
+
+    def _goes_on(self, before: int, stamp: int) -> bool:
+        return -self._most_behind() <= stamp - before <= self._most_ahead()
+
+    def _is_pace(self, stamp: int) -> bool:
+        """Whether a stamp and what is held are steps of a stream that is slow."""
+        *earlier, last = (self._newest or 0, *(each for each, _ in self._held))
+        ahead, before = stamp - last, last - earlier[-1]
+        return 0 < 2 * ahead <= 3 * before <= 6 * ahead
+
+    def _most_ahead(self) -> int:
+        """How far the next stamp may be ahead [ns]."""
+        return max(CLOCK_JUMP, 3 * self._pace() // 2)
+
+    def _most_behind(self) -> int:
+        """How far it may be behind [ns]: as far as a wrong one that passed may have been ahead."""
+        return max(CLOCK_JUMP, 3 * self._pace() // 5)
+
+    def _pace(self) -> int:
+        return int(median(self._steps)) if len(self._steps) > 1 else 0
+
+    def _took_so_long(self, stamp: int) -> bool:
+        """Whether a step ahead is as long as the time since the last datum passed."""
+        if self._clock is None or self._newest is None:
+            return False
+        passed = round(1e9 * (self._clock() - self._passed_at))
+        return abs(stamp - self._newest - passed) <= CLOCK_JUMP and stamp > self._newest
+
+    def _drop_held(self, but: int = 0) -> None:
+        """Nothing agrees with what is held, but for the last ones."""
+        while len(self._held) > but:
+            stamp = self._held.pop(0)[0]
+            off = (stamp - (self._newest or 0)) / 1e9
+            self._on_drop(LONE_STAMP, f"stamp {stamp} ns is {off:+.3f} s off and no other agrees")

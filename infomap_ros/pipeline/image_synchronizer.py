@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from infomap_ros.errors import FrameError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
-from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP, JumpingPairs
+from infomap_ros.geometry.pairing import StampPairing
+from infomap_ros.pipeline.clock_jumps import ClockGate
 
 Images = tuple[ImageRecord, ...]
 
@@ -54,8 +55,9 @@ class ImageSet:
 class ImageSynchronizer:
     """Pairs the images of two streams, or takes those of one, and waits for the camera infos.
 
-    When the clock jumps back (a bag that loops), images pair only with images from the same side
-    of the jump.
+    Images pair in the order in which they come, so when the clock jumps back (a bag that loops),
+    only with images from the same side of the jump. A set of images passes once its stamp is to
+    be believed; see `ClockGate`.
 
     Args:
         images: number of image streams, one or two.
@@ -63,6 +65,8 @@ class ImageSynchronizer:
         tolerance: largest difference between the stamps of a pair [s].
         capacity: images that wait for the camera infos at most.
         on_drop: called with the reason for each image that is dropped.
+        clock: of the machine [s]; None where images come faster than they were taken.
+        witness: stamp to which another stream has come [ns], None where nothing is known.
     """
 
     def __init__(
@@ -72,9 +76,14 @@ class ImageSynchronizer:
         tolerance: float = 0.0,
         capacity: int = 4,
         on_drop: Callable[[str], None] = lambda _: None,
+        clock: Callable[[], float] | None = None,
+        witness: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._is_pair, self._on_drop = images == 2, on_drop
-        self._pairs = JumpingPairs(round(tolerance * 1e9), CLOCK_JUMP, on_drop)
+        self._pairs: StampPairing[ImageRecord, ImageRecord]
+        self._pairs = StampPairing(round(tolerance * 1e9))
+        self._gate: ClockGate[Images] = ClockGate(lambda reason, _: on_drop(reason), clock)
+        self._witness = witness
         self._infos: list[CameraInfoRecord | None] = [None] * infos
         self._uncalibrated: deque[Images] = deque(maxlen=capacity)
 
@@ -86,15 +95,35 @@ class ImageSynchronizer:
 
     def add_image(self, camera: int, image: ImageRecord) -> list[ImageSet]:
         """Add an image; returns the images of the moment that it completes, if any."""
-        images = self._pairs.add(camera, image) if self._is_pair else (image,)
-        return [] if images is None else self._calibrated(images)
+        images = self._pair(camera, image) if self._is_pair else (image,)
+        passed = [] if images is None else self._gate.add(images[0].stamp, images)
+        return [done for each, _ in passed for done in self._calibrated(each)] or self.ask_witness()
 
-    def finish(self) -> None:
-        """Drop what still waits, at the end of the data."""
-        self._pairs.drop_all("no partner")
+    def ask_witness(self) -> list[ImageSet]:
+        """The images whose stamp the other stream agrees with by now."""
+        stamp = self._witness()
+        passed = [] if stamp is None else self._gate.agree(stamp)
+        return [done for each, _ in passed for done in self._calibrated(each)]
+
+    def finish(self) -> list[ImageSet]:
+        """End of the data: returns the images that no later ones contradict any more.
+
+        What still waits is dropped.
+        """
+        rest = [done for each, _ in self._gate.finish() for done in self._calibrated(each)]
+        for _ in range(self._pairs.clear()):
+            self._on_drop("no partner")
         for _ in self._uncalibrated:
             self._on_drop("no camera info")
         self._uncalibrated.clear()
+        return rest
+
+    def _pair(self, camera: int, image: ImageRecord) -> Images | None:
+        before = self._pairs.unpaired
+        pair = self._pairs.add_second(image) if camera else self._pairs.add_first(image)
+        for _ in range(self._pairs.unpaired - before):
+            self._on_drop("no partner")
+        return pair
 
     def _calibrated(self, images: Images) -> list[ImageSet]:
         infos = tuple(info for info in self._infos if info is not None)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import FrameError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan, on_bodies
 from infomap_ros.geometry import PointCloudRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
@@ -64,6 +65,7 @@ class MapBuilder:
     @property
     def map(self) -> VoxelMap:
         """The map as it is now."""
+        self._corrected.voxel_map.origin = self._origin
         return self._corrected.voxel_map
 
     @property
@@ -82,7 +84,12 @@ class MapBuilder:
         self.replace(self.map)
 
     def replace(self, voxel_map: VoxelMap) -> None:
-        """Go on with another map, whose content stays where it is."""
+        """Go on with another map, whose content stays where it is.
+
+        Where it names its origin, only poses of that origin are fused from now on; else the first
+        pose that names one does it.
+        """
+        self._origin = voxel_map.origin
         store = self._store or _NO_SCANS
         self._corrected = CorrectableMap(voxel_map, store, self._correction)
         self._keyframes.clear()
@@ -91,16 +98,19 @@ class MapBuilder:
         """Add a scan.
 
         Raises:
+            FrameError: its pose is in a map of another origin.
             InfomapError: the scan cannot be used; the map is as before.
         """
         cloud, pose = scan.cloud, scan.pose
+        origin = 0 if pose.uncertainty is None else pose.uncertainty.origin
+        self._check_origin("camera_pose", origin)
         points = self.without_bodies(cloud, scan)
         camera = fit_pinhole_camera(points) if points.ndim == 3 else None
         covariance = pose.covariance if pose.uncertainty is None else pose.uncertainty
         if covariance is None:
             covariance = self._assumed.covariance()
             self.assumed_poses += 1
-        return self._corrected.integrate(
+        report = self._corrected.integrate(
             cloud.stamp,
             points,
             pose.transform,
@@ -109,6 +119,8 @@ class MapBuilder:
             camera,
             cloud.error_correlation,
         )
+        self._origin = self._origin or origin
+        return report
 
     def forget_body(self, body: BodyInScan) -> int:
         """Take a teammate's body, placed in the map, out of what was fused before it was known.
@@ -128,8 +140,10 @@ class MapBuilder:
         """Take the poses of all keyframes as they are known now; `correct_more` acts on them.
 
         Raises:
+            FrameError: they are in a map of another origin.
             InvalidInputError: a pose or a covariance is none, or the stamps do not fit.
         """
+        self._check_origin("keyframe_poses", keyframes.origin)
         self._keyframes.append(keyframes)
         self._begin_correction()
 
@@ -160,6 +174,19 @@ class MapBuilder:
             heard = self._keyframes.popleft()
             self._corrected.hear(heard.stamp, heard.stamps, heard.transforms, heard.covariances)
             self._corrected.begin_correction()
+
+    def _check_origin(self, what: str, origin: int) -> None:
+        """Refuse poses that are not in this map.
+
+        Raises:
+            FrameError: they are not, or do not say it although those before did.
+        """
+        if self._origin and origin != self._origin:
+            told = f"the map of origin {origin:08x}" if origin else "a map of unknown origin"
+            raise FrameError(
+                f"{what} in {told}, this map's origin is {self._origin:08x}; "
+                "a reset begins it anew, localization's resume goes on in it"
+            )
 
     def without_bodies(self, cloud: PointCloudRecord, scan: Scan[Any]) -> NDArray[np.float32]:
         """The points of a scan's cloud, NaN where they may lie on a robot."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, Record
-from infomap_ros.pipeline.image_synchronizer import ImageSynchronizer
+from infomap_ros.pipeline.image_synchronizer import ImageSet, ImageSynchronizer
 from infomap_ros.pipeline.range_estimator import RangeEstimator, RangeMeasurement
 from infomap_ros.pipeline.view_estimator import FramedView, ViewEstimator
 
@@ -66,7 +66,7 @@ class Perception:
         """
         for source, record in records:
             yield from self.add(source, record)
-        self._images.finish()
+        yield from self._measure(self._images.finish())
 
     def add(self, source: str, record: Record) -> Iterator[Record | Seen]:
         """Take the record that came next from a source; gives what is seen, or it itself."""
@@ -79,6 +79,9 @@ class Perception:
             complete = self._images.add_info(self.sources.infos.index(source), record)
         else:
             return
+        yield from self._measure(complete)
+
+    def _measure(self, complete: list[ImageSet]) -> Iterator[Seen]:
         for images in complete:
             try:
                 seen = self._estimator.measure(images)

@@ -180,7 +180,9 @@ class Pipeline:
         yield from self._fuse()
         if (kept := localization.changes.after(result, located.kept)) is not None:
             sent = np.array([as_sent(pose) for pose in kept.transforms])
-            keyframes = KeyframePoses(result.stamp, frame, kept.stamps, sent, kept.covariances)
+            origin = 0 if result.uncertainty is None else result.uncertainty.origin
+            told_kept = kept.stamps, sent, kept.covariances, origin
+            keyframes = KeyframePoses(result.stamp, frame, *told_kept)
             fusion.builder.add_keyframes(keyframes)
             fusion.builder.correct()
 

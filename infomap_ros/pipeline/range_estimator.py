@@ -20,6 +20,7 @@ from infomap_ros.messages import IMAGE
 from infomap_ros.messages.clouds import round_correlation
 from infomap_ros.pipeline.image_synchronizer import ImageSet
 from infomap_ros.pipeline.pixels import intensity_pixels
+from infomap_ros.pipeline.stereo_health import StereoHealth
 from infomap_ros.stereo import (
     DepthCameraConfig,
     DepthCameraSensor,
@@ -29,6 +30,7 @@ from infomap_ros.stereo import (
     StereoRectifier,
     is_rectified,
 )
+from infomap_ros.stereo.images import check_size
 
 _DEPTH_ENCODINGS = ("32FC1", "16UC1", "mono16")
 
@@ -86,6 +88,8 @@ class _Tools:
 class PairRectifier:
     """Makes rectified pairs, and the sensor for them, from images and their calibrations.
 
+    Pairs are watched: while cameras have a fault (`StereoHealth`), nothing is prepared.
+
     Args:
         config: of the sensor.
         rectify: the images are raw.
@@ -94,6 +98,7 @@ class PairRectifier:
     def __init__(self, config: StereoConfig, *, rectify: bool) -> None:
         self._config, self._rectify = config, rectify
         self._tools: _Tools | None = None
+        self._health = StereoHealth()
 
     def prepare(
         self, images: ImageSet
@@ -101,12 +106,17 @@ class PairRectifier:
         """Rectified left and right image and the sensor; the left image may be RGB.
 
         Raises:
+            SensorFaultError: what the last images show is no stereo pair.
             InfomapError: images or calibrations cannot be used.
         """
         tools = self._tools_for(images.calibrations)
-        left, right = (intensity_pixels(image) for image in images.images)
+        left, right = raw = tuple(intensity_pixels(image) for image in images.images)
         if tools.rectifier is not None:
             left, right = tools.rectifier.rectify(left, right, grey_right=True)
+        rig = tools.sensor.rig
+        for image, camera, name in ((left, rig.left, "left"), (right, rig.right, "right")):
+            check_size(image.shape, camera, f"{name} image")
+        self._health.check(left, right, rig, raw)
         return left, right, tools.sensor
 
     def _tools_for(self, calibrations: tuple[CameraCalibration, ...]) -> _Tools:
@@ -117,6 +127,7 @@ class PairRectifier:
             sensor = StereoRangeSensor(rig_from_calibrations(left, right), self._config)
             rectifier = StereoRectifier(left, right) if raw else None
             self._tools = _Tools(calibrations, sensor, rectifier)
+            self._health = StereoHealth()
         return self._tools
 
 

@@ -6,9 +6,10 @@ before it, and those after it never do. What still waits when the clouds have ju
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from infomap_ros.errors import FrameError, RobotModelError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
@@ -16,7 +17,7 @@ from infomap_ros.geometry import PlacedSolid, PoseRecord, PoseUncertainty, Recor
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
-from infomap_ros.pipeline.clock_jumps import JumpingBuffer
+from infomap_ros.pipeline.clock_jumps import ClockGate, JumpingBuffer
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.stamped_parts import StampedParts
 
@@ -24,6 +25,9 @@ Cloud = TypeVar("Cloud")
 Other = TypeVar("Other")
 
 CLOCK_JUMPED = "time went backwards"
+WRONG_FRAME = "wrong frame"
+
+_VOTES = 9  # last clouds, most of which say in which frame clouds are, where it is not named
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class ScanSynchronizerConfig:
     camera_frame: str = parameter(
         "",
         "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
-        "Empty: that of the first cloud.",
+        "Empty: that of most of the last clouds.",
     )
 
     def __post_init__(self) -> None:
@@ -155,16 +159,26 @@ class LocatedPoses:
             self._poses.add(replace(pose, uncertainty=uncertainty))
 
 
+class _Arrival(NamedTuple, Generic[Cloud]):
+    stamp: int
+    frame: str
+    cloud: Cloud
+
+
 class ScanSynchronizer(Generic[Cloud]):
     """Gives out scans in order of time, each when it is complete.
+
+    A cloud waits for its place only once its stamp is to be believed (`ClockGate`): where the next
+    cloud goes on from it, or the poses have come there too.
 
     Args:
         poses: of the camera.
         body: of the robot.
         teammates: of the others.
-        camera_frame: optical frame of which `poses` are; empty for that of the first cloud.
+        camera_frame: optical frame of which `poses` are; empty for that of most clouds.
         waiting: how long clouds wait.
         on_drop: called with the reason, in short and in a sentence, of each cloud that is dropped.
+        on_clock_jump: called when the clock of the clouds has jumped back.
     """
 
     def __init__(
@@ -175,18 +189,21 @@ class ScanSynchronizer(Generic[Cloud]):
         camera_frame: str = "",
         waiting: WaitingQueueConfig | None = None,
         on_drop: Callable[[str, str], None] = lambda *_: None,
+        on_clock_jump: Callable[[], None] = lambda: None,
     ) -> None:
         self._poses, self._body = poses, body
         self._teammates = teammates or NoTeammates()
         self._camera_frame, self._on_drop = camera_frame, on_drop
-        limits = waiting or WaitingQueueConfig()
-        self._jump = round(limits.max_wait * 1e9)
+        self._on_clock_jump, self._frames = on_clock_jump, deque[str](maxlen=_VOTES)
         self._newest = self._pose_stamp = 0
-        self._waiting: WaitingQueue[Cloud] = WaitingQueue(
-            self._pose_at, limits, lambda _, reason, sentence: on_drop(reason, sentence)
+        self._gate: ClockGate[_Arrival[Cloud]] = ClockGate(on_drop)
+        self._waiting: WaitingQueue[_Arrival[Cloud]] = WaitingQueue(
+            self._pose_at,
+            waiting or WaitingQueueConfig(),
+            lambda _, reason, sentence: on_drop(reason, sentence),
         )
 
-    def add_cloud(self, stamp: int, frame: str, cloud: Cloud) -> bool:
+    def add_cloud(self, stamp: int, frame: str, cloud: Cloud) -> None:
         """Add a cloud.
 
         Args:
@@ -194,29 +211,20 @@ class ScanSynchronizer(Generic[Cloud]):
             frame: of the cloud.
             cloud: whatever is to be given out, decoded or not.
 
-        Returns:
-            Whether the clock of the clouds has jumped back.
-
         Raises:
             FrameError: it is in another frame than the poses.
         """
-        self._camera_frame = self._camera_frame or frame
-        if frame != self._camera_frame:
-            raise FrameError(f"cloud in frame '{frame}', camera_pose is of '{self._camera_frame}'")
-        has_jumped = stamp < self._newest - self._jump
-        if has_jumped:
-            self._newest = stamp
-            self._waiting.drop_all(CLOCK_JUMPED)
-            self._poses.others_have_jumped(stamp)
-            self._body.others_have_jumped(stamp)
-        self._newest = max(self._newest, stamp)
-        self._waiting.push(stamp, cloud)
-        return has_jumped
+        self._frames.append(frame)
+        if (wrong := self._wrong_frame(frame)) is not None:
+            raise FrameError(wrong)
+        self._wait(self._gate.add(stamp, _Arrival(stamp, frame, cloud)))
 
     def add_pose(self, record: Record) -> None:
         """Add a record that says where the camera was; raises as `CameraPoseSource.add`."""
         self._poses.add(record)
         self._pose_stamp = record.stamp
+        if isinstance(record, PoseRecord):
+            self._wait(self._gate.agree(record.stamp))
 
     def take(self, now: int | None = None) -> list[Scan[Cloud]]:
         """The scans that are complete by now.
@@ -225,14 +233,38 @@ class ScanSynchronizer(Generic[Cloud]):
             now: time of the data [ns]; that of the newest cloud where not given.
         """
         scans = []
-        for cloud, pose in self._waiting.take(now):
+        if now is not None and now > self._newest:
+            self._wait(self._gate.finish())
+        for (_, frame, cloud), pose in self._waiting.take(now):
+            if (wrong := self._wrong_frame(frame)) is not None:
+                self._on_drop(WRONG_FRAME, wrong)
+                continue
             try:
-                body = self._body.solids_in(self._camera_frame, pose.stamp)
+                body = self._body.solids_in(frame, pose.stamp)
             except RobotModelError as error:
                 self._on_drop("robot description", str(error))
                 continue
             scans.append(Scan(cloud, pose, body, self._teammates.bodies_in(pose)))
         return scans
+
+    def _wait(self, passed: list[tuple[_Arrival[Cloud], bool]]) -> None:
+        """Have clouds wait until all that belongs to them is known."""
+        for arrival, has_jumped in passed:
+            if has_jumped:
+                self._newest = arrival.stamp
+                self._waiting.drop_all(CLOCK_JUMPED)
+                self._poses.others_have_jumped(arrival.stamp)
+                self._body.others_have_jumped(arrival.stamp)
+                self._on_clock_jump()
+            self._newest = max(self._newest, arrival.stamp)
+            self._waiting.push(arrival.stamp, arrival)
+
+    def _wrong_frame(self, frame: str) -> str | None:
+        """What is wrong with the frame of a cloud, in a sentence."""
+        expected = self._camera_frame or Counter(self._frames).most_common(1)[0][0]
+        if frame == expected:
+            return None
+        return f"cloud in frame '{frame}', camera_pose is of '{expected}'"
 
     def _pose_at(self, stamp: int) -> PoseRecord:
         """The camera's pose, once the places of the body and of teammates' are known too."""

@@ -127,14 +127,21 @@ def test_points_out_of_range_are_counted_and_free_space(camera):
 
 @CAMERAS
 @pytest.mark.parametrize("distance", [1e5, 1e6, 1e12, -1e12])
-def test_points_beyond_the_coordinates_are_counted(camera, distance):
+def test_a_scan_from_beyond_the_coordinates_is_refused(camera, distance):
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
-    report = voxel_map.integrate(
-        WALL, make_transform(np.eye(3), [distance, 0.0, 0.0]), camera=camera
-    )
+    pose = make_transform(np.eye(3), [distance, 0.0, 0.0])
+    with pytest.raises(InvalidInputError, match=r"T_map_sensor.*a map ends at 52428\.8 m"):
+        voxel_map.integrate(WALL, pose, camera=camera)
+    assert voxel_map.known_voxels == 0
+
+
+@CAMERAS
+def test_points_beyond_the_coordinates_are_counted(camera):
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    pose = make_transform([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [2**20 * 0.05 - 1e-3, 0.0, 0.0])
+    report = voxel_map.integrate(WALL, pose, camera=camera)
     assert report.points_used == 0
     assert report.points_refused == WALL[..., 0].size
-    assert voxel_map.known_voxels == 0
 
 
 @CAMERAS
@@ -217,6 +224,10 @@ def test_no_numbers_bring_the_map_down(camera, points, variances, offset):
     small = PinholeCamera(8, 6, 6.0, 6.0, 3.5, 2.5) if camera else None
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=3.0))
     pose = make_transform(turned(0.3)[:3, :3], [offset, -offset, offset])
+    if offset == 1e9:
+        with pytest.raises(InvalidInputError, match="a map ends"):
+            voxel_map.integrate(points, pose, None, np.eye(6) * 1e-6, small)
+        return
     for covariances in (None, variances):
         report = voxel_map.integrate(points, pose, covariances, np.eye(6) * 1e-6, small)
         assert 0 <= report.points_used <= 48

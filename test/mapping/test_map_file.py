@@ -234,3 +234,27 @@ def test_failing_write_leaves_no_remains(saved, monkeypatch):
         write_map_file(saved, {}, {"a": np.zeros(100)})
     assert saved.read_bytes() == before
     assert [path.name for path in saved.parent.iterdir()] == ["room.map"]
+
+
+def lying(path: Path, shape: list[int], payload: bytes) -> Path:
+    """A whole file, its checksum right, that says of its one array what it likes."""
+    entry = {"name": "a", "dtype": "|u1", "shape": shape, "bytes": len(payload)}
+    header = json.dumps({"config": {}, "arrays": [entry]}).encode()
+    length = 24 + len(header) + len(payload) + 32
+    body = struct.pack("<8sIIQ", b"\x89INFOMAP", MAP_FILE_VERSION, len(header), length)
+    body += header + payload
+    path.write_bytes(body + hashlib.sha256(body).digest())
+    return path
+
+
+def test_an_array_that_its_bytes_cannot_hold_is_refused_before_it_is_unpacked(tmp_path) -> None:
+    packed = zlib.compress(bytes(100_000_000), 9)
+    with pytest.raises(MapFileError, match="are to hold arrays of 100000000 bytes"):
+        read_map_file(lying(tmp_path / "a", [100_000_000], packed))
+    with pytest.raises(MapFileError, match="are to hold"):
+        read_map_file(lying(tmp_path / "a", [2**62, 2**62], zlib.compress(b"")))
+
+
+def test_zeros_are_read_again(tmp_path) -> None:
+    write_map_file(tmp_path / "a", {}, {"a": np.zeros(30_000_000, np.uint8)})
+    assert len(read_map_file(tmp_path / "a")[1]["a"]) == 30_000_000

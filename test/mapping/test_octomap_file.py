@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pyoctomap
 import pytest
 
-from infomap_ros.errors import InvalidInputError, MapFileError
+from infomap_ros.errors import CapacityError, InvalidInputError, MapFileError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.octomap_file import read_bt, write_bt, write_ot
 
@@ -182,6 +183,34 @@ def test_damaged_bt_is_refused_by_name(tmp_path, rng, damage, named):
     (tmp_path / "b.bt").write_bytes(damage((tmp_path / "a.bt").read_bytes()))
     with pytest.raises(MapFileError, match=rf"b\.bt.*{named}"):
         read_bt(tmp_path / "b.bt")
+
+
+def test_a_file_that_fits_nowhere_is_not_taken_apart(tmp_path):
+    head = b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n"
+    (tmp_path / "a.bt").write_bytes(head + b"\xaa\xaa")  # eight occupied leaves below the root
+    leaves = read_bt(tmp_path / "a.bt")
+    with pytest.raises(CapacityError, match="281474976710656 occupied voxels"):
+        leaves.occupied_voxels()
+    for res in (b"inf", b"nan", b"1e300"):
+        (tmp_path / "a.bt").write_bytes(head.replace(b"0.1", res) + b"\xaa\xaa")
+        with pytest.raises(MapFileError, match=r"a\.bt"):
+            read_bt(tmp_path / "a.bt")
+
+
+@pytest.mark.parametrize("write", [write_bt, write_ot])
+def test_what_cannot_be_written_leaves_the_old_file(tmp_path, rng, write, monkeypatch):
+    path = tmp_path / "a.bt"
+    write(random_map(rng), path)
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write(random_map(rng), path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["a.bt"]
 
 
 def test_missing_file_is_named(tmp_path):

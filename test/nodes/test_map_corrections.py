@@ -78,9 +78,12 @@ def test_keyframe_poses_survive_the_message() -> None:
 
 def test_covariances_of_keyframes_survive_the_message() -> None:
     covariances = np.stack([COVARIANCE, 4.0 * COVARIANCE])
-    record = replace(keyframes(START + 7, T_MAP_CAMERA, ELSEWHERE), covariances=covariances)
-    stamp, stamps, read = decode_keyframe_covariances(encode_keyframe_covariances(TYPES, record))
-    assert stamp == START + 7
+    record = keyframes(START + 7, T_MAP_CAMERA, ELSEWHERE)
+    record = replace(record, covariances=covariances, origin=0xFFFFFFFE)
+    stamp, origin, stamps, read = decode_keyframe_covariances(
+        encode_keyframe_covariances(TYPES, record)
+    )
+    assert (stamp, origin) == (START + 7, 0xFFFFFFFE)
     assert np.array_equal(stamps, record.stamps)
     assert np.array_equal(read, covariances)
     with pytest.raises(MalformedMessageError, match="covariances of keyframes"):

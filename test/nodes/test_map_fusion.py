@@ -497,6 +497,7 @@ def test_a_cloud_after_a_jump_never_gets_a_pose_from_before_it(graph: Any) -> No
     early = START - 100 * SECOND
     # The clouds jump first, to where an old pose would fit; then comes a pose that does not.
     bench.send(cloud(early), pose(early - SECOND), cloud(early + 2 * SECOND))
+    bench.send(cloud(early + 2 * SECOND + SECOND // 10))  # a step is believed with its second
 
     bench.wait_for_drop("no pose at the stamp")
     assert bench.node.health.results() == 1
@@ -513,6 +514,30 @@ def test_a_clock_that_jumps_back_resets_the_map_where_that_is_wanted(graph: Any)
     bench.wait_for_results(2)
     bench.wait_for_updates(early)
     bench.wait_for_map(as_replica(expected_map(cloud(depth=3.0))))
+
+
+def test_a_lone_cloud_of_another_time_resets_nothing(graph: Any) -> None:
+    bench = Bench(graph, reset_on_clock_jump=True)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    stamps = [START + k * SECOND // 10 for k in range(1, 4)]
+    for wrong in (START + 10**7 * SECOND, SECOND):
+        bench.send(cloud(wrong))
+    for stamp in stamps:
+        bench.send(pose(stamp), cloud(stamp))
+    bench.wait_for_results(4)
+    assert bench.node.health.drops() == {"lone stamp": 2}
+    bench.wait_for_map(as_replica(expected_map(cloud(), *map(cloud, stamps))))
+
+
+def test_a_first_cloud_in_a_foreign_frame_does_not_decide(graph: Any) -> None:
+    bench = Bench(graph)
+    bench.send(cloud(START - SECOND // 10, frame="junk"))
+    stamps = [START + k * SECOND // 10 for k in range(5)]
+    for stamp in stamps:
+        bench.send(pose(stamp), cloud(stamp))
+    bench.wait_for_results(4)
+    assert bench.node.health.drops()["wrong frame"] == 1
 
 
 def test_save_reset_load_bring_the_map_back(graph: Any, tmp_path: Path) -> None:

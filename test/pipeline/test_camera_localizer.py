@@ -22,6 +22,7 @@ class View:
 
     def __init__(self, stamp: int) -> None:
         self.stamp, self.camera = stamp, CAMERA
+        self.image = np.zeros((48, 64), np.uint8)
 
 
 class ScriptedLocalizer:

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, PoseRecord, Sphere
+from infomap_ros.errors import FrameError
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PlacedSolid,
+    PointCloudRecord,
+    PoseRecord,
+    PoseUncertainty,
+    Sphere,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
@@ -75,3 +86,40 @@ def test_points_on_a_body_are_counted_and_left_out() -> None:
     built.fuse(Scan(before.cloud, before.pose, [PlacedSolid(Sphere(0.2), place)]))
     assert built.points_cut > 50
     assert not built.map.is_known([[0.0, 0.0, 1.5]])[0]
+
+
+def of_origin(origin: int, number: int) -> Scan[PointCloudRecord]:
+    known = PoseUncertainty(COVARIANCE, origin=origin)
+    pose = PoseRecord(number, "map", np.eye(4), COVARIANCE, uncertainty=known)
+    return Scan(scan(number).cloud, pose)
+
+
+def test_poses_of_another_origin_do_not_enter_the_map() -> None:
+    built = builder(ScanStoreConfig())
+    built.fuse(of_origin(7, 0))
+    before = map_hash(built.map)
+
+    for foreign in (8, 0):
+        with pytest.raises(FrameError, match=r"origin is 00000007"):
+            built.fuse(of_origin(foreign, 1))
+        with pytest.raises(FrameError, match="keyframe_poses"):
+            built.add_keyframes(replace(keyframes(4, 0.3), origin=foreign))
+    assert map_hash(built.map) == before
+
+    built.fuse(of_origin(7, 2))
+    built.replace(VoxelMap(built.map.config))
+    built.fuse(of_origin(8, 3))
+    assert built.map.origin == 8
+
+
+def test_the_origin_outlives_corrections_and_the_map_file(tmp_path: Path) -> None:
+    built = builder(ScanStoreConfig())
+    built.fuse(of_origin(7, 0))
+    built.add_keyframes(replace(keyframes(4, 0.0), origin=7))
+    built.add_keyframes(replace(keyframes(5, 0.3), origin=7))
+    built.correct()
+    assert built.corrections == 1
+    built.map.save(tmp_path / "map")
+    built.replace(VoxelMap.load(tmp_path / "map"))
+    with pytest.raises(FrameError, match="origin"):
+        built.fuse(of_origin(8, 1))

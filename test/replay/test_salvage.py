@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import sqlite3
+import struct
+import tracemalloc
 from pathlib import Path
 
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
+from backports import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from infomap_ros.errors import BagError
+from infomap_ros.replay.bags.bounds import unpacked_chunk
 from infomap_ros.replay.bags.reader import BagReader, BagRecord
 from infomap_ros.replay.bags.writer import BagWriter
 
@@ -143,3 +149,77 @@ def test_random_damage_never_raises_anything_else(tmp_path, form):
         except BagError:
             continue
         assert len(found) <= 1 + 3 * FRAMES + 5
+
+
+def mcap_of(path: Path, *records: tuple[int, int, bytes]) -> Path:
+    """An MCAP file of records: opcode, stated length, content."""
+    body = b"".join(struct.pack("<BQ", op, length) + content for op, length, content in records)
+    path.write_bytes(b"\x89MCAP0\r\n" + body)
+    return path
+
+
+def chunk(stated: int, packed: bytes) -> tuple[int, int, bytes]:
+    content = struct.pack("<QQQI", 0, 1, stated, 0) + struct.pack("<I", 4) + b"zstd"
+    content += struct.pack("<Q", len(packed)) + packed
+    return 6, len(content), content
+
+
+BOMB = zstd.compress(bytes(1_000_000_000), 3)  # 30 kB
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        [(6, 2**50, b"")],
+        [(6, 2**63, b"x")],
+        [(4, 2**64 - 1, b"x")],
+        [chunk(1_000_000_000, BOMB)],
+        [chunk(1000, BOMB)],
+        [chunk(0, BOMB)] * 20,
+        [chunk(2**63, b"")],
+    ],
+)
+def test_a_bag_that_lies_about_sizes_costs_no_more_than_it_has(tmp_path, records):
+    path = mcap_of(tmp_path / "a.mcap", *records)
+    tracemalloc.start()
+    try:
+        with pytest.raises(BagError, match=r"a\.mcap"):
+            BagReader(path)
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_chunks_are_unpacked_to_what_they_state(compression):
+    content = np.random.default_rng(0).bytes(100_000) + bytes(1_000_000)
+    packed = {"zstd": zstd.compress, "lz4": lz4.frame.compress}[compression](content)
+    assert unpacked_chunk(compression, packed, len(content)) == content
+    for less in (0, 10, len(content) - 1):
+        with pytest.raises(ValueError, match="more than"):
+            unpacked_chunk(compression, packed, less)
+    assert content.startswith(unpacked_chunk(compression, packed[:-50], len(content)))
+
+
+def test_a_database_that_never_ends_is_refused(tmp_path):
+    path = written(tmp_path, "sqlite3")
+    database = sqlite3.connect(path)
+    database.executescript(
+        "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(id) AS "
+        "(SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+        "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n;"
+    )
+    database.close()
+    for each in (path, path.parent):
+        with pytest.raises(BagError, match=r"bag\.db3.*'messages' is computed"):
+            BagReader(each)
+
+
+def test_a_topic_that_is_no_text_is_a_bag_error(tmp_path):
+    path = written(tmp_path, "sqlite3")
+    database = sqlite3.connect(path)
+    database.execute("UPDATE topics SET name = CAST(x'ff00ff' AS TEXT)")
+    database.commit()
+    database.close()
+    with pytest.raises(BagError):
+        BagReader(path)

@@ -10,30 +10,25 @@ Layout, little endian::
     arrays     one after the other, each compressed with zlib to "bytes" bytes
     32 bytes   SHA-256 of all that stands before it
 
-The file is written beside its final place and renamed when it is on the disk: a reader, and
-whoever comes after a crash, sees the old file or the new one.
+The file replaces an older one at once or not at all (`infomap_ros.geometry.atomic_file`).
 """
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
-import glob
 import hashlib
 import json
 import math
-import os
-import secrets
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import MapFileError
+from infomap_ros.geometry.atomic_file import replacing
 
 MAP_FILE_VERSION = 3
 """Version of the layout; others are refused."""
@@ -42,9 +37,13 @@ _MAGIC = b"\x89INFOMAP"
 _FIXED = struct.Struct("<8sIIQ")
 _DIGEST_SIZE = 32
 _COMPRESSION = 1  # of zlib: the fastest; occupancy shrinks tenfold already
-_PARTIAL = ".saving"
+_MOST_INFLATION = 230
+"""At the level with which the file is written, zlib packs zeros to 1/229.2 of their size and
+nothing to less; at other levels to 1/1030."""
+
 _MALFORMED = (  # what JSON of a wrong structure, or wrong numbers in it, can raise below
     *(LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError),
+    MemoryError,
     zlib.error,
 )
 
@@ -66,7 +65,7 @@ def write_map_file(
     target = Path(path)
     try:
         chunks = _chunks(config, arrays)
-        with _replacing(target.resolve()) as file:
+        with replacing(target) as file:
             digest = hashlib.sha256()
             for chunk in chunks:
                 digest.update(chunk)
@@ -131,6 +130,7 @@ def _parse(content: memoryview) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
     start = _checked_start(content)
     header = json.loads(bytes(content[_FIXED.size : start]))
     end = len(content) - _DIGEST_SIZE
+    _check_total(header["arrays"], end - start)
     arrays: dict[str, NDArray[Any]] = {}
     for entry in header["arrays"]:
         payload = content[start : min(start + entry["bytes"], end)]
@@ -167,6 +167,20 @@ def _checked_start(content: memoryview) -> int:
     return start
 
 
+def _check_total(entries: list[dict[str, Any]], packed: int) -> None:
+    """Compare what the arrays need with what there is of them, before anything is allocated.
+
+    Raises:
+        ValueError: they need more than can be meant.
+    """
+    needed = sum(
+        _storable(np.dtype(entry["dtype"])).itemsize * math.prod(map(abs, entry["shape"]))
+        for entry in entries
+    )
+    if needed > _MOST_INFLATION * packed:
+        raise ValueError(f"{packed} bytes are to hold arrays of {needed} bytes")
+
+
 def _unpack(payload: memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """Decompress an array; never to more than its type and shape need."""
     size = _storable(dtype).itemsize * math.prod(shape)
@@ -178,33 +192,3 @@ def _unpack(payload: memoryview, dtype: np.dtype[Any], shape: tuple[int, ...]) -
         raise ValueError(f"an array of type {dtype} and shape {shape} does not fit its bytes")
     values = np.frombuffer(raw, dtype).reshape(shape)
     return values.astype(dtype.newbyteorder("="))
-
-
-@contextlib.contextmanager
-def _replacing(target: Path) -> Iterator[BinaryIO]:
-    """Open a file beside `target` that takes its place when the block ends without an error."""
-    _remove_remains(target)
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}{_PARTIAL}")
-    try:
-        with partial.open("xb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-            partial.replace(target)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
-    folder = os.open(target.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def _remove_remains(target: Path) -> None:
-    """Remove what killed processes left of their attempts: files that nobody has locked."""
-    for remains in target.parent.glob(f".{glob.escape(target.name)}.*{_PARTIAL}"):
-        with contextlib.suppress(OSError), remains.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            remains.unlink()

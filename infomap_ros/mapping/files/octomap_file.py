@@ -12,12 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.errors import MapFileError
+from infomap_ros.errors import CapacityError, MapFileError
+from infomap_ros.geometry.atomic_file import replacing
 from infomap_ros.mapping.files.octree import DEPTH, KEY_OFFSET, Octree, build_octree
 from infomap_ros.mapping.voxel_map import VoxelMap
 
 _FULL = "# Octomap OcTree file"
 _BINARY = "# Octomap OcTree binary file"
+_LARGEST_VOXEL = 1000.0  # [m]
+_MOST_VOXELS = 100_000_000  # that leaves are taken apart to: 1.2 GB of indices
 _FREE, _OCCUPIED, _INNER = 1, 2, 3  # two bits of a child in a .bt file; 0: unknown
 
 
@@ -38,7 +41,16 @@ class OctomapLeaves:
     occupied: NDArray[np.bool_]
 
     def occupied_voxels(self) -> NDArray[np.int32]:
-        """Indices of all occupied voxels, shape (k, 3); large leaves are taken apart."""
+        """Indices of all occupied voxels, shape (k, 3); large leaves are taken apart.
+
+        Raises:
+            CapacityError: they are more than 100 million.
+        """
+        number = int((self.edges[self.occupied].astype(np.float64) ** 3).sum())
+        if number > _MOST_VOXELS:
+            raise CapacityError(
+                f"OctoMap leaves hold {number} occupied voxels, too many for a list"
+            )
         parts = [np.zeros((0, 3), dtype=np.int32)]
         for edge in np.unique(self.edges[self.occupied]):
             cube = np.indices((edge, edge, edge), dtype=np.int32).reshape(3, -1).T
@@ -90,7 +102,8 @@ def _child_states(tree: Octree) -> NDArray[np.uint16]:
 
 def _write(path: str | Path, title: str, size: int, resolution: float, data: bytes) -> None:
     header = f"{title}\n# written by infomap_ros\nid OcTree\nsize {size}\nres {resolution}\ndata\n"
-    Path(path).write_bytes(header.encode("ascii") + data)
+    with replacing(path) as file:
+        file.write(header.encode("ascii") + data)
 
 
 def read_bt(path: str | Path) -> OctomapLeaves:
@@ -111,9 +124,13 @@ def read_bt(path: str | Path) -> OctomapLeaves:
         size, resolution = int(fields["size"]), float(fields["res"])
     except (KeyError, ValueError):
         size, resolution = -1, 0.0
-    if lines[:1] != [_BINARY] or fields.get("id") != "OcTree" or size < 0 or not resolution > 0.0:
+    is_tree = lines[:1] == [_BINARY] and fields.get("id") == "OcTree"
+    if not is_tree or size < 0 or not 0.0 < resolution <= _LARGEST_VOXEL:
         raise MapFileError(f"{source} is no binary OctoMap file of an OcTree")
     states = np.frombuffer(data[: len(data) // 2 * 2], dtype="<u2")
+    if size > 1 + 8 * len(states):
+        text = f"has {len(data)} bytes of data, its header says {size} nodes"
+        raise MapFileError(f"OctoMap file {source} {text}")
     corners, edges, occupied, nodes = _leaves_of(states if size else states[:0], source)
     if nodes != size:
         raise MapFileError(f"OctoMap file {source} holds {nodes} nodes, its header says {size}")

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PoseUncertainty, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
 
 Columns = tuple[int, int, int, int, int, int]
 
@@ -79,6 +80,21 @@ def checked_scan(
     if cloud.ndim == 2 and len(cloud) != camera.height * camera.width:
         cloud, table, outside = _organise(cloud, table, camera)
     return Scan(cloud.reshape(*size, 3), table, columns, pose, *errors, camera, outside)
+
+
+def check_within_limits(transform: FloatArray, voxel_size: float) -> None:
+    """Refuse a scan from beyond the voxels that have an index.
+
+    Raises:
+        InvalidInputError: it is.
+    """
+    away, limit = float(np.abs(transform[:3, 3]).max()), COORDINATE_LIMIT * voxel_size
+    if away >= limit:
+        raise InvalidInputError(
+            "T_map_sensor",
+            f"is {away:g} m from the origin; with voxels of {voxel_size:g} m a map ends at "
+            f"{limit:g} m",
+        )
 
 
 def checked_rays(

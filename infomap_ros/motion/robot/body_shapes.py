@@ -18,6 +18,9 @@ from infomap_ros.motion.robot.urdf import RobotDescription
 PLATE_THICKNESS = 0.001
 """What a mesh without a volume, such as a printed tag, is given [m]."""
 
+LARGEST = 100.0
+"""Radius of the sphere that holds a collision shape [m]: larger ones are no part of a robot."""
+
 _FLAT = 1e-6  # smallest share of its largest extent at which a mesh has a volume
 _SAME_PLANE = 1e-7  # facets of a hull whose normals [1] and offsets [m] agree so far are one
 
@@ -53,7 +56,8 @@ def body_shapes(
             besides the description's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
 
     Raises:
-        RobotModelError: a mesh is not found or lies in one line, or dimensions are impossible.
+        RobotModelError: a mesh is not found or lies in one line, or dimensions are impossible or
+            beyond `LARGEST`.
     """
     own = [] if description.folder is None else [description.folder]
     try:
@@ -80,6 +84,9 @@ def _shape(model: pinocchio.Model, item: pinocchio.GeometryObject) -> BodyShape:
         solid = _solid(item.geometry)
     except InvalidInputError as error:
         raise RobotModelError(f"link '{link}' has an impossible shape: {error}") from error
+    if not solid.bounding_radius <= LARGEST:
+        text = f"link '{link}' has a collision shape of radius {solid.bounding_radius:g} m"
+        raise RobotModelError(f"{text}, at most {LARGEST:g} m are read")
     return BodyShape(
         link, int(item.parentJoint), solid, np.array(item.placement.homogeneous), item.geometry
     )

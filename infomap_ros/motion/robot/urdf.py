@@ -2,11 +2,13 @@
 
 The URDF parser below Pinocchio drops what it does not understand, a collision shape for example,
 and only prints why. What is dropped from a body would be mapped as an obstacle, so the structure
-is checked here first.
+is checked here first. That parser also follows a tree of links by recursion, and a description may
+come from a stranger, so its size is bounded before anything else reads it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +20,24 @@ from infomap_ros.motion.robot.mimicry import Follower, read_followers
 
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+
+MOST_BYTES = 4_000_000
+"""Of a description, as UTF-8; the largest in the field, with inline visuals, hold about 1 MB."""
+
+MOST_LINKS = 1000
+"""About five times those of a humanoid with hands; they are read within a second."""
+
+MOST_DEPTH = 256
+"""Links from the root to a tip: urdfdom and Pinocchio recurse, 2,000 fit into a usual stack."""
+
+MOST_SHAPES = 1000
+"""Collision shapes of all links."""
+
+FARTHEST = 1000.0
+"""Of the origin of a joint or shape in its link [m]; so nothing overflows on the way to a tip."""
+
+_MOST_ELEMENTS = 100_000
+_MOST_NESTING = 64  # of elements; URDF needs six, simulators' extensions a few more
 
 
 @dataclass(frozen=True)
@@ -46,13 +66,15 @@ def read_urdf(path_or_xml: str | Path, mimics: Mapping[str, str] | None = None) 
 
     Raises:
         RobotModelError: no such file, no XML, no tree of links, a joint or collision shape of an
-            unknown type, or joints that cannot follow each other; names the culprit.
+            unknown type, an origin that is none, joints that cannot follow each other, or more of
+            anything than the limits of this module; names the culprit.
     """
     if isinstance(path_or_xml, str) and path_or_xml.lstrip().startswith("<"):
         return _checked(path_or_xml, None, mimics)
     path = Path(path_or_xml)
     try:
-        xml = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            xml = file.read(MOST_BYTES + 1).decode("utf-8")
     except OSError as error:
         raise RobotModelError(f"robot description {path}: {error.strerror}") from error
     except ValueError as error:
@@ -62,15 +84,56 @@ def read_urdf(path_or_xml: str | Path, mimics: Mapping[str, str] | None = None) 
 
 def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) -> RobotDescription:
     try:
-        root = ElementTree.fromstring(xml)
-    except ElementTree.ParseError as error:
+        _check_number("bytes", len(xml.encode("utf-8")), MOST_BYTES)
+        parser = ElementTree.XMLParser(target=_BoundedTree())
+        parser.feed(xml)
+        root = parser.close()
+    except (ElementTree.ParseError, UnicodeEncodeError) as error:
         raise RobotModelError(f"malformed URDF: {error}") from error
     if root.tag != "robot":
         raise RobotModelError(f"malformed URDF: the root element is <{root.tag}>, not <robot>")
     links = _unique_names(root, "link")
+    _check_number("links", len(links), MOST_LINKS)
     _check_joints(root, links)
     shapes = sum(_check_collision(link) for link in root.findall("link"))
+    _check_number("collision shapes", shapes, MOST_SHAPES)
+    for origin in root.iter("origin"):
+        _check_origin(origin)
     return RobotDescription(xml, folder, shapes, read_followers(root, mimics))
+
+
+class _BoundedTree(ElementTree.TreeBuilder):
+    """Builds a tree of elements until it is larger than a description can be."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._count = self._depth = 0
+
+    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:  # type: ignore[override]
+        self._count, self._depth = self._count + 1, self._depth + 1
+        _check_number("elements", self._count, _MOST_ELEMENTS)
+        _check_number("elements within each other", self._depth, _MOST_NESTING)
+        return super().start(tag, attributes)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)
+
+
+def _check_number(what: str, number: int, most: int) -> None:
+    if number > most:
+        raise RobotModelError(f"robot description has {number} {what}, at most {most} are read")
+
+
+def _check_origin(origin: ElementTree.Element) -> None:
+    for key, most in (("xyz", FARTHEST), ("rpy", math.inf)):
+        text = origin.get(key, "0 0 0")
+        try:
+            numbers = [float(number) for number in text.split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 3 or not all(math.isfinite(n) and abs(n) <= most for n in numbers):
+            raise RobotModelError(f"an <origin> has {key}='{text[:60]}', expected three numbers")
 
 
 def _unique_names(root: ElementTree.Element, tag: str) -> list[str]:
@@ -121,6 +184,7 @@ def _check_tree(links: list[str], parents: dict[str, str]) -> None:
             seen.add(link)
         if link:
             raise RobotModelError(f"the joints above link '{link}' form a loop")
+        _check_number("links in a row", len(seen), MOST_DEPTH)
 
 
 def _check_collision(link: ElementTree.Element) -> int:

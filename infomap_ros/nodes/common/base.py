@@ -32,6 +32,7 @@ from infomap_ros.errors import (
     MapFileError,
     PoseUnavailableError,
     RobotModelError,
+    SensorFaultError,
     UpdateRefusedError,
 )
 from infomap_ros.nodes.common import qos
@@ -217,6 +218,8 @@ class MonitoredNode(Node):
             reason = _REASONS.get(type(error), type(error).__name__)
             if isinstance(error, UpdateRefusedError):
                 reason = error.reason
+            elif isinstance(error, SensorFaultError):
+                reason = str(error)
             self.drop(reason, f"{origin}: {error}")
             return False
         return True

@@ -29,7 +29,7 @@ from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.pipeline.stamped_parts import StampedParts
 
 _COVARIANCES = "keyframe_covariances"
-_Covariances = tuple[NDArray[np.int64], FloatArray]  # stamps and covariances of keyframes
+_Covariances = tuple[int, NDArray[np.int64], FloatArray]  # origin, stamps, covariances of keyframes
 
 
 class MapCorrections:
@@ -55,8 +55,8 @@ class MapCorrections:
         node.listen(Path, KEYFRAME_POSES, self._on_poses, stream, required=False)
 
     def _on_covariances(self, message: PointCloud2) -> None:
-        stamp, stamps, covariances = decode_keyframe_covariances(message)
-        self._hand_over(self._parts.add_part(stamp, (stamps, covariances)))
+        stamp, *told = decode_keyframe_covariances(message)
+        self._hand_over(self._parts.add_part(stamp, (told[0], told[1], told[2])))
 
     def _on_poses(self, message: Path) -> None:
         poses = decode_keyframe_poses(message)
@@ -66,8 +66,8 @@ class MapCorrections:
 
     def _hand_over(self, complete: list[tuple[KeyframePoses, _Covariances | None]]) -> None:
         for poses, told in complete:
-            if told is not None and np.array_equal(told[0], poses.stamps):
-                poses = replace(poses, covariances=told[1])
+            if told is not None and np.array_equal(told[1], poses.stamps):
+                poses = replace(poses, origin=told[0], covariances=told[2])
             correct = partial(self._node.guard, KEYFRAME_POSES, partial(self._correct, poses))
             self._worker.submit_always(correct)
 

@@ -236,6 +236,7 @@ class MapKeeper:
         if sizes[0] != sizes[1]:
             raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
         restored = VoxelMap.from_state(self._map.config, loaded.state())
+        restored.origin = loaded.origin
         self._replace_by(restored)
         self._is_saved = self._is_ours = True
         return f"loaded {self._map.known_voxels} voxels from {self._path}"
@@ -253,7 +254,9 @@ class MapKeeper:
         Raises:
             InvalidInputError: the pose is none.
         """
-        self._replace_by(moved_map(self._map, told.transform))
+        moved = moved_map(self._map, told.transform)
+        moved.origin = self._map.origin
+        self._replace_by(moved)
         answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
         self._node.get_logger().info(answer)
         return answer

@@ -18,9 +18,11 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_body import BodyListener, RobotBodyConfig
 from infomap_ros.nodes.team.team_bodies import TeamBodyListener
+from infomap_ros.pipeline.clock_jumps import LONE_STAMP
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import (
     CLOCK_JUMPED,
+    WRONG_FRAME,
     LocatedPoses,
     Scan,
     ScanSynchronizer,
@@ -28,6 +30,7 @@ from infomap_ros.pipeline.scan_synchronizer import (
 )
 
 _UNCERTAINTY = "camera_pose_uncertainty"
+_REASONS = (CLOCK_JUMPED, LONE_STAMP, WRONG_FRAME)
 
 
 class ScanInputs:
@@ -70,6 +73,7 @@ class ScanInputs:
             frames.camera_frame,
             node.config(WaitingQueueConfig),
             self._on_drop,
+            self._on_jump,
         )
         if node.config(RobotBodyConfig).remove_body:
             self._listener = BodyListener(node, body, self._take)
@@ -80,12 +84,14 @@ class ScanInputs:
 
     def _on_cloud(self, message: PointCloud2) -> None:
         stamp, frame = MessageFields(message, POINT_CLOUD).header()
+        self._scans.add_cloud(stamp, frame, message)
         if self._listener is not None:
             self._listener.look_from(frame)
-        if self._scans.add_cloud(stamp, frame, message):
-            self._node.get_logger().warning(CLOCK_JUMPED)
-            self._on_clock_jump()
         self._take()
+
+    def _on_jump(self) -> None:
+        self._node.get_logger().warning(CLOCK_JUMPED)
+        self._on_clock_jump()
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         self._scans.add_pose(decode_pose_with_covariance(message))
@@ -112,4 +118,4 @@ class ScanInputs:
                 self._node.get_logger().warning(text)
 
     def _on_drop(self, reason: str, sentence: str) -> None:
-        self._node.drop(reason if reason == CLOCK_JUMPED else "no pose at the stamp", sentence)
+        self._node.drop(reason if reason in _REASONS else "no pose at the stamp", sentence)

@@ -84,7 +84,8 @@ class LocalizationNews:
         """Keyframes, where there is a new one or one has moved."""
         kept = self._changes.after(result, self._localizer.keyframes())
         if kept is not None:
-            self._outputs.publish_keyframes(result.stamp, kept)
+            origin = 0 if result.uncertainty is None else result.uncertainty.origin
+            self._outputs.publish_keyframes(result.stamp, kept, origin)
 
     def _tell_fiducials(self, stamp: int) -> None:
         period, fiducials = self._config.fiducials_period, self._localizer.fiducials()

@@ -63,13 +63,13 @@ class LocalizationOutputs:
             )
         self._poses.publish(encode_pose(self._types, pose))
 
-    def publish_keyframes(self, stamp: int, kept: KeptPoses) -> None:
+    def publish_keyframes(self, stamp: int, kept: KeptPoses, origin: int) -> None:
         """Publish where the camera was at the keyframes, as it is known at `stamp` [ns].
 
         Covariances go first: who hears the poses has them at hand.
         """
         content = kept.stamps, kept.transforms, kept.covariances
-        record = KeyframePoses(stamp, self._map, *content)
+        record = KeyframePoses(stamp, self._map, *content, origin=origin)
         if self._covariances.get_subscription_count():
             self._covariances.publish(encode_keyframe_covariances(self._types, record))
         if self._keyframes.get_subscription_count():

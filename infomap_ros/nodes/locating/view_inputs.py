@@ -37,7 +37,7 @@ class ViewInputs:
         is_required = config.motion == "odometry"
         self._motion = None
         if config.motion != "none":
-            self._motion = PostureListener(node, self._take, required=is_required)
+            self._motion = PostureListener(node, self._on_motion, required=is_required)
         self._views: ViewSynchronizer[ImageSet] = ViewSynchronizer(
             self._motion,
             is_required=is_required,
@@ -45,8 +45,17 @@ class ViewInputs:
             on_drop=self._on_drop,
         )
         self._images = ImageInputs(
-            node, topics, self._on_images, config.pairing_tolerance, config.queue_size
+            node,
+            topics,
+            self._on_images,
+            config.pairing_tolerance,
+            config.queue_size,
+            lambda: None if self._motion is None else self._motion.newest_stamp,
         )
+
+    def _on_motion(self) -> None:
+        self._images.ask_witness()
+        self._take()
 
     def _on_images(self, images: ImageSet) -> None:
         if self._motion is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -23,6 +24,7 @@ class ImageInputs:
         on_images: gets the images of each moment with the camera infos.
         tolerance: largest difference between the stamps of a pair [s].
         capacity: images that wait for the camera infos at most.
+        witness: stamp to which another stream has come [ns], None where nothing is known.
     """
 
     def __init__(
@@ -32,14 +34,21 @@ class ImageInputs:
         on_images: Callable[[ImageSet], None],
         tolerance: float,
         capacity: int,
+        witness: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._on_images = on_images
         counts = len(topics.images), len(topics.infos)
-        self._images = ImageSynchronizer(*counts, tolerance, capacity, node.drop)
+        clocks = time.monotonic, witness
+        self._images = ImageSynchronizer(*counts, tolerance, capacity, node.drop, *clocks)
         for camera, topic in enumerate(topics.infos):
             node.listen(CameraInfo, topic, partial(self._on_info, camera), qos.sensor_data())
         for camera, topic in enumerate(topics.images):
             node.listen(Image, topic, partial(self._on_image, camera), qos.sensor_data())
+
+    def ask_witness(self) -> None:
+        """The witness has gone on."""
+        for images in self._images.ask_witness():
+            self._on_images(images)
 
     def _on_info(self, camera: int, message: CameraInfo) -> None:
         for images in self._images.add_info(camera, decode_camera_info(message)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -18,7 +19,7 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.description_listener import DescriptionListener
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
+from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP, ClockGate
 from infomap_ros.pipeline.robot_motion import RobotMotion
 
 _MOST_EARLY = 1000  # records that come before robot and camera are known
@@ -27,7 +28,8 @@ _MOST_EARLY = 1000  # records that come before robot and camera are known
 class PostureListener:
     """Listens to odom, joint_states, robot_description, and where these do not tell to tf.
 
-    When the clock of odometry jumps back, what was known before is forgotten.
+    When the clock of odometry jumps back, what was known before is forgotten. A lone odometry
+    whose stamp no other agrees with is dropped (`ClockGate`).
 
     Args:
         node: that listens; has the configurations of frames and poses.
@@ -55,6 +57,7 @@ class PostureListener:
         self._edges: dict[str, TransformRecord] = {}
         self._joints: JointStateRecord | None = None
         self._newest = -1
+        self._gate: ClockGate[OdometryRecord] = ClockGate(node.drop, time.monotonic)
         self._useless = ""
         self.odom_frame = ""
         self._texts = DescriptionListener(
@@ -88,6 +91,11 @@ class PostureListener:
     def is_known(self) -> bool:
         """Whether it is known where on the robot the camera is."""
         return self._motion is not None
+
+    @property
+    def newest_stamp(self) -> int | None:
+        """Of odometry [ns], None before there is any."""
+        return self._newest if self._newest >= 0 else None
 
     def look_from(self, camera_frame: str) -> None:
         """Tell in which frame images are."""
@@ -151,13 +159,14 @@ class PostureListener:
         return self._robot is not None and self._camera_frame in self._robot.frames
 
     def _on_odometry(self, odometry: OdometryRecord) -> None:
-        if odometry.stamp < self._newest - CLOCK_JUMP:
-            self._begin()
-            if self._joints is not None:  # which may have jumped before
-                self._add(self._joints)
-        self._newest, self.odom_frame = odometry.stamp, odometry.frame_id
-        self._tell_odometry(odometry)
-        self._add(odometry)
+        for record, has_jumped in self._gate.add(odometry.stamp, odometry):
+            if has_jumped:
+                self._begin()
+                if self._joints is not None:  # which may have jumped before
+                    self._add(self._joints)
+            self._newest, self.odom_frame = record.stamp, record.frame_id
+            self._tell_odometry(record)
+            self._add(record)
 
     def _add(self, record: OdometryRecord | JointStateRecord) -> None:
         """Use a record, or keep it until robot and camera are known."""

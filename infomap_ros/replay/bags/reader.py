@@ -13,8 +13,11 @@ from infomap_ros.errors import BagError, MalformedMessageError
 from infomap_ros.geometry.records import Record
 from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import SalvagedSource
+from infomap_ros.replay.bags.bounds import bound_rosbags, check_tables
 from infomap_ros.replay.bags.salvage import SALVAGERS, open_salvage
 from infomap_ros.replay.bags.source import DAMAGE, BagSource, Channel, RosbagsSource, typestore_of
+
+bound_rosbags()
 
 # Old ROS 1 bags have tf under this name; the content is the same.
 _RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
@@ -122,6 +125,10 @@ class BagReader:
                 f"{self.path.name} is not a bag: expected a rosbag2 folder or a file ending in "
                 f"{', '.join(SALVAGERS)}"
             )
+        files = self.path.iterdir() if self.path.is_dir() else [self.path]
+        for file in files:
+            if file.suffix == ".db3":
+                check_tables(file)
         try:
             return RosbagsSource(self.path)
         except OSError as error:

@@ -13,11 +13,9 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from backports import zstd
-from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.blocks import RawMessage, Salvage, read_exactly
+from infomap_ros.replay.bags.bounds import unpacked_chunk
 from infomap_ros.replay.bags.source import DAMAGE, Channel, absolute, is_latched_by_custom
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -57,7 +55,7 @@ def salvage_mcap(path: Path) -> Salvage:
                     f"{path.name} is truncated: the record at byte {start} needs {length} bytes"
                 )
             if opcode == _CHUNK_OP or (opcode in (_SCHEMA, _CHANNEL, _MESSAGE_OP) and not is_cut):
-                _take(path, opcode, offset, file.read(length), salvage, schemas)
+                _take(path, opcode, offset, file.read(min(length, size)), salvage, schemas)
             if is_cut:
                 return salvage
             file.seek(offset + length)
@@ -126,10 +124,8 @@ def _chunk_content(content: bytes) -> bytes:
     compression, tail = _strings(content, _CHUNK.size, 1)
     (packed_size,) = struct.unpack_from("<Q", tail)
     packed = tail[8 : 8 + packed_size]
-    if compression == "zstd":
-        inner = zstd.ZstdDecompressor().decompress(packed)
-    elif compression == "lz4":
-        inner = LZ4FrameDecompressor().decompress(packed)
+    if compression in ("zstd", "lz4"):
+        inner = unpacked_chunk(compression, packed, size)
     elif compression == "":
         inner = packed
     else:

@@ -18,14 +18,15 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.blocks import RawMessage, Salvage, read_exactly
+from infomap_ros.replay.bags.bounds import MOST_CHUNK
 from infomap_ros.replay.bags.source import DAMAGE, Channel, absolute, is_latched_by_custom
 
 _FIRST_LINE = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 _DECOMPRESSORS: dict[bytes, Callable[[bytes], bytes]] = {
     b"none": bytes,
-    b"bz2": lambda data: bz2.BZ2Decompressor().decompress(data),
-    b"lz4": lambda data: bytes(LZ4FrameDecompressor().decompress(data)),
+    b"bz2": lambda data: bz2.BZ2Decompressor().decompress(data, MOST_CHUNK),
+    b"lz4": lambda data: bytes(LZ4FrameDecompressor().decompress(data, MOST_CHUNK)),
 }
 
 

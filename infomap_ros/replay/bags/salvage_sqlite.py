@@ -40,7 +40,7 @@ def salvage_sqlite(path: Path) -> Salvage:
     try:
         salvage.channels = _channels(database)
         lost = _note_messages(path, database, salvage)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, ValueError, TypeError, AttributeError) as error:
         raise BagError(f"{path.name} is not a readable rosbag2 SQLite file: {error}") from error
     finally:
         database.close()

@@ -66,7 +66,15 @@ class SavedRobot:
                 _arrays(content["odometry"]),
                 str(content["world"]),
             )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (
+            OSError,
+            OverflowError,
+            RecursionError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+        ) as error:
             raise SimulationError(f"robot file {path}: {error!r}") from error
         numbers = [np.array(saved.seconds), *saved.body.values(), *saved.odometry.values()]
         if not all(np.isfinite(each).all() for each in numbers) or saved.seconds < 0.0:

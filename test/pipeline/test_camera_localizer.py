@@ -7,11 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.localization import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.localisation import Localisation, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
+from infomap_ros.pipeline.camera_localizer import (
+    TARGET_ORIGIN,
+    CameraLocalizer,
+    CameraLocalizerConfig,
+    origin_of,
+)
 
 MOTION = KinematicMotion()
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
@@ -22,7 +28,7 @@ class View:
 
     def __init__(self, stamp: int) -> None:
         self.stamp, self.camera = stamp, CAMERA
-        self.image = np.zeros((48, 64), np.uint8)
+        self.image = np.full((48, 64), stamp % 256, np.uint8)
 
 
 class ScriptedLocalizer:
@@ -77,3 +83,34 @@ def test_between_views_that_tell_the_pose_the_kinematics_err_anew(
     for prior in priors:
         assert prior is not None
         np.testing.assert_allclose(prior.covariance, expected, rtol=1e-9, atol=1e-15)
+
+
+def test_images_that_stand_still_while_odometry_moves_are_not_located(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scripted = ScriptedLocalizer(["tracking"] * 9)
+    localizer = CameraLocalizer(CameraLocalizerConfig(LocalizerConfig(), MOTION, None, 0.0))
+    monkeypatch.setattr(localizer, "_make", lambda *_: scripted)
+    frozen = View(0).image
+
+    def locate(number: int, x: float, image: np.ndarray) -> None:
+        view = View(number)
+        view.image = image
+        localizer.locate(view, posture(x))  # type: ignore[arg-type]
+
+    locate(0, 0.0, frozen)
+    locate(1, 0.02, frozen)  # within what odometry drifts
+    for number in (2, 3):
+        with pytest.raises(SensorFaultError, match="frozen while odometry moves"):
+            locate(number, 0.02 * number, frozen)
+    locate(4, 0.08, View(4).image)
+    way = scripted.priors[-1]
+    assert way is not None  # since the last view that was located
+    np.testing.assert_allclose(way.T_before_after[0, 3], 0.06)
+
+
+def test_an_origin_is_named_by_the_view_with_which_a_map_begins() -> None:
+    first, again, later = View(10**9), View(10**9), View(10**9 + 1)
+    assert origin_of(first) == origin_of(again)  # type: ignore[arg-type]
+    assert origin_of(first) != origin_of(later)  # type: ignore[arg-type]
+    assert TARGET_ORIGIN < origin_of(first) < 2**32  # type: ignore[arg-type]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import mmap
 import sqlite3
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +13,9 @@ from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from rosbags.rosbag2 import storage_mcap
 
 from infomap_ros.errors import BagError
+
+_MCAP_START = 8  # bytes of its magic, at both ends
+_MCAP_HEADER = struct.Struct("<BQ")  # opcode and length of a record
 
 MOST_CHUNK = 1 << 28
 """Content of a chunk [byte]: recorders close one after 1 to 4 MB; one message may be larger."""
@@ -52,6 +57,25 @@ def bound_rosbags() -> None:
 
 def _bounded(compression: str) -> Callable[[bytes, int], bytes]:
     return lambda packed, size: unpacked_chunk(compression, packed, size)
+
+
+def check_lengths(path: Path) -> None:
+    """Walk through the records of an MCAP file: rosbags allocates what they say they need.
+
+    Raises:
+        ValueError: one is longer than the file.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        if size < _MCAP_START:
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            at = _MCAP_START
+            while at + _MCAP_HEADER.size <= size - _MCAP_START:
+                length = _MCAP_HEADER.unpack_from(content, at)[1]
+                if at + _MCAP_HEADER.size + length > size:
+                    raise ValueError(f"the record at byte {at} needs {length} bytes")
+                at += _MCAP_HEADER.size + length
 
 
 def check_tables(path: Path) -> None:

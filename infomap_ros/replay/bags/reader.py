@@ -13,7 +13,7 @@ from infomap_ros.errors import BagError, MalformedMessageError
 from infomap_ros.geometry.records import Record
 from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import SalvagedSource
-from infomap_ros.replay.bags.bounds import bound_rosbags, check_tables
+from infomap_ros.replay.bags.bounds import bound_rosbags, check_lengths, check_tables
 from infomap_ros.replay.bags.salvage import SALVAGERS, open_salvage
 from infomap_ros.replay.bags.source import DAMAGE, BagSource, Channel, RosbagsSource, typestore_of
 
@@ -125,11 +125,14 @@ class BagReader:
                 f"{self.path.name} is not a bag: expected a rosbag2 folder or a file ending in "
                 f"{', '.join(SALVAGERS)}"
             )
-        files = self.path.iterdir() if self.path.is_dir() else [self.path]
+        files = list(self.path.iterdir()) if self.path.is_dir() else [self.path]
         for file in files:
             if file.suffix == ".db3":
                 check_tables(file)
         try:
+            for file in files:
+                if file.suffix == ".mcap":
+                    check_lengths(file)
             return RosbagsSource(self.path)
         except OSError as error:
             if not isinstance(error, FileNotFoundError) or not self.path.exists():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry.config import check_config, parameter
@@ -174,7 +174,7 @@ def _mean_uncertainty(
     names = ("drift", "white", "offset", "clock")
     pairs = ((getattr(first, name), getattr(second, name)) for name in names)
     means = ((1.0 - fraction) * one + fraction * other for one, other in pairs)
-    return PoseUncertainty(*means, origin=first.origin)
+    return replace(PoseUncertainty(*means), origin=first.origin)
 
 
 def _origin(pose: PoseRecord) -> int:

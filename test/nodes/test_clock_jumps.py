@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infomap_ros.errors import PoseUnavailableError
@@ -61,6 +61,7 @@ def test_who_jumps_first_gets_nothing_from_before() -> None:
     assert caught.value.may_arrive
 
 
+@settings(deadline=None)
 @given(order=st.randoms(use_true_random=False), count=st.integers(1, 8), rounds=st.integers(1, 3))
 def test_every_pair_of_a_looping_bag_is_found(order, count: int, rounds: int) -> None:
     """Whatever the interleaving, as long as no stream is a whole round ahead."""
@@ -166,6 +167,7 @@ moments = st.lists(
 )
 
 
+@settings(deadline=None)
 @given(events=moments, period=st.sampled_from([RATE, SECOND // 30, 2 * SECOND]))
 def test_pairs_come_back_whatever_stamps_say(events: list[tuple[str, int]], period: int) -> None:
     """Wrong stamps on one camera or both, and real jumps, in any order [ms off]."""

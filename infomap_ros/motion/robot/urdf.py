@@ -109,7 +109,7 @@ class _BoundedTree(ElementTree.TreeBuilder):
         super().__init__()
         self._count = self._depth = 0
 
-    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:  # type: ignore[override]
+    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
         self._count, self._depth = self._count + 1, self._depth + 1
         _check_number("elements", self._count, _MOST_ELEMENTS)
         _check_number("elements within each other", self._depth, _MOST_NESTING)

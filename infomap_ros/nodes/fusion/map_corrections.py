@@ -55,8 +55,8 @@ class MapCorrections:
         node.listen(Path, KEYFRAME_POSES, self._on_poses, stream, required=False)
 
     def _on_covariances(self, message: PointCloud2) -> None:
-        stamp, *told = decode_keyframe_covariances(message)
-        self._hand_over(self._parts.add_part(stamp, (told[0], told[1], told[2])))
+        stamp, origin, stamps, covariances = decode_keyframe_covariances(message)
+        self._hand_over(self._parts.add_part(stamp, (origin, stamps, covariances)))
 
     def _on_poses(self, message: Path) -> None:
         poses = decode_keyframe_poses(message)

@@ -71,7 +71,7 @@ def check_lengths(path: Path) -> None:
             return
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             at = _MCAP_START
-            while at + _MCAP_HEADER.size <= size - _MCAP_START:
+            while at + _MCAP_HEADER.size <= size:
                 length = _MCAP_HEADER.unpack_from(content, at)[1]
                 if at + _MCAP_HEADER.size + length > size:
                     raise ValueError(f"the record at byte {at} needs {length} bytes")

@@ -25,6 +25,7 @@ from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.team import TeamConfig, TeamMember
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.digest import CellDigest, Request
+from infomap_ros.team.freshness import Freshness
 
 TYPES = RosbagsMessageTypes()
 CONFIG = VoxelMapConfig(voxel_size=0.1)
@@ -56,8 +57,8 @@ def ask_for_blocks(key: TeamKey | None) -> list[Any]:
         for level in (0, 3)
         for part in (
             *CellDigest(7, 1, robot, 1000, 5, level, corners, hashes).encode(1400),
-            *Request(7, VICTIM, robot, "cells", level, 0, corners).encode(1400),
-            *Request(7, VICTIM, robot, "states", 0, level, corners).encode(1400),
+            *Request(7, 1, VICTIM, 2, robot, "cells", level, 0, corners).encode(1400),
+            *Request(7, 1, VICTIM, 2, robot, "states", 0, level, corners).encode(1400),
         )
     ]
     signed = [key.sign(part) if key else part for part in rows]
@@ -97,7 +98,8 @@ def mutated(message: Any, rng: np.random.Generator) -> Any:
 
 
 def hear(member: TeamMember, key: TeamKey | None, message: Any) -> None:
-    """As a node does; what kind of message it is its facts say."""
+    """As a node does; what kind of message it is its facts say. That it is repeated is forgiven."""
+    member._freshness = Freshness()
     rows = decode_rows(message)[2]
     if key is not None:
         rows = key.verify(rows)

@@ -1,7 +1,13 @@
-"""What is known of the other robots of a team, and for how long it counts."""
+"""What is known of the other robots of a team, and for how long it counts.
+
+How far a robot had come is known for longer than where it stood: whoever repeats its old words
+after it has fallen silent is not heard. A robot whose clock went back is told so by its teammates
+(`AgentBoard.past`) and goes on after what they know.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 from infomap_ros.team.agent_text import agent_from_text
@@ -9,7 +15,8 @@ from infomap_ros.team.agents import Agent
 from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.membership import Membership
-from infomap_ros.team.versions import is_newer
+from infomap_ros.team.own_version import MOST_FOLLOWED
+from infomap_ros.team.versions import is_newer, versions_ahead
 
 
 class AgentBoard:
@@ -36,6 +43,9 @@ class AgentBoard:
         self._membership = Membership(robot, session, team, self.config.silence)
         self._agents: dict[int, Agent] = {}
         self._heard: dict[int, float] = {}
+        self._newest: dict[int, int] = {}
+        self._past: dict[int, float] = {}
+        self._now = -math.inf
 
     def hear(self, text: str, now: float, own_version: int = 0) -> Agent | None:
         """Learn what a robot tells of itself.
@@ -55,17 +65,34 @@ class AgentBoard:
                 impossible after those that were heard.
         """
         agent = agent_from_text(text, self._key)
+        self._now = now
         self._forget(now)
         if agent.robot == self._robot and self._listens:
             return None
+        is_known = self._membership.knows(agent.robot, agent.session)
         self._membership.check_update(agent, now, own_version)
-        known = self._agents.get(agent.robot)
-        late = known is not None and not is_newer(agent.version, known.version)
-        if agent.robot == self._robot or late:
+        if agent.robot == self._robot:
+            return None
+        if self._is_past(agent, is_known):
+            self._past[agent.robot] = now
             return None
         self._agents[agent.robot] = agent
         self._heard[agent.robot] = now
+        self._past.pop(agent.robot, None)
+        self._newest[agent.robot] = agent.version
         return agent
+
+    def _is_past(self, agent: Agent, is_known: bool) -> bool:
+        """Whether a robot has told something newer before.
+
+        Who was silent for long and starts again with a clock that was never set cannot catch up,
+        and is heard.
+        """
+        newest = self._newest.get(agent.robot)
+        if newest is None or is_newer(agent.version, newest):
+            return False
+        starts_again = agent.robot not in self._agents and not is_known
+        return not (starts_again and versions_ahead(newest, agent.version) > MOST_FOLLOWED)
 
     def present(self, now: float) -> tuple[Agent, ...]:
         """The others that were heard lately, by id; their goals count."""
@@ -83,6 +110,11 @@ class AgentBoard:
     def claims(self, now: float) -> dict[int, int]:
         """Claims of the others that are known, by their ids."""
         return {agent.robot: agent.claim for agent in self.present(now)}
+
+    def past(self) -> dict[int, int]:
+        """Newest versions that are known of robots that spoke with older ones lately, by id."""
+        silence = self.config.silence
+        return {r: self._newest[r] for r, at in self._past.items() if self._now - at <= silence}
 
     def _forget(self, now: float) -> None:
         silent = [r for r, heard in self._heard.items() if now - heard > self.config.memory]

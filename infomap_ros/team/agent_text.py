@@ -26,7 +26,7 @@ _FORMAT = 1
 _LONGEST = 65_536
 _WHOLE = ("robot", "session", "version", "stamp", "since", "claim")
 _REAL = ("max_range", "radius", "bottom", "top")
-_TEXT = ("state", "description", "base_frame")
+_TEXT = ("state", "description", "description_hash", "base_frame")
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _NAMES = frozenset(
     {"infomap_agent", "base", "camera", "goal", "covariance", "lens", "way", "joints", "heard"}

@@ -11,11 +11,13 @@ smaller id holds; no clocks are compared.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
@@ -26,6 +28,7 @@ from infomap_ros.team.versions import is_newer
 _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_HASH = re.compile(r"[0-9a-f]{64}")
 _FARTHEST, _LARGEST = 1e6, 100.0  # [m]
 _SIGMAS = 3.0
 
@@ -57,6 +60,8 @@ class Agent:
         bottom: lowest point of its body in its base frame [m].
         top: highest point of its body in its base frame [m].
         description: full name of the topic of its robot_description; empty without one.
+        description_hash: of the text on that topic, see `hash_of_description`; who does not know
+            it cannot trust what it reads there. Empty where nothing was read.
         base_frame: link whose pose `T_map_base` is; the root link where empty.
 
     Raises:
@@ -83,6 +88,7 @@ class Agent:
     bottom: float = -0.1
     top: float = 1.0
     description: str = ""
+    description_hash: str = ""
     base_frame: str = ""
 
     def __post_init__(self) -> None:
@@ -102,6 +108,11 @@ class Agent:
         object.__setattr__(self, "way", way)
 
     @property
+    def versions(self) -> NDArray[np.uint32]:
+        """Of all that it tells, shape (1,)."""
+        return np.array([self.version], np.uint32)
+
+    @property
     def sender(self) -> int | None:
         """Each robot speaks for itself alone."""
         return None
@@ -117,6 +128,11 @@ class Agent:
     def reach(self) -> float:
         """How far its body may be from where it says its axis is, by three sigmas [m]."""
         return self.radius + _SIGMAS * self.position_sigma
+
+
+def hash_of_description(text: str) -> str:
+    """SHA-256 of a robot_description in UTF-8, as 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def knows(mate: Agent, robot: int, claim: int) -> bool:
@@ -158,6 +174,9 @@ def _check_words(agent: Agent) -> None:
     topic = agent.description
     if topic and (len(topic) > _LONGEST_NAME or not _TOPIC.fullmatch(topic) or "__" in topic):
         raise InvalidInputError("agent description", f"'{topic[:40]}' is not the name of a topic")
+    if agent.description_hash and not _HASH.fullmatch(agent.description_hash):
+        text = f"'{agent.description_hash[:80]}' is not a hash"
+        raise InvalidInputError("agent description_hash", text)
     for name, text, longest in (*words, *names):
         if len(text) > longest or not (text.isprintable() or not text):
             raise InvalidInputError(f"agent {name}", f"'{text[:40]}' is too long or not printable")

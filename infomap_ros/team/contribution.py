@@ -13,15 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.mapping.voxels.blocks import (
-    BLOCK_COUNT,
-    BlockArrays,
-    block_bytes,
-    empty_blocks,
-    grown,
-)
+from infomap_ros.mapping.voxels.blocks import BLOCK_BYTES as KEY_BYTES
+from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, BlockArrays, empty_blocks, grown
 from infomap_ros.mapping.voxels.blocks import with_room as with_block_room
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, pack_all
 from infomap_ros.mapping.voxels.voxel_states import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
 from infomap_ros.team.code_table import (
@@ -40,7 +35,8 @@ BLOCK_BYTES = 5 * BLOCK_VOXELS + 12
 CODE_BYTES = 20
 """Memory of a surface point's code [bytes]."""
 
-
+_FIRST_BLOCKS = 8  # for which there is room at first: a robot that tells of one voxel costs 30 kB
+_KEPT_AT_ONCE = 4096  # blocks that are copied in one go
 Corners = NDArray[np.int32]
 
 
@@ -79,11 +75,16 @@ class Contribution:
 
     Args:
         voxel_size: edge of a voxel [m].
+
+    Attributes:
+        newest: the newest version of all states, 0 before the first.
+        is_cut: whether blocks were dropped for want of memory: then it is no longer what the robot
+            told, and not compared with what others hold of it.
     """
 
     def __init__(self, voxel_size: float) -> None:
         self._size = voxel_size
-        self._blocks: BlockArrays = empty_blocks()
+        self._blocks: BlockArrays = _few_blocks()
         self._codes = empty_codes()
         self._planes = Planes(
             np.full((0, BLOCK_VOXELS), NOT_OBSERVED, np.int8),
@@ -91,7 +92,7 @@ class Contribution:
             np.zeros(0, np.uint32),
             np.zeros(0, np.uint64),
         )
-        self.newest = 0
+        self.newest, self.is_cut = 0, False
 
     @property
     def arrays(self) -> tuple[BlockArrays, Planes, CodeTable]:
@@ -104,9 +105,25 @@ class Contribution:
         return int(self._blocks.counts[BLOCK_COUNT])
 
     def memory_bytes(self) -> int:
-        """Memory in use [bytes]."""
-        surfaces = int(self._codes.counts[0]) * CODE_BYTES + int(self._codes.table.nbytes)
-        return block_bytes(self._blocks) + self.blocks * BLOCK_BYTES + surfaces
+        """Memory of all arrays, used or not [bytes]."""
+        return sum(array.nbytes for part in self.arrays for array in part)
+
+    def count_new(self, indices: NDArray[np.int32]) -> int:
+        """Number of blocks of voxels, shape (K, 3), of which nothing was told; at the most."""
+        corners = np.empty((int(count_block_changes(indices)), 3), np.int32)
+        kernels.list_blocks(indices, corners)
+        slots = np.full(len(corners), -1, np.int64)
+        kernels.find_blocks(self._blocks, corners, slots)
+        return int(np.count_nonzero(slots < 0))
+
+    def growth_bytes(self, blocks: int, surfaces: int) -> int:
+        """What memory is added for so many more blocks and surface points, at the most [bytes]."""
+        room, rows = len(self._blocks.keys), len(self._codes.codes)
+        slots = _grown_to(room, self.blocks + blocks) - room
+        table = len(self._blocks.table)
+        table = _grown_to(table, 2 * (self.blocks + blocks), 1.0) - table
+        codes = _grown_to(rows, int(self._codes.counts[0]) + surfaces) - rows
+        return slots * (KEY_BYTES + 4 + BLOCK_BYTES) + 4 * table + (CODE_BYTES + 8) * codes
 
     def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
         """Keep the states that are newer than what was heard.
@@ -131,6 +148,15 @@ class Contribution:
             if is_newer(version, np.uint32(self.newest)):
                 self.newest = int(version)
         return changed
+
+    def most_telling(self, share: float, worth: NDArray[np.float64]) -> Contribution:
+        """A contribution with that share of the blocks that is worth most, shape (blocks,)."""
+        kept = Contribution(self._size)
+        chosen = np.sort(np.argsort(-worth, kind="stable")[: int(share * self.blocks)])
+        for start in range(0, len(chosen), _KEPT_AT_ONCE):
+            kept.accept(self.states(0, chosen[start : start + _KEPT_AT_ONCE]))
+        kept.newest, kept.is_cut = self.newest, True
+        return kept
 
     def add_to(
         self,
@@ -235,10 +261,28 @@ class Contribution:
             slots = np.full(len(corners), -1, np.int64)
             kernels.find_blocks(self._blocks, corners, slots)
             return slots[slots >= 0]
-        wanted = {tuple(corner) for corner in corners.tolist()}
-        own = self.coordinates(np.arange(self.blocks)) >> level
-        chosen = [tuple(corner) in wanted for corner in own.tolist()]
-        return np.flatnonzero(chosen)
+        own = pack_all(self.coordinates(np.arange(self.blocks)).astype(np.int64) >> level)
+        return np.flatnonzero(np.isin(own, pack_all(corners.astype(np.int64))))
+
+
+def _few_blocks() -> BlockArrays:
+    """As `empty_blocks`, with little room, and none for what a contribution does not use."""
+    arrays = empty_blocks()
+    return arrays._replace(
+        table=np.full(2 * _FIRST_BLOCKS, -1, np.int32),
+        keys=arrays.keys[:_FIRST_BLOCKS].copy(),
+        base=arrays.base[:_FIRST_BLOCKS].copy(),
+        kind=arrays.kind[:_FIRST_BLOCKS].copy(),
+        plane=arrays.plane[:_FIRST_BLOCKS].copy(),
+        narrow=arrays.narrow[:0].copy(),
+        wide=arrays.wide[:0].copy(),
+        free_rows=arrays.free_rows[:0].copy(),
+    )
+
+
+def _grown_to(room: int, needed: int, more: float = 0.5) -> int:
+    """Rows of an array after `blocks.grown` or `with_room` has made room."""
+    return room if room >= needed else max(needed, room + int(more * room))
 
 
 def _folded(hashes: NDArray[np.uint64]) -> NDArray[np.uint32]:

@@ -7,11 +7,15 @@ As map updates, they are rows of named fields with the facts in the name of one 
 - Cells are hashes of parts of one contribution: cubes of 2^level blocks of 8^3 voxels.
 - A request asks one robot for the cells or for the states of such cubes, without rows for all; or
   for map updates that it told, by their serial numbers.
+
+Each carries its sender's session and its number in it (`infomap_ros.team.freshness`), and a request
+the session of who is asked: a request to one that has ended is void.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +23,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, COORDINATE_LIMIT
 from infomap_ros.team.facts import dtype_with_facts, facts_of, whole_number, without_facts
+from infomap_ros.team.freshness import MAX_NUMBER
 from infomap_ros.team.update import MAX_ROBOT, MAX_SERIAL, MAX_SESSION, MAX_VERSION
 
 SUMMARY_ROW = np.dtype(
@@ -28,6 +33,8 @@ CELL_ROW = np.dtype([("corner", "<i4", (3,)), ("hash", "<u4")])
 REQUEST_ROW = np.dtype([("corner", "<i4", (3,))])
 MAX_LEVEL = 8
 _CORNER_LIMIT = COORDINATE_LIMIT >> BLOCK_BITS
+MAX_SUMMARY = 1024
+"""Contributions that a summary tells of, at the most."""
 _OVERHEAD = 500  # [bytes]
 
 
@@ -39,16 +46,18 @@ class Summary:
         sender: id of the robot.
         session: number that it drew when it started.
         rows: of dtype `SUMMARY_ROW`; `hash` is its lower and its upper half.
+        number: of the message in this session.
     """
 
     sender: int
     session: int
     rows: NDArray[np.void]
+    number: int = 0
 
-    def encode(self) -> NDArray[np.void]:
-        """The rows of a message."""
+    def encode(self, number: int = 0) -> NDArray[np.void]:
+        """The rows of a message with that number."""
         facts = {"digest": "summary", "sender": self.sender, "session": self.session}
-        return self.rows.view(dtype_with_facts(SUMMARY_ROW, facts))
+        return self.rows.view(dtype_with_facts(SUMMARY_ROW, facts | {"number": number}))
 
     def hashes(self) -> list[int]:
         """Hash of each contribution, 64 bits."""
@@ -69,6 +78,7 @@ class CellDigest:
         level: see module.
         corners: of the cubes in units of their edge, shape (n, 3), int32.
         hashes: shape (n,), uint32; 0 where nothing is known.
+        number: of the message in this session.
     """
 
     sender: int
@@ -79,9 +89,10 @@ class CellDigest:
     level: int
     corners: NDArray[np.int32]
     hashes: NDArray[np.uint32]
+    number: int = 0
 
-    def encode(self, max_bytes: int) -> list[NDArray[np.void]]:
-        """The rows of as many messages as it takes."""
+    def encode(self, max_bytes: int, number: int = 0) -> list[NDArray[np.void]]:
+        """The rows of as many messages as it takes, with numbers from that one on."""
         facts = {
             "digest": "cells",
             "sender": self.sender,
@@ -91,10 +102,9 @@ class CellDigest:
             "serial": self.serial,
             "level": self.level,
         }
-        rows = np.zeros(len(self.corners), dtype_with_facts(CELL_ROW, facts))
+        rows = np.zeros(len(self.corners), CELL_ROW)
         rows["corner"], rows["hash"] = self.corners, self.hashes
-        length = max(1, (max_bytes - _OVERHEAD) // CELL_ROW.itemsize)
-        return [rows[start : start + length] for start in range(0, len(rows), length)]
+        return _messages(rows, facts, max_bytes, number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,39 +113,71 @@ class Request:
 
     Attributes:
         sender: id of the robot that asks.
+        session: number that it drew when it started.
         to: id of the robot that is asked.
+        to_session: session of that robot.
         robot: id of the robot whose contribution it is.
         wants: "cells", "states", or "messages", of which the numbers stand in `corners`.
         level: of the cells that are wanted; 0 for states.
         within: level of `corners`.
         corners: the cubes, in units of their edge, shape (n, 3), int32; none for all.
+        number: of the message in the sender's session.
     """
 
     sender: int
+    session: int
     to: int
+    to_session: int
     robot: int
     wants: str
     level: int
     within: int
     corners: NDArray[np.int32]
+    number: int = 0
 
-    def encode(self, max_bytes: int) -> list[NDArray[np.void]]:
-        """The rows of as many messages as it takes; one row more where all is wanted."""
+    def parts(self, max_bytes: int) -> list[Request]:
+        """The same in as many requests as it takes for each to fit one message."""
+        length = _most_rows(REQUEST_ROW, max_bytes)
+        starts = range(0, max(1, len(self.corners)), length)
+        return [replace(self, corners=self.corners[start : start + length]) for start in starts]
+
+    def encode(self, max_bytes: int, number: int = 0) -> list[NDArray[np.void]]:
+        """The rows of as many messages as it takes, with numbers from that one on.
+
+        Where all is wanted they have one row more.
+        """
         everything = not len(self.corners)
         facts = {
             "request": self.wants,
             "sender": self.sender,
+            "session": self.session,
             "to": self.to,
+            "to_session": self.to_session,
             "robot": self.robot,
             "level": self.level,
             "within": self.within,
             "all": int(everything),
         }
-        rows = np.zeros(max(1, len(self.corners)), dtype_with_facts(REQUEST_ROW, facts))
+        rows = np.zeros(max(1, len(self.corners)), REQUEST_ROW)
         if not everything:
             rows["corner"] = self.corners
-        length = max(1, (max_bytes - _OVERHEAD) // REQUEST_ROW.itemsize)
-        return [rows[start : start + length] for start in range(0, len(rows), length)]
+        return _messages(rows, facts, max_bytes, number)
+
+
+def _most_rows(row: np.dtype[np.void], max_bytes: int) -> int:
+    return max(1, (max_bytes - _OVERHEAD) // row.itemsize)
+
+
+def _messages(
+    rows: NDArray[np.void], facts: Mapping[str, object], max_bytes: int, number: int
+) -> list[NDArray[np.void]]:
+    """Rows in as many messages as it takes, numbered."""
+    length = _most_rows(rows.dtype, max_bytes)
+    parts = [rows[start : start + length] for start in range(0, len(rows), length)]
+    return [
+        part.view(dtype_with_facts(rows.dtype, {**facts, "number": number + count}))
+        for count, part in enumerate(parts)
+    ]
 
 
 def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
@@ -147,8 +189,12 @@ def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
     facts = facts_of(rows, "digest")
     sender = whole_number(facts, "sender", 0, MAX_ROBOT, "digest")
     session = whole_number(facts, "session", 0, MAX_SESSION, "digest")
+    number = whole_number(facts, "number", 0, MAX_NUMBER, "digest")
     if facts.get("digest") == "summary":
-        return Summary(sender, session, without_facts(rows, (SUMMARY_ROW,)).copy())
+        table = without_facts(rows, (SUMMARY_ROW,)).copy()
+        if len(table) > MAX_SUMMARY or len(np.unique(table["robot"])) < len(table):
+            raise InvalidInputError("digest", f"of {len(table)} contributions, or one is repeated")
+        return Summary(sender, session, table, number)
     if facts.get("digest") != "cells":
         raise InvalidInputError("digest", f"of kind '{facts.get('digest', '')}'")
     table = without_facts(rows, (CELL_ROW,))
@@ -161,6 +207,7 @@ def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
         whole_number(facts, "level", 0, MAX_LEVEL, "digest"),
         _checked_corners(table, "digest"),
         table["hash"].copy(),
+        number,
     )
 
 
@@ -180,12 +227,15 @@ def decode_request(rows: NDArray[np.void]) -> Request:
     corners = _checked_corners(table, "request") if is_place else table["corner"].copy()
     return Request(
         whole_number(facts, "sender", 0, MAX_ROBOT, "request"),
+        whole_number(facts, "session", 0, MAX_SESSION, "request"),
         whole_number(facts, "to", 0, MAX_ROBOT, "request"),
+        whole_number(facts, "to_session", 0, MAX_SESSION, "request"),
         whole_number(facts, "robot", 0, MAX_ROBOT, "request"),
         wants,
         whole_number(facts, "level", 0, MAX_LEVEL, "request"),
         whole_number(facts, "within", 0, MAX_LEVEL, "request"),
         corners[:0] if everything else corners,
+        whole_number(facts, "number", 0, MAX_NUMBER, "request"),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,15 +44,21 @@ class Losses:
             self._newest[robot] = serial
             self._lost[robot] = {}
             return
+        lost = self._lost[robot]
         for number in range(newest + 1, serial + 1):
-            self._lost[robot][number] = _Loss(now)
+            lost[number] = _Loss(now)
+        for number in list(islice(lost, max(0, len(lost) - _WINDOW))):
+            del lost[number]
         self._newest[robot] = max(newest, serial)
 
     def asked(self, robot: int, serials: NDArray[np.int32], now: float) -> None:
-        """Somebody has asked for messages of a robot: the answer goes to all."""
+        """Another robot has asked for messages of a robot: the answer goes to all.
+
+        That counts once for each message, so that who always asks keeps nobody else from it.
+        """
         lost = self._lost.get(robot, {})
         for serial in serials.tolist():
-            if serial in lost:
+            if serial in lost and lost[serial].asked == -np.inf:
                 lost[serial].asked = now
 
     def to_ask(self, now: float) -> dict[int, NDArray[np.int32]]:
@@ -63,5 +70,6 @@ class Losses:
             due = [n for n, loss in lost.items() if now - loss.asked >= self._patience]
             if due:
                 wanted[robot] = np.array(due, np.int32)
-                self.asked(robot, wanted[robot], now)
+                for number in due:
+                    lost[number].asked = now
         return wanted

@@ -6,16 +6,20 @@ It knows neither network nor clock: messages are rows that somebody carries, tim
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS
 from infomap_ros.team.agreement import Agreement, compare
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import Summary, decode_digest, decode_request
+from infomap_ros.team.freshness import Freshness
+from infomap_ros.team.limits import MOST_BLOCKS_TAKEN_BACK, MOST_RECOVERED, ROOM_PERIOD
 from infomap_ros.team.membership import Membership
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.reconciler import Reconciler
@@ -66,15 +70,19 @@ class TeamMember:
         key: TeamKey | None = None,
     ) -> None:
         self._config = config or TeamConfig()
-        self.replica = MapReplica(map_config)
+        self.replica = MapReplica(map_config, robot)
         self._membership = Membership(robot, session if tells else None, team, self._config.silence)
         self._outbox = Outbox(robot, session, version, self.replica, self._config)
-        self._reconciler = Reconciler(self.replica, self._outbox, self._config, tells)
+        self._reconciler = Reconciler(
+            self.replica, self._outbox, self._config, tells, self._membership.may_be_kept
+        )
+        self._freshness, self._made_room = Freshness(), -np.inf
+        self._taken_back: set[tuple[int, ...]] = set()
         self._tells, self._key = tells, key
         self._reviewed = -np.inf
         self.contradictions: dict[int, Agreement] = {}
         self._recovered: list[MapUpdate] = []
-        self._started, self._has_begun, self._adopts = np.nan, False, True
+        self._started, self._has_begun = np.nan, False
 
     @property
     def robot(self) -> int:
@@ -91,6 +99,13 @@ class TeamMember:
         """Whether somebody still waits for an answer."""
         return self._outbox.waiting
 
+    def barred_by(self, now: float) -> dict[int, int]:
+        """Robots that hold a version of this robot's that it cannot have told, with that version.
+
+        What this robot tells does not count there, until it starts again.
+        """
+        return self._outbox.own_version.barred_by(now)
+
     def tell(self, own_map: VoxelMap, now: float) -> list[Rows]:
         """Map updates to send now: what changed, and what others asked for.
 
@@ -98,11 +113,14 @@ class TeamMember:
             own_map: what this robot saw; tracks its changes. What others know of it and it does
                 not is added.
             now: time of any steady clock [s].
+
+        Raises:
+            CapacityError: there is no room for what others know of this robot, or for what it
+                tells. What was to be told is told when there is.
         """
         self._start(now)
-        for update in self._recovered:
-            adopt(own_map, update)
-        self._recovered.clear()
+        while self._recovered:
+            adopt(own_map, self._recovered.pop())
         if not self._has_begun and now >= self._reconciler.recovering_until:
             self._has_begun = True
             _mark_all(own_map)
@@ -123,7 +141,6 @@ class TeamMember:
         """From now on another map is told; what was told and it does not know is taken back."""
         self._reconciler.recovering_until = -np.inf
         self._recovered.clear()
-        self._adopts = False
         self.begin(own_map)
         part = self.replica.contribution(self.robot)
         if part is not None:
@@ -136,6 +153,9 @@ class TeamMember:
         if now - self._reviewed >= _REVIEW_PERIOD:
             self._reviewed = now
             self._review()
+        if self.replica.is_crowded and now - self._made_room >= ROOM_PERIOD:
+            self._made_room = now
+            self.replica.make_room()
         return self._spend(self._reconciler.digests(now))
 
     def requests(self, now: float) -> list[Rows]:
@@ -157,6 +177,8 @@ class TeamMember:
         update = decode_update(self._genuine(rows))
         self._start(now)
         self._membership.check_update(update, now, self._outbox.version)
+        if update.sender is None:
+            self._reconciler.meet(update.robot, update.session, is_sure=False)
         speaker = update.robot if update.sender is None else update.sender
         if update.serial is not None and (speaker != self.robot or not self._tells):
             self._reconciler.losses.hear(speaker, update.serial, now)
@@ -166,7 +188,7 @@ class TeamMember:
                 self._reviewed = -np.inf
             return self.replica.apply(update)
         if update.sender is not None and update.sender != self.robot:
-            self._recover(update)
+            self._recover(update, now)
         return 0
 
     def hear_digest(self, rows: Rows, now: float) -> None:
@@ -181,9 +203,16 @@ class TeamMember:
         self._membership.check_robot(digest.sender)
         if digest.sender == self.robot and self._tells:
             return
+        self._freshness.check(digest.sender, digest.session, digest.number)
+        self._reconciler.meet(digest.sender, digest.session)
         if isinstance(digest, Summary):
+            for newest in digest.rows["newest"][digest.rows["robot"] == digest.sender].tolist():
+                self._membership.hear_of_itself(digest.sender, digest.session, newest, now)
             self._reconciler.hear_summary(digest, now)
         else:
+            if digest.robot == digest.sender:
+                of_itself = digest.sender, digest.session, digest.version
+                self._membership.hear_of_itself(*of_itself, now)
             self._reconciler.hear_cells(digest, now)
 
     def hear_request(self, rows: Rows, now: float) -> None:
@@ -195,6 +224,9 @@ class TeamMember:
         """
         request = decode_request(self._genuine(rows))
         self._membership.check_robot(request.sender)
+        if request.sender == self.robot and request.session == self._outbox.session:
+            return
+        self._freshness.check(request.sender, request.session, request.number)
         self._reconciler.hear_request(request, now)
 
     def _review(self) -> None:
@@ -215,16 +247,27 @@ class TeamMember:
             self._started = now
             self._reconciler.recovering_until = now + self._config.recovery
 
-    def _recover(self, update: MapUpdate) -> None:
-        """Keep what others know of this robot's contribution and it did not tell since it began."""
+    def _recover(self, update: MapUpdate, now: float) -> None:
+        """Keep what others know of this robot's contribution and it did not tell since it began.
+
+        That is put into the map only while the robot recovers; afterwards it is taken back.
+        """
+        sender = self.robot if update.sender is None else update.sender
         part = self.replica.contribution(self.robot)
-        self._outbox.catch_up(int(update.versions.max(initial=1)))
+        for version in {int(v) for v in np.unique(update.versions)}:
+            self._outbox.own_version.follow(version, sender, now)
         if part is not None:
             update = update.rows(part.versions_of(update.indices) == 0)
-        if self._adopts:
-            self._recovered.append(update)
-        else:
-            self._outbox.take_back(update.indices[update.log_odds != NOT_OBSERVED])
+        if now < self._reconciler.recovering_until:
+            if sum(len(known.versions) for known in self._recovered) <= MOST_RECOVERED:
+                self._recovered.append(update)
+            return
+        held = update.indices[update.log_odds != NOT_OBSERVED]
+        corners = [tuple(corner) for corner in (held >> BLOCK_BITS).tolist()]
+        room = MOST_BLOCKS_TAKEN_BACK - len(self._taken_back)
+        self._taken_back.update(islice(set(corners) - self._taken_back, room))
+        chosen = [corner in self._taken_back for corner in corners]
+        self._outbox.take_back(held[np.array(chosen, np.bool_)])
 
     def _spend(self, messages: list[Rows]) -> list[Rows]:
         self._outbox.budget.spend(sum(message_bytes(rows) for rows in messages))

@@ -11,16 +11,22 @@ from collections.abc import Collection
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.team.versions import COUNT
+from infomap_ros.team.limits import MOST_ROBOTS
+from infomap_ros.team.versions import versions_ahead
 
 NOT_LISTED = "not on the team list"
 TWO_OF_A_NAME = "two robots with one id"
 BACKWARDS = "version goes backwards"
 AHEAD = "version far ahead"
+TOO_MANY = "too many robots"
+NOT_TOLD_YET = "newer than what its robot told"
+MOST_AHEAD = 1 << 24
+"""Versions by which a robot may go on at once: six days at the fastest rate."""
 _MOST_BEHIND = 32 * 600  # versions; ten minutes at the fastest rate
-_MOST_AHEAD = 1 << 24
+_BEYOND_OWN = 1 << 29  # versions of who was never heard; half a year, as `own_version` has it
 _KEPT_SESSIONS = 16
 
 
@@ -31,6 +37,7 @@ class Told(Protocol):
         robot: whose it is.
         session: number that this robot drew when it started.
         version: of what it tells.
+        versions: of all that it tells, shape (K,).
         sender: id of the robot that tells it, where that is another one.
     """
 
@@ -40,6 +47,8 @@ class Told(Protocol):
     def session(self) -> int: ...  # noqa: D102
     @property
     def version(self) -> int: ...  # noqa: D102
+    @property
+    def versions(self) -> NDArray[np.uint32]: ...  # noqa: D102
     @property
     def sender(self) -> int | None: ...  # noqa: D102
 
@@ -63,15 +72,33 @@ class Membership:
         self._sessions: dict[int, list[int]] = {} if session is None else {robot: [session]}
         self._began: dict[int, float] = {}
         self._newest: dict[int, int] = {}
+        self._spoke: dict[int, float] = {}
+        self._admitted = {robot}
+
+    def may_be_kept(self, robot: int) -> bool:
+        """Whether there is room for what is said of a robot."""
+        if self._team:
+            return robot in self._team
+        return robot in self._admitted or len(self._admitted) < MOST_ROBOTS
+
+    def knows(self, robot: int, session: int) -> bool:
+        """Whether a robot was heard in a session."""
+        return session in self._sessions.get(robot, [])
 
     def check_robot(self, robot: int) -> None:
-        """Refuse robots that are not on the list.
+        """Refuse robots that are not on the list; without one, those for which there is no room.
 
         Raises:
-            UpdateRefusedError: this one is not.
+            UpdateRefusedError: this one is refused.
         """
         if self._team and robot not in self._team:
             raise UpdateRefusedError(f"robot {robot} is {NOT_LISTED}", NOT_LISTED)
+        if not self.may_be_kept(robot):
+            text = (
+                f"robot {robot} would be one more than {MOST_ROBOTS}; a team list says who counts"
+            )
+            raise UpdateRefusedError(text, TOO_MANY)
+        self._admitted.add(robot)
 
     def check_update(self, update: Told, now: float, own_version: int) -> None:
         """Refuse an update that must not be written.
@@ -85,19 +112,52 @@ class Membership:
             UpdateRefusedError: its robot or its sender is not on the list, two robots have one
                 id, or its version is impossible after those that were heard.
         """
-        self.check_robot(update.robot)
         if update.sender is not None:
             self.check_robot(update.sender)
+            self._check_handed_on(update, now, own_version)
+            self.check_robot(update.robot)
             return
+        self.check_robot(update.robot)
         newest = self._newest.setdefault(update.robot, update.version)
         newest = own_version if update.robot == self._own else newest
-        ahead = (update.version - newest + COUNT // 2) % COUNT - COUNT // 2
+        ahead = versions_ahead(update.version, newest)
         if self._is_current(update, ahead > 0, now):
-            if not -_MOST_BEHIND <= ahead <= _MOST_AHEAD:
-                reason = BACKWARDS if ahead < 0 else AHEAD
-                text = f"robot {update.robot} is at version {newest}, not at {update.version}"
-                raise UpdateRefusedError(f"{text}: {reason}", reason)
+            if not -_MOST_BEHIND <= ahead <= MOST_AHEAD:
+                self._refuse(update, newest, BACKWARDS if ahead < 0 else AHEAD)
             self._newest[update.robot] = update.version if ahead > 0 else newest
+            self._spoke[update.robot] = now
+        if (update.versions != update.version).any():
+            self._refuse(update, newest, AHEAD)
+
+    def _check_handed_on(self, update: Told, now: float, own_version: int) -> None:
+        """Refuse what its robot cannot have told.
+
+        While a robot is heard, nobody else knows of newer versions. After that it may have told
+        more than was heard here.
+        """
+        if update.robot == self._own:
+            return
+        newest = self._newest.get(update.robot)
+        most = MOST_AHEAD
+        if newest is None:
+            newest, most = own_version, _BEYOND_OWN
+        elif now - self._spoke.get(update.robot, -np.inf) < self._grace:
+            most = 0
+        ahead = versions_ahead(update.versions.astype(np.int64), newest)
+        if (ahead > most).any():
+            self._refuse(update, newest, AHEAD if most else NOT_TOLD_YET)
+
+    def hear_of_itself(self, robot: int, session: int, version: int, now: float) -> None:
+        """A robot that goes on in its session says which version it has reached."""
+        if self._sessions.get(robot, [None])[-1] != session:
+            return
+        self._spoke[robot] = now
+        if 0 < versions_ahead(version, self._newest[robot]) <= MOST_AHEAD:
+            self._newest[robot] = version
+
+    def _refuse(self, update: Told, newest: int, reason: str) -> None:
+        text = f"robot {update.robot} is at version {newest}, not at {int(update.versions.max())}"
+        raise UpdateRefusedError(f"{text}: {reason}", reason)
 
     def _is_current(self, update: Told, is_newer: bool, now: float) -> bool:
         """Whether an update is of its robot's present session, which may begin with it.

@@ -13,16 +13,18 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import CapacityError
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
 from infomap_ros.mapping.voxels.voxel_states import count_block_changes
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import list_blocks
+from infomap_ros.team.own_version import OwnVersion
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.sent import SentMessages, message_bytes
 from infomap_ros.team.update import MAX_SERIAL, MapUpdate
-from infomap_ros.team.versions import is_newer, next_version
+from infomap_ros.team.versions import next_version
 from infomap_ros.team.wire import encode_update
 from infomap_ros.team.worth import ChangeWorth, worth_of_changes, worth_of_states
 
@@ -46,7 +48,7 @@ class Outbox:
     def __init__(
         self, robot: int, session: int, version: int, replica: MapReplica, config: TeamConfig
     ) -> None:
-        self.robot, self.session, self.version = robot, session, version
+        self.robot, self.session, self.own_version = robot, session, OwnVersion(version)
         self.budget = Budget(config.bandwidth * 1e6)
         self._replica, self._config = replica, config
         self._answers: dict[int, set[int]] = {}
@@ -55,6 +57,11 @@ class Outbox:
         self._touched: list[NDArray[np.int32]] = []
         kept, on_its_way = 2e6 * config.bandwidth, 1.5 * config.patience
         self._sent = SentMessages(version % MAX_SERIAL, kept, on_its_way)
+
+    @property
+    def version(self) -> int:
+        """Version of the last publication."""
+        return self.own_version.number
 
     @property
     def serial(self) -> int:
@@ -69,11 +76,6 @@ class Outbox:
     def waiting(self) -> bool:
         """Whether somebody waits for an answer, or voxels wait to be taken back."""
         return any(self._answers.values()) or len(self._taken_back) > 0
-
-    def catch_up(self, version: int) -> None:
-        """Go on after this version, which others have heard of this robot."""
-        if is_newer(np.uint32(version), np.uint32(self.version)):
-            self.version = version
 
     def answer(self, robot: int, slots: Slots) -> None:
         """Tell the blocks of a contribution that is held, when there is room."""
@@ -137,8 +139,7 @@ class Outbox:
         if not len(update.versions):
             return []
         if robot == self.robot:
-            self.version = next_version(self.version)
-            update = update.as_told_by(self.session, None, self.version)
+            update = update.as_told_by(self.session, None, self.own_version.advance())
             self._replica.accept(update)
             self._touched.append(part.coordinates(slots))
         else:
@@ -154,13 +155,19 @@ class Outbox:
         worth = worth_of_changes(voxel_map, told, slots)
         whole, parts = self._choose(slots, worth, room, now)
         dirty = storage.blocks.dirty
+        changed = dirty[slots]
         later = dirty[slots[parts]] & ~worth.matters[parts]
         dirty[slots[parts]] &= worth.matters[parts]
         size = voxel_map.config.voxel_size
         changes = take_changes(storage, size, _MOST_VOXELS, slots[whole | parts])
         dirty[slots[parts]] |= later
         version = next_version(self.version)
-        return self._publish(MapUpdate.of_changes(changes, size, self.robot, version, self.session))
+        update = MapUpdate.of_changes(changes, size, self.robot, version, self.session)
+        try:
+            return self._publish(update)
+        except CapacityError:
+            dirty[slots] = changed  # to be told when there is room
+            raise
 
     def _choose(
         self, slots: Slots, worth: ChangeWorth, room: float, now: float
@@ -181,7 +188,7 @@ class Outbox:
 
     def _publish(self, update: MapUpdate) -> list[NDArray[np.void]]:
         """Encode those states of an update that were not told like that before."""
-        self.version = next_version(self.version)
+        self.own_version.advance()
         update = update.rows(self._replica.accept(update))
         if not len(update.versions):
             return []
@@ -194,20 +201,20 @@ class Outbox:
         if not len(self._taken_back):
             return
         size = voxel_map.config.voxel_size
-        indices, self._taken_back = self._taken_back, self._taken_back[:0]
-        indices = indices[~voxel_map.is_known((indices + 0.5) * size)]
+        waiting, self._taken_back = self._taken_back, self._taken_back[:0]
+        indices = waiting[~voxel_map.is_known((waiting + 0.5) * size)]
         count, version = len(indices), next_version(self.version)
-        messages += self._publish(
-            MapUpdate(
-                size,
-                self.robot,
-                np.full(count, version, np.uint32),
-                indices,
-                np.full(count, NOT_OBSERVED, np.int8),
-                np.zeros((count, 2), np.uint64),
-                self.session,
-            )
+        states = (
+            np.full(count, version, np.uint32),
+            indices,
+            np.full(count, NOT_OBSERVED, np.int8),
+            np.zeros((count, 2), np.uint64),
         )
+        try:
+            messages += self._publish(MapUpdate(size, self.robot, *states, self.session))
+        except CapacityError:
+            self._taken_back = waiting
+            raise
 
     def _waited(self, slots: Slots, now: float) -> NDArray[np.float64]:
         """How long the changes of blocks have waited [s]."""

@@ -4,23 +4,30 @@ Robots tell from time to time what they hold, as hashes. Who holds something els
 hashes of what differs, and at last for the states themselves. The owner of a contribution is
 asked; when it has not been heard for some time, whoever holds something else. All answers go to
 all, so that one answer serves everybody who has missed the same.
+
+Digests and requests take a part of the bandwidth (`limits.TALK_SHARE`), each robot's questions an
+equal part of that. So nobody can keep this robot from telling its map by asking.
 """
 
 from __future__ import annotations
 
-from itertools import islice
-from typing import NamedTuple
+from collections.abc import Callable
+from itertools import chain, islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.team.config import TeamConfig
+from infomap_ros.errors import UpdateRefusedError
+from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Cells, Contribution, Corners
-from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
+from infomap_ros.team.digest import CELL_ROW, SUMMARY_ROW, CellDigest, Request, Summary
+from infomap_ros.team.freshness import REPEATED
+from infomap_ros.team.limits import MOST_ROBOTS, MOST_WANTED, TALK_SHARE
 from infomap_ros.team.losses import Losses
+from infomap_ros.team.missed import Missed
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.versions import is_newer
+from infomap_ros.team.sent import message_bytes
 
 _COARSE = 3  # level of the first cells that are compared
 _MANY_BLOCKS = 4000  # with fewer, blocks are compared at once
@@ -29,48 +36,11 @@ _OWN_PERIOD = 5.0  # [s] of the own contribution, which others may hold from an 
 _LATE, _GIVEN_UP = 6.0, 8.0  # patiences from which blocks are asked for, and messages are not
 _REPEATS = 3  # digests that tell of a block that was told
 _MOST_HELD = 1 << 16  # blocks held otherwise that are kept, as in a message of 1 MB; the oldest go
+_ANSWERS = 16  # to questions in one round; each may take 10 ms for a map of 10^5 blocks
+_MOST_ASKED = 100_000  # cells of which it is known when they were asked for
+_MOST_COMPARED = 2 * MOST_ROBOTS**2  # what each of a full team holds of each, twice
+Rows = NDArray[np.void]
 _EVERYTHING: Corners = np.empty((0, 3), np.int32)
-
-
-class _Block(NamedTuple):
-    """How a block should be: its hash, at which version, and since when that is heard."""
-
-    hash: int
-    version: int
-    heard: float
-
-
-class _Missed:
-    """Blocks of a contribution that another robot holds otherwise.
-
-    Attributes:
-        sender: the robot that was heard last.
-        blocks: how they should be.
-    """
-
-    def __init__(self) -> None:
-        self.sender = 0
-        self.blocks: dict[tuple[int, ...], _Block] = {}
-
-    def hear(self, digest: CellDigest, now: float) -> None:
-        """Remember what a digest says."""
-        self.sender = digest.sender
-        for place, value in zip(digest.corners.tolist(), digest.hashes.tolist(), strict=True):
-            corner = tuple(place)
-            known = self.blocks.get(corner)
-            since = now if known is None or known.hash != value else known.heard
-            self.blocks[corner] = _Block(value, digest.version, since)
-
-    def left(self, part: Contribution | None, before: float) -> Corners:
-        """The blocks that are missed since before a time; those not missed are forgotten."""
-        if part is not None and self.blocks:
-            hashes, newest = part.blocks_at(np.array(list(self.blocks), np.int32))
-            states = zip(list(self.blocks.items()), hashes.tolist(), newest, strict=True)
-            for (corner, block), value, own in states:
-                if value == block.hash or (own and is_newer(own, np.uint32(block.version))):
-                    del self.blocks[corner]
-        due = [corner for corner, block in self.blocks.items() if block.heard <= before]
-        return np.array(due, np.int32).reshape(-1, 3)
 
 
 class Reconciler:
@@ -82,78 +52,128 @@ class Reconciler:
         config: of the team.
         holds_own: whether this is where the robot's own contribution is made; a replica that
             only listens tells no digests.
+        may_be_kept: says of a robot's id whether anything may be kept of it.
     """
 
     def __init__(
-        self, replica: MapReplica, outbox: Outbox, config: TeamConfig, holds_own: bool
+        self,
+        replica: MapReplica,
+        outbox: Outbox,
+        config: TeamConfig,
+        holds_own: bool,
+        may_be_kept: Callable[[int], bool],
     ) -> None:
         self._replica, self._outbox, self._config = replica, outbox, config
         self._own, self._holds_own = outbox.robot, holds_own
+        self._may_be_kept = may_be_kept
         self.recovering_until = np.inf
         self._heard: dict[int, float] = {}
+        self._sessions: dict[int, int] = {}
         self._behind: dict[tuple[int, int], float] = {}
         self._held: dict[tuple[int, ...], int] = {}
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
-        self._missed: dict[int, _Missed] = {}
+        self._missed = Missed(_LATE * config.patience, config.patience)
         self.losses = Losses(config.patience, _GIVEN_UP * config.patience)
         self._requests: list[Request] = []
-        self._wanted: list[CellDigest] = []
+        self._wanted: dict[int, dict[tuple[object, ...], Request]] = {}
+        self._answered: dict[tuple[int, int], float] = {}
         self._recent: list[Corners] = []
-        self._summarised = -np.inf
+        self._untold: list[tuple[int, ...]] = []
+        self._summarized = -np.inf
+        self._number = 0
+        rate = TALK_SHARE * config.bandwidth * 1e6
+        self._for_digests, self._for_answers, self._for_requests = (Budget(rate) for _ in range(3))
 
-    def digests(self, now: float) -> list[NDArray[np.void]]:
+    def meet(self, robot: int, session: int, *, is_sure: bool = True) -> None:
+        """A robot is heard in a session; if that is not sure, it counts where none is known."""
+        if is_sure:
+            self._sessions[robot] = session
+        else:
+            self._sessions.setdefault(robot, session)
+
+    def digests(self, now: float) -> list[Rows]:
         """Messages that tell what this robot holds: what was touched, asked for, and a summary."""
-        wanted, self._wanted = self._wanted, []
         if not self._holds_own:
             return []
-        self._recent = [*self._recent[1 - _REPEATS :], self._outbox.take_touched()]
-        corners = np.unique(np.concatenate(self._recent), axis=0)
-        if len(corners):
-            wanted.append(self._cells(self._own, 0, 0, corners))
-        messages = [rows for d in wanted for rows in d.encode(self._config.message_size)]
-        if now - self._summarised >= self._config.summary_period:
-            self._summarised = now
-            messages.append(self._summary().encode())
+        messages: list[Rows] = []
+        if now - self._summarized >= self._config.summary_period:
+            self._summarized = now
+            messages.append(self._summary().encode(self._number))
+        room = max(0.0, self._for_digests.available(now))
+        touched = self._touched(int(room) // CELL_ROW.itemsize)
+        if len(touched):
+            messages += self._encoded(self._cells(self._own, 0, 0, touched), len(messages))
+        self._count(messages, self._for_digests)
+        for _ in range(_ANSWERS):
+            if not self._wanted or self._for_answers.available(now) <= 0.0:
+                break
+            answer = self._answer(self._next_wanted(), now)
+            self._count(answer, self._for_answers)
+            messages += answer
         return messages
 
-    def requests(self, now: float) -> list[NDArray[np.void]]:
-        """Messages that ask others for what is missing, again where no answer has come."""
+    def _touched(self, most: int) -> Corners:
+        """Blocks that were told lately, those first for which there was no room before."""
+        self._recent = [*self._recent[1 - _REPEATS :], self._outbox.take_touched()]
+        recent = np.unique(np.concatenate(self._recent), axis=0).tolist()
+        corners = list(dict.fromkeys(map(tuple, chain(self._untold, recent))))
+        self._untold = corners[most:]
+        return np.array(corners[:most], np.int32).reshape(-1, 3)
+
+    def requests(self, now: float) -> list[Rows]:
+        """Messages that ask others for what is missing, again where no answer has come.
+
+        What the bandwidth has no room for is not asked now; it is missed, and comes again.
+        """
         for robot, serials in self.losses.to_ask(now).items():
             numbers = np.stack([serials, 0 * serials, 0 * serials], axis=-1)
             for _ in range(2):  # a request is small, and lost as easily as what it asks for
                 self._ask(robot, robot, "messages", 0, 0, numbers)
-        for robot, missed in list(self._missed.items()):
-            before = now - _LATE * self._config.patience
-            left = missed.left(self._replica.contribution(robot), before)
-            corners = self._not_yet_asked(robot, left, 0, now)
+        for robot in self._missed.robots if self._missed.is_due(now) else ():
+            sender, due = self._missed.to_ask(robot, self._replica.contribution(robot), now)
+            corners = self._not_yet_asked(robot, due, 0, now)
             if len(corners):
-                self._ask(missed.sender, robot, "states", 0, 0, corners)
-            if not missed.blocks:
-                del self._missed[robot]
-        requests, self._requests = self._requests, []
-        return [rows for r in requests for rows in r.encode(self._config.message_size)]
+                self._ask(sender, robot, "states", 0, 0, corners)
+        size, asked = self._config.message_size, dict[int, list[Request]]()
+        for request in self._requests:
+            asked.setdefault(request.to, []).extend(request.parts(size))
+        self._requests = []
+        messages: list[Rows] = []
+        for part in chain.from_iterable(zip_longest(*asked.values())):  # each robot in turn
+            if part is not None and self._for_requests.available(now) > 0.0:
+                told = part.encode(size, self._number)
+                self._count(told, self._for_requests)
+                messages += told
+        return messages
 
     def hear_summary(self, summary: Summary, now: float) -> None:
         """Compare what another robot holds with what is held here."""
-        sender = summary.sender
+        sender, strangers = summary.sender, 0
         self._heard[sender] = now
         for row, value in zip(summary.rows, summary.hashes(), strict=True):
             robot, newest = int(row["robot"]), int(row["newest"])
+            part = self._replica.contribution(robot)
+            strangers += part is None
+            if strangers > MOST_ROBOTS or not self._may_be_kept(robot):
+                continue
             if self._is_own(robot):
-                self._outbox.catch_up(newest)
+                self._outbox.own_version.follow(newest, sender, now)
             elif sender != robot and self._is_present(robot, now):
                 continue
-            self._compare_whole(sender, robot, value, now)
+            if part is None or not part.is_cut:
+                self._compare_whole(sender, robot, value, now)
 
     def hear_cells(self, digest: CellDigest, now: float) -> None:
         """Ask for what differs in some parts of a contribution."""
         if digest.sender != self._own or not self._holds_own:
             self.losses.expect(digest.sender, digest.serial, now)
-        if digest.level == 0 and not self._is_own(digest.robot):
-            self._missed.setdefault(digest.robot, _Missed()).hear(digest, now)
-            return
         part = self._replica.contribution(digest.robot)
+        if (part is not None and part.is_cut) or not self._may_be_kept(digest.robot):
+            return
+        if digest.level == 0 and not self._is_own(digest.robot):
+            self._missed.hear(digest, now)
+            return
         cells = Cells(digest.level, digest.corners, digest.hashes)
         other = cells.hashes != 0 if part is None else part.compare(cells)
         if digest.level == 0:
@@ -194,25 +214,53 @@ class Reconciler:
 
     def hear_request(self, request: Request, now: float) -> None:
         """Answer what this robot is asked; what others ask for need not be asked for again."""
-        if request.wants == "messages":
-            if request.to == self._own and self._holds_own:
-                self._outbox.resend(request.corners[:, 0].tolist(), now)
-            self.losses.asked(request.to, request.corners[:, 0], now)
-            return
         if request.to != self._own or not self._holds_own:
-            self._not_yet_asked(request.robot, request.corners, request.within, now)
-            return
-        part = self._replica.contribution(request.robot)
-        if part is None:
-            return
-        corners = request.corners if len(request.corners) else None
-        if request.wants == "cells":
-            within = request.within
-            self._wanted.append(self._cells(request.robot, request.level, within, corners))
-        elif corners is None:
-            self._outbox.answer(request.robot, np.arange(part.blocks))
+            if request.wants == "messages":
+                self.losses.asked(request.to, request.corners[:, 0], now)
+            else:
+                self._note_asked(request, now)
+        elif request.to_session != self._outbox.session:
+            text = f"robot {request.sender} asks session {request.to_session} of this robot"
+            raise UpdateRefusedError(text, REPEATED)
+        elif request.wants == "messages":
+            self._outbox.resend(request.corners[:, 0].tolist(), now)
+        elif request.wants == "states" and not request.within and len(request.corners):
+            self._answer(request, now)
         else:
-            self._outbox.answer(request.robot, part.slots_in(request.within, corners))
+            questions = self._wanted.setdefault(request.sender, {})
+            if len(questions) < MOST_WANTED:
+                kind = request.wants, request.robot, request.level, request.within
+                questions[*kind, request.corners.tobytes()] = request
+
+    def _next_wanted(self) -> Request:
+        """The oldest question of the robot whose turn it is."""
+        sender = next(iter(self._wanted))
+        questions = self._wanted.pop(sender)
+        request = questions.pop(next(iter(questions)))
+        if questions:
+            self._wanted[sender] = questions
+        return request
+
+    def _answer(self, request: Request, now: float) -> list[Rows]:
+        """The messages that answer a question; states are told as map updates, by and by."""
+        robot, within = request.robot, request.within
+        part = self._replica.contribution(robot)
+        if part is None:
+            return []
+        everything = not len(request.corners)
+        corners, level = None if everything else request.corners, request.level
+        if everything and part.blocks > _MANY_BLOCKS:
+            level = max(level, _COARSE)
+        if everything:
+            key = robot, level if request.wants == "cells" else -1
+            if now - self._answered.get(key, -np.inf) < 0.5 * _DEEP_PERIOD:
+                return []  # the answer goes to all
+            self._answered[key] = now
+        if request.wants == "cells":
+            return self._encoded(self._cells(robot, level, within, corners))
+        slots = np.arange(part.blocks) if corners is None else part.slots_in(within, corners)
+        self._outbox.answer(robot, slots)
+        return []
 
     def _is_own(self, robot: int) -> bool:
         return robot == self._own and self._holds_own
@@ -225,6 +273,9 @@ class Reconciler:
         if value == (0 if part is None else part.hash()):
             self._behind.pop((sender, robot), None)
             return
+        for known in (self._behind, self._compared):
+            for old in list(islice(known, max(0, len(known) - _MOST_COMPARED))):
+                del known[old]
         first = self._behind.setdefault((sender, robot), now)
         last = self._compared.get((sender, robot), -np.inf)
         period, wait = _DEEP_PERIOD, 3.0 * self._config.patience
@@ -242,20 +293,42 @@ class Reconciler:
     def _ask(
         self, to: int, robot: int, wants: str, level: int, within: int, corners: Corners
     ) -> None:
-        self._requests.append(Request(self._own, to, robot, wants, level, within, corners))
+        """Ask a robot whose session is known."""
+        if to in self._sessions:
+            who = self._own, self._outbox.session, to, self._sessions[to]
+            self._requests.append(Request(*who, robot, wants, level, within, corners))
 
     def _not_yet_asked(self, robot: int, corners: Corners, level: int, now: float) -> Corners:
         """Those cells for which nobody has asked lately; they count as asked for now."""
-        patience = self._config.patience
-        if len(self._asked) > 100_000:
-            self._asked = {k: t for k, t in self._asked.items() if now - t < patience}
-        fresh = []
+        patience, fresh = self._config.patience, []
         for row, corner in enumerate(corners.tolist()):
             key = robot, (level, *corner)
             if now - self._asked.get(key, -np.inf) >= patience:
                 self._asked[key] = now
                 fresh.append(row)
+        self._forget_asked(now)
         return corners[fresh]
+
+    def _note_asked(self, request: Request, now: float) -> None:
+        """Leave to others what they ask for, once: who always asks must not silence this robot."""
+        for corner in request.corners.tolist():
+            self._asked.setdefault((request.robot, (request.within, *corner)), now)
+        self._forget_asked(now)
+
+    def _forget_asked(self, now: float) -> None:
+        if len(self._asked) > _MOST_ASKED:
+            patience = self._config.patience
+            self._asked = {k: t for k, t in self._asked.items() if now - t < patience}
+            if len(self._asked) > _MOST_ASKED // 2:
+                self._asked.clear()
+
+    def _encoded(self, digest: CellDigest, before: int = 0) -> list[Rows]:
+        return digest.encode(self._config.message_size, self._number + before)
+
+    def _count(self, messages: list[Rows], budget: Budget) -> None:
+        """Count messages as told."""
+        self._number += len(messages)
+        budget.spend(sum(map(message_bytes, messages)))
 
     def _cells(self, robot: int, level: int, within: int, corners: Corners | None) -> CellDigest:
         part = self._replica.contribution(robot)
@@ -268,7 +341,8 @@ class Reconciler:
         return CellDigest(self._own, self._outbox.session, robot, newest, serial, *parts)
 
     def _summary(self) -> Summary:
-        robots = self._replica.robots
+        kept = [(robot, self._replica.contribution(robot)) for robot in self._replica.robots]
+        robots = [robot for robot, part in kept if part is not None and not part.is_cut]
         rows = np.zeros(len(robots), SUMMARY_ROW)
         for row, robot in enumerate(robots):
             part = self._replica.contribution(robot)

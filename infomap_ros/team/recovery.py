@@ -10,7 +10,12 @@ from numba import njit
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import find_block
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
+from infomap_ros.mapping.voxels.storage import Growth
+from infomap_ros.mapping.voxels.voxel_states import (
+    VoxelStates,
+    count_block_changes,
+    put_states,
+)
 from infomap_ros.team.gaussian_code import information_of_codes
 from infomap_ros.team.update import MapUpdate
 
@@ -24,6 +29,9 @@ def adopt(own_map: VoxelMap, update: MapUpdate) -> None:
     Args:
         own_map: tracks its changes since it was read.
         update: states of its contribution as another robot heard them.
+
+    Raises:
+        CapacityError: with them it would take more than half of its memory limit.
     """
     fresh = np.zeros(len(update.versions), np.bool_)
     _find_changed(own_map._storage.blocks, update.indices, fresh)
@@ -35,6 +43,9 @@ def adopt(own_map: VoxelMap, update: MapUpdate) -> None:
         update.log_odds.astype(np.int32),
         information.astype(np.float32),
     )
+    blocks, surfaces = int(count_block_changes(update.indices)), int(update.has_gaussian.sum())
+    more = Growth(blocks, blocks, min(blocks, surfaces), surfaces)
+    own_map._storage.check_growth(more, 0.5e9 * own_map.config.memory_limit)
     put_states(own_map._storage, states)
 
 

@@ -5,6 +5,10 @@ robot and voxel, the newest state that it heard, and the sum over the robots sta
 updates may be lost, repeated or come in any order: nothing is counted twice, and replicas that
 have heard the same hold the same voxels with the same bits. Sums run over the robots in the order
 of their ids, because sums of floating-point numbers depend on their order.
+
+Memory is shared out: what this robot tells always comes first, every other may use an equal share,
+and more while nobody else needs it. Where there is no more room, the largest contributions lose
+what informs least, until all fit (`team.limits`).
 """
 
 from __future__ import annotations
@@ -14,15 +18,20 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.storage import Growth, growth_bytes
+from infomap_ros.mapping.voxels.blocks import BLOCK_BYTES as MAP_BLOCK_BYTES
+from infomap_ros.mapping.voxels.blocks import PLANE_BYTES
+from infomap_ros.mapping.voxels.storage import Growth, MapStorage, growth_bytes
 from infomap_ros.mapping.voxels.voxel_states import (
     VoxelStates,
-    count_block_changes,
     put_states,
 )
-from infomap_ros.team.contribution import BLOCK_BYTES, CODE_BYTES, Contribution
+from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import mixed
+from infomap_ros.team.limits import BORROWED_MOST, GUESTS_MOST, ROOM_AFTER
 from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.worth import worth_of_states
+
+_ADDED_AT_ONCE = 4096  # blocks of which the sum is made in one go
 
 
 class MapReplica:
@@ -33,10 +42,14 @@ class MapReplica:
 
     Args:
         config: of the map.
+        own: id of the robot whose contribution comes first where memory is short; None for none.
+
+    Attributes:
+        is_crowded: whether something was refused for want of memory since `make_room`.
     """
 
-    def __init__(self, config: VoxelMapConfig | None = None) -> None:
-        self._map = VoxelMap(config)
+    def __init__(self, config: VoxelMapConfig | None = None, own: int | None = None) -> None:
+        self._map, self._own, self.is_crowded = VoxelMap(config), own, False
         self._contributions: dict[int, Contribution] = {}
         self._aside: set[int] = set()
 
@@ -65,8 +78,12 @@ class MapReplica:
         return parts + self._map.memory_bytes()
 
     def apply(self, update: MapUpdate) -> int:
-        """As `accept`; returns the number of voxels of which the robot now says something else."""
-        return int(np.count_nonzero(self.accept(update)))
+        """As `accept`, for states in any order of which a voxel may be repeated.
+
+        Returns:
+            Number of voxels of which the robot now says something else.
+        """
+        return int(np.count_nonzero(self.accept(update.in_order_of_blocks())))
 
     def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
         """Learn what a robot tells.
@@ -94,6 +111,28 @@ class MapReplica:
         if update.robot not in self._aside:
             self._add_up(update.indices[changed])
         return changed
+
+    def forget(self, robot: int) -> None:
+        """Drop a robot's contribution."""
+        self.set_aside(robot, True)
+        self._contributions.pop(robot, None)
+        self._aside.discard(robot)
+
+    def make_room(self) -> None:
+        """Drop what informs least of the others' largest contributions, until there is room."""
+        self.is_crowded = False
+        sizes = {robot: _size(part) for robot, part in self._parts()}
+        total = sum(sizes.values())
+        left = ROOM_AFTER * self._limit * total / max(self.memory_bytes(), 1)
+        left -= sizes.pop(self._own, 0) if self._own is not None else 0
+        share = _equal_share(sorted(sizes.values()), left)
+        cut = [r for r, size in sizes.items() if size > share and self._contributions[r].blocks]
+        for robot in cut:
+            part = self._contributions[robot]
+            worth, _ = worth_of_states(part, np.arange(part.blocks))
+            self._contributions[robot] = part.most_telling(share / sizes[robot], worth)
+        if cut:
+            self._sum_again()
 
     def set_aside(self, robot: int, aside: bool) -> None:
         """Leave a robot's contribution out of the map, or put it back; it is kept all the same."""
@@ -123,16 +162,58 @@ class MapReplica:
         states = VoxelStates(indices, known, quanta, information.astype(np.float32))
         put_states(self._map._storage, states)
 
+    def _sum_again(self) -> None:
+        """Make the map again from the contributions, so that it has no more room than it needs."""
+        self._map._storage = MapStorage()
+        for robot, part in self._parts():
+            for start in range(0, part.blocks if robot not in self._aside else 0, _ADDED_AT_ONCE):
+                slots = np.arange(start, min(start + _ADDED_AT_ONCE, part.blocks))
+                self._add_up(part.states(robot, slots).indices)
+
+    @property
+    def _limit(self) -> float:
+        return self._map.config.memory_limit * 1e9
+
     def _check_capacity(self, update: MapUpdate) -> None:
-        blocks = int(count_block_changes(update.indices))
-        surfaces = int(np.count_nonzero(update.has_gaussian))
+        """Refuse what does not fit, unless it is the own contribution and others can give way."""
+        if self._own == update.robot and not self._fits(update, self._limit):
+            self.make_room()
+        if not self._fits(update, self._room_for(update.robot)):
+            self.is_crowded = True
+            raise CapacityError(
+                f"the shared map holds {self.memory_bytes() / 1e9:.3g} GB, and there is no room "
+                f"for more of robot {update.robot} within the limit of {self._limit / 1e9:g} GB"
+            )
+
+    def _room_for(self, robot: int) -> float:
+        """How large all may become by what this robot tells [bytes]."""
+        if robot == self._own or (self._own is None and len(self._contributions) < 2):
+            return self._limit
+        part = self._contributions.get(robot)
+        count = len(self._contributions) + (part is None)
+        has_its_share = part is not None and _size(part) > GUESTS_MOST * self._limit / count
+        return self._limit * (BORROWED_MOST if has_its_share else GUESTS_MOST)
+
+    def _fits(self, update: MapUpdate, limit: float) -> bool:
+        part = self._contributions.get(update.robot)
+        part = Contribution(self._map.config.voxel_size) if part is None else part
+        blocks, surfaces = part.count_new(update.indices), int(update.has_gaussian.sum())
         more = Growth(blocks, blocks, min(surfaces, blocks), surfaces)
         self._map._storage.check_growth(more)
-        growth = growth_bytes(self._map._storage, more)
-        growth += blocks * (BLOCK_BYTES + 40) + surfaces * (CODE_BYTES + 8)
-        used, limit = self.memory_bytes(), self._map.config.memory_limit * 1e9
-        if used + growth > limit:
-            raise CapacityError(
-                f"the shared map holds {used / 1e9:.3g} GB and this update could bring it above "
-                f"the limit of {limit / 1e9:g} GB"
-            )
+        growth = part.growth_bytes(blocks, surfaces) + growth_bytes(self._map._storage, more)
+        return not growth or self.memory_bytes() + growth <= limit
+
+
+def _size(part: Contribution) -> int:
+    """Memory of a contribution and of what it adds to the sum, at the most [bytes]."""
+    return part.memory_bytes() + part.blocks * (MAP_BLOCK_BYTES + PLANE_BYTES)
+
+
+def _equal_share(sizes: list[int], room: float) -> float:
+    """The size to which the largest have to come down so that all fit; `sizes` ascend."""
+    for place, size in enumerate(sizes):
+        share = max(0.0, room) / (len(sizes) - place)
+        if size > share:
+            return share
+        room -= size
+    return np.inf

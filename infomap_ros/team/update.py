@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelChanges
-from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, COORDINATE_LIMIT, pack_all
 from infomap_ros.team.gaussian_code import decode_gaussians, encode_gaussians
 
 MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1
@@ -114,6 +114,13 @@ class MapUpdate:
             self.session,
             self.sender,
         )
+
+    def in_order_of_blocks(self) -> MapUpdate:
+        """The same states, those of a block one after another."""
+        keys = pack_all((self.indices >> BLOCK_BITS).astype(np.int64))
+        if (keys[1:] >= keys[:-1]).all():
+            return self
+        return self.rows(np.argsort(keys, kind="stable"))
 
     def as_told_by(self, session: int, sender: int | None, version: int | None) -> MapUpdate:
         """The same states in another session, from another sender, at a version if one is given."""

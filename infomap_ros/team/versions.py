@@ -29,6 +29,11 @@ def next_version(version: int) -> int:
     return version % (COUNT - 1) + 1
 
 
+def versions_ahead(version: Any, other: int) -> Any:
+    """By how many versions one follows another, or several; negative where they precede it."""
+    return (version - other + COUNT // 2) % COUNT - COUNT // 2
+
+
 @njit(cache=True, nogil=True)
 def is_newer(version: Any, other: Any) -> bool:
     """Whether one version, uint32, is newer than another; every version is newer than none (0)."""

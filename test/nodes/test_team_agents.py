@@ -17,7 +17,7 @@ from infomap_ros.messages import encode_text
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
 from infomap_ros.nodes.common import qos
 from infomap_ros.team.agent_text import agent_from_text, agent_to_text
-from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents import Agent, hash_of_description
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from infomap_ros.team.membership import NOT_LISTED
 
@@ -124,7 +124,7 @@ class Wall:
     """map_fusion before a wall at 2 m, in which the front of a teammate, a box, hides."""
 
     def __init__(self, graph: Any, **parameters: Any) -> None:
-        self.bench = Bench(graph, **parameters)
+        self.bench = Bench(graph, **{"robot_id": 1, "team": [2], **parameters})
         self.agents = graph.publisher(MarkerArray, "team/agents")
         topic = graph.tester.resolve_topic_name("mate/robot_description")
         self.description = graph.tester.create_publisher(String, topic, qos.latched())
@@ -134,7 +134,8 @@ class Wall:
 
     def tell(self, milliseconds: int, version: int, **fields: Any) -> None:
         stamp = START + milliseconds * 1_000_000
-        self.agents.publish(message(mate(2, version, stamp, description=self.topic, **fields)))
+        given = {"description": self.topic, "description_hash": hash_of_description(BOX)} | fields
+        self.agents.publish(message(mate(2, version, stamp, **given)))
 
     def wait_until_described(self) -> None:
         bodies = self.bench.node._inputs._teammates._bodies
@@ -213,3 +214,22 @@ def test_what_robots_tell_of_themselves_need_not_count(graph: Any) -> None:
     assert graph.tester.count_subscribers(agents) == 0
     bench.send(pose(), cloud())
     bench.wait_for_results(1)
+
+
+
+def test_a_description_that_a_teammate_has_not_told_is_not_read(graph: Any) -> None:
+    wall = Wall(graph)
+    wall.tell(-100, 1, description_hash="0" * 64)
+    health = wall.bench.node.health
+    graph.spin_until(lambda: health.values().get(f"dropped: {NOT_AUTHENTIC}"), "the refusal")
+    assert not wall.bench.node._inputs._teammates._bodies.is_described(2)
+    wall.tell(0, 2)
+    wall.wait_until_described()
+
+
+def test_descriptions_of_strangers_are_not_listened_to(graph: Any) -> None:
+    wall = Wall(graph, team=[])
+    wall.tell(-100, 1)
+    teammates = wall.bench.node._inputs._teammates
+    graph.spin_until(lambda: teammates._board.remembered(0.0), "the stranger")
+    assert graph.tester.count_subscribers(wall.topic) == 0

@@ -209,9 +209,9 @@ def test_each_row_of_a_digest_has_its_own_answer() -> None:
     robot = member(0)
     robot.digests(0.0)  # starts
     now = 10.0  # nothing is recovered any more
-    for hashes, wanted in (([1, 2, 3], []), ([9, 2, 8], [[1, 0, 0]])):
+    for number, (hashes, wanted) in enumerate((([1, 2, 3], []), ([9, 2, 8], [[1, 0, 0]]))):
         digest = block_digest([[0, 0, 0], [1, 0, 0], [2, 0, 0]], hashes)
-        robot.hear_digest(digest.encode(2000)[0], now)
+        robot.hear_digest(digest.encode(2000, number)[0], now)
         asked = [decode_request(rows) for rows in robot.requests(now)]
         found = [one.corners.tolist() for one in asked if one.wants == "states"]
         assert found == ([wanted] if wanted else [])

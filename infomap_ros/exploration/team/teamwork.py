@@ -25,7 +25,7 @@ from infomap_ros.team.agent_text import agent_to_text
 from infomap_ros.team.agents import Agent, knows
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.team.authentication import TeamKey
-from infomap_ros.team.versions import next_version
+from infomap_ros.team.own_version import OwnVersion
 from infomap_ros.views.situation import Teammate
 
 _MOST_WAYPOINTS = 60
@@ -45,6 +45,7 @@ class Presence:
         max_range: how far it sees [m].
         doing: what it is doing, in words.
         description: full name of the topic of its robot_description; empty without one.
+        description_hash: of the text on it, see `team.agents.hash_of_description`.
     """
 
     stamp: int
@@ -54,6 +55,7 @@ class Presence:
     max_range: float
     doing: str = "idle"
     description: str = ""
+    description_hash: str = ""
 
 
 class Word(NamedTuple):
@@ -101,7 +103,7 @@ class Teamwork:
         key: TeamKey | None = None,
     ) -> None:
         self.robot, self.config = robot, config or AgentsConfig()
-        self._session, self._version, self._key = session, version, key
+        self._session, self._version, self._key = session, OwnVersion(version), key
         self._board = AgentBoard(robot, session, self.config, team, key)
         self._claim = _Claim(version)
         self._still: Presence | None = None
@@ -115,20 +117,30 @@ class Teamwork:
             UpdateRefusedError: that robot must not write, or not that.
         """
         with self._lock:
-            return self._board.hear(text, now, self._version)
+            agent = self._board.hear(text, now, self._version.number)
+            if agent is not None and self.robot in agent.heard:
+                self._follow(agent.heard[self.robot], agent.robot, now)
+            return agent
+
+    def _follow(self, known: int, mate: int, now: float) -> None:
+        """Go on after what a teammate knows of this robot from before its clock went back."""
+        before = self._version.number
+        self._version.follow(known, mate, now)
+        if self._version.number != before:
+            self._claim = replace(self._claim, number=self._version.number)
 
     def tell(self, me: Presence) -> Word:
         """What to tell the others now."""
         radius, bottom, top = body_extent(me.robot, me.state.joints)
         with self._lock:
-            self._version = next_version(self._version)
+            version = self._version.advance()
             claim, state = self._current_claim(me.stamp), me.state
             if self._still is None or _has_moved(self._still, me):
                 self._still = me
             agent = Agent(
                 self.robot,
                 self._session,
-                self._version,
+                version,
                 me.stamp,
                 self._still.stamp,
                 state.T_map_base,
@@ -141,11 +153,12 @@ class Teamwork:
                 claim.goal,
                 np.empty((0, 3)) if claim.way is None else claim.way,
                 claim.number,
-                dict(claim.heard),
+                dict(claim.heard) | self._board.past(),
                 radius,
                 bottom,
                 top,
                 me.description,
+                me.description_hash,
                 me.robot.base_frame,
             )
         return Word(agent, agent_to_text(agent, self._key))
@@ -161,22 +174,20 @@ class Teamwork:
         step = max(1, -(-len(way) // _MOST_WAYPOINTS))
         told = way[::step] if len(way) < 2 else np.concatenate([way[:-1:step], way[-1:]])
         with self._lock:
-            self._version = next_version(self._version)
-            self._claim = _Claim(self._version, goal, told, tuple(known.items()))
+            self._claim = _Claim(self._version.advance(), goal, told, tuple(known.items()))
 
     def give_up(self) -> None:
         """From now on this robot is heading for nothing."""
         with self._lock:
             if self._claim.goal is not None:
-                self._version = next_version(self._version)
-                self._claim = _Claim(self._version)
+                self._claim = _Claim(self._version.advance())
 
     def _current_claim(self, stamp: int) -> _Claim:
         """The claim, without its goal where that was told for the first time too long ago."""
         claim = self._claim
         told = stamp if claim.told is None else claim.told
         if claim.goal is not None and stamp - told > self.config.goal_time * 1e9:
-            claim = _Claim(self._version)
+            claim = _Claim(self._version.number)
         self._claim = replace(claim, told=told)
         return self._claim
 

@@ -2,18 +2,35 @@
 
 Kernels and OpenCV release the GIL while they work, so callbacks keep being served. The queue is
 bounded: when jobs come faster than they are done, the oldest waiting one gives way to the newest
-and is reported. Errors of the library, and any error that a message of another robot causes, are
-for the job to translate; any other exception ends the thread, which its owner notices by `alive`
-and must not survive.
+and is reported; of messages of other robots, the oldest one of the robot of which most waits.
+Errors of the library, and any error that a message of another robot causes, are for the job to
+translate; any other exception ends the thread, which its owner notices by `alive` and must not
+survive.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
+from typing import NamedTuple
 
 Job = Callable[[], object]
+MOST_WAITING = 64_000_000
+"""Bytes of messages of other robots that may wait.
+
+A dozen seconds of what one robot tells at the most, as long as a view takes to be chosen.
+"""
+_JOB_BYTES = 4000  # what a job takes beside its message, about
+
+
+class _Entry(NamedTuple):
+    """A job that waits; `source` and `size` of one for a message of another robot."""
+
+    job: Job
+    may_give_way: bool
+    source: str = ""
+    size: int = 0
 
 
 class Worker:
@@ -42,7 +59,8 @@ class Worker:
         self._last_job = last_job
         self._capacity = capacity
         self._on_overflow, self._on_rest = on_overflow, on_rest
-        self._waiting: deque[tuple[Job, bool]] = deque()
+        self._waiting: deque[_Entry] = deque()
+        self._sizes: Counter[str] = Counter()
         self._condition = threading.Condition()
         self._stopping = False
         self._busy = False
@@ -63,28 +81,56 @@ class Worker:
     def submit(self, job: Job) -> None:
         """Queue a job; when the queue is full the oldest such job gives way."""
         with self._condition:
-            replaceable = [entry for entry in self._waiting if entry[1]]
+            replaceable = [entry for entry in self._waiting if entry.may_give_way]
             overflow = len(replaceable) >= self._capacity
             if overflow:
                 self._waiting.remove(replaceable[0])
-            self._append(job, may_give_way=True)
+            self._append(_Entry(job, may_give_way=True))
         if overflow:
             self._on_overflow()
 
     def submit_always(self, job: Job) -> None:
         """Queue a job that never gives way, for example an order of the user."""
         with self._condition:
-            self._append(job, may_give_way=False)
+            self._append(_Entry(job, may_give_way=False))
 
-    def _append(self, job: Job, *, may_give_way: bool) -> None:
-        self._waiting.append((job, may_give_way))
+    def submit_from(self, source: str, size: int, job: Job) -> None:
+        """Queue a job for a message of another robot.
+
+        Args:
+            source: which robot; where too much waits, the oldest job of who has most gives way.
+            size: of the message [bytes].
+            job: what to do.
+        """
+        gave_way = 0
+        with self._condition:
+            self._append(_Entry(job, False, source, size + _JOB_BYTES))
+            self._sizes[source] += size + _JOB_BYTES
+            while self._sizes.total() > MOST_WAITING:
+                ((most, _),) = self._sizes.most_common(1)
+                oldest = next(entry for entry in self._waiting if entry.source == most)
+                self._waiting.remove(oldest)
+                self._forget(oldest)
+                gave_way += 1
+        for _ in range(gave_way):
+            self._on_overflow()
+
+    def _forget(self, entry: _Entry) -> None:
+        """An entry waits no more."""
+        if entry.source:
+            self._sizes[entry.source] -= entry.size
+            if self._sizes[entry.source] <= 0:
+                del self._sizes[entry.source]
+
+    def _append(self, entry: _Entry) -> None:
+        self._waiting.append(entry)
         self.most_waiting = max(self.most_waiting, len(self._waiting))
         self._condition.notify()
 
     def clear(self) -> int:
         """Forget the waiting jobs that may give way; returns how many."""
         with self._condition:
-            kept = [entry for entry in self._waiting if not entry[1]]
+            kept = [entry for entry in self._waiting if not entry.may_give_way]
             forgotten = len(self._waiting) - len(kept)
             self._waiting = deque(kept)
         return forgotten
@@ -107,10 +153,11 @@ class Worker:
                 self._condition.wait_for(lambda: self._stopping or self._waiting)
                 if self._stopping:
                     return
-                job, _ = self._waiting.popleft()
+                entry = self._waiting.popleft()
+                self._forget(entry)
                 self._busy = True
             try:
-                job()
+                entry.job()
             except Exception:
                 if not self._stopping:
                     raise

@@ -29,6 +29,7 @@ from infomap_ros.nodes.common.lockstep import LockstepTime
 from infomap_ros.nodes.robot.description_listener import DescriptionListener
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.pipeline.tracked_robot import TrackedRobot
+from infomap_ros.team.agents import hash_of_description
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class RobotTracker:
         self._tracked = TrackedRobot(node.config(JointBufferConfig), node.config(AssumedPoseConfig))
         self._news = threading.Condition()
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
-        self._description = self._read = ""
+        self._description = self._read = self._description_hash = ""
         self._lockstep: LockstepTime | None = None
         self._log = node.get_logger()
         node.listen(
@@ -106,6 +107,12 @@ class RobotTracker:
         )
         for number, topic in enumerate(infos):
             node.listen(CameraInfo, topic, self._info_listener(number), qos.sensor_data())
+
+    @property
+    def description_hash(self) -> str:
+        """Of robot_description, see `team.agents.hash_of_description`; empty before it has come."""
+        with self._news:
+            return self._description_hash
 
     @property
     def robot(self) -> RobotModel:
@@ -249,6 +256,7 @@ class RobotTracker:
     def _on_description(self, text: str) -> None:
         with self._news:
             self._description = text
+            self._description_hash = hash_of_description(text)
             self._read_robot()
 
     def _info_listener(self, number: int) -> Callable[[CameraInfo], None]:

@@ -5,23 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
-from sensor_msgs.msg import PointCloud2
+import numpy as np
+from numpy.typing import NDArray
 
-from infomap_ros.errors import ExplorationError, FrameError
+from infomap_ros.errors import ExplorationError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.messages.rows import decode_rows
-from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_inbox import TeamInbox
 from infomap_ros.nodes.team.team_topics import UPDATES
-from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team import TeamConfig, TeamMember, decode_update, draw_session, version_at
 
+Rows = NDArray[np.void]
 _GROWTH = 1.01  # by this factor the map must grow to count as growing
 
 
@@ -79,15 +79,10 @@ class MapListener:
         self._key = self._team.read_key()
         self._member: TeamMember | None = None
         self._known, self._grown, self._arrived = 0, 0.0, False
+        inbox = TeamInbox(node, self._frame, worker, self._key)
         for topic in ("map_updates", UPDATES):
-
-            def receive(message: PointCloud2, topic: str = topic) -> None:
-                apply = partial(self._apply, message)
-                worker.submit_always(lambda: node.guard_peer(topic, apply))
-
-            is_missed = required and topic == "map_updates"
-            node.listen(PointCloud2, topic, receive, qos.stream(depth=200), required=is_missed)
-        TeamExchange(node, self._frame, worker, lambda: self._member)
+            inbox.listen(topic, self._apply, required=required and topic == "map_updates")
+        TeamExchange(node, self._frame, worker, self._key, lambda: self._member)
 
     def voxel_map(self) -> VoxelMap:
         """The sum over all robots.
@@ -109,17 +104,12 @@ class MapListener:
             return None
         return self._member.replica.voxel_map
 
-    def _apply(self, message: PointCloud2) -> None:
+    def _apply(self, rows: Rows) -> None:
         """Learn what a robot has seen; the first update tells the size of the voxels.
 
         Raises:
             InfomapError: the update cannot be used; the map is as before.
         """
-        _, frame, rows = decode_rows(message)
-        if frame != self._frame:
-            raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
-        if not len(rows):
-            return
         if self._member is None:
             genuine = rows if self._key is None else self._key.verify(rows)
             self._member = self._make_member(decode_update(genuine).voxel_size)
@@ -137,9 +127,8 @@ class MapListener:
             voxel_size=round(voxel_size, 7), memory_limit=config.memory_limit
         )
         sharing = self._node.config(TeamConfig)
-        return TeamMember(
-            team.robot_id, 0, 1, map_config, sharing, team.team, tells=False, key=self._key
-        )
+        who = team.robot_id, draw_session(), version_at(time.time_ns())
+        return TeamMember(*who, map_config, sharing, team.team, tells=False, key=self._key)
 
     def _note_growth(self, known: int) -> None:
         if known > _GROWTH * self._known:

@@ -83,4 +83,5 @@ class TeamAgents:
         except PoseUnavailableError:
             return None
         camera = calibration.rectified_camera()
-        return Presence(stamp, state, robot, camera, self._range, self.doing, self._description)
+        about = self.doing, self._description, tracker.description_hash
+        return Presence(stamp, state, robot, camera, self._range, *about)

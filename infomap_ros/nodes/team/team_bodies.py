@@ -1,7 +1,8 @@
 """Teammates' bodies, as map_fusion keeps them out of the map.
 
-Where they are they tell on team/agents, and there also the topic of their robot_description, which
-is then listened to.
+Where they are they tell on team/agents, and there also the topic of their robot_description and the
+hash of what stands there. It is read where the team says who belongs to it, by a list or a key; of
+strangers, the cylinder that they tell is all that is known.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from functools import partial
 
 from std_msgs.msg import String
 
+from infomap_ros.errors import UpdateRefusedError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
@@ -26,10 +28,12 @@ from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents import Agent, hash_of_description
 from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.authentication import NOT_AUTHENTIC
 
 _MOST_DESCRIPTIONS = 64
+_LONGEST_KEPT = 1 << 20  # characters of a text that came before its hash
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,11 @@ class TeamBodyListener:
         self._board = AgentBoard(who.robot_id, None, memory, who.team, who.read_key())
         self._bodies = TeamBodies(node.config(TeamBodiesConfig), node.config(BodyFilterConfig))
         self._reading = node.config(RobotBodyConfig).robot
+        self._is_closed = bool(who.team) or bool(who.team_key)
         self._topics: dict[int, str] = {}
+        self._told: dict[int, Agent] = {}
+        self._unread: dict[int, str] = {}
+        self._listening = 0
         self._models: dict[int, RobotModel] = {}
         if node.config(TeamBodyConfig).remove_teammates:
             listen_to_agents(node, frame, self._hear)
@@ -105,22 +113,40 @@ class TeamBodyListener:
             self._on_news()
 
     def _ask_what_it_is(self, agent: Agent) -> None:
-        """Listen to the description of a robot that is new, or has another one than before."""
-        topic = agent.description
-        is_known = self._topics.get(agent.robot) == topic and self._bodies.is_described(agent.robot)
-        if agent.robot in self._models and not self._bodies.is_described(agent.robot):
-            self._bodies.describe(agent.robot, self._models[agent.robot])  # forgotten, and back
-        if not topic or is_known or topic in self._topics.values():
+        """Listen to the description of a teammate that is new, or has another one than before."""
+        robot, topic = agent.robot, agent.description
+        self._told[robot] = agent
+        if robot in self._models and not self._bodies.is_described(robot):
+            self._bodies.describe(robot, self._models[robot])  # forgotten, and back
+        if robot in self._unread:
+            self._read(robot, self._unread.pop(robot))
+        is_known = self._topics.get(robot) == topic
+        if not self._is_closed or not topic or is_known or topic in self._topics.values():
             return
-        if len(self._topics) >= _MOST_DESCRIPTIONS:
+        if self._listening >= _MOST_DESCRIPTIONS:
             return
-        self._topics[agent.robot] = topic
-        receive = partial(self._on_description, agent.robot, agent.base_frame)
+        self._listening += 1
+        self._topics[robot] = topic
+        receive = partial(self._on_description, robot)
         profile = qos.latched()
         self._node.listen(String, topic, receive, profile, required=False, from_peer=True)
 
-    def _on_description(self, robot: int, base_frame: str, message: String) -> None:
-        model = self._reading.read(decode_text(message).text, base_frame=base_frame)
+    def _on_description(self, robot: int, message: String) -> None:
+        self._read(robot, decode_text(message).text)
+
+    def _read(self, robot: int, text: str) -> None:
+        """Learn what a teammate is, if this is the text of which it told the hash.
+
+        Raises:
+            UpdateRefusedError: it is not, or not yet.
+        """
+        agent = self._told[robot]
+        if hash_of_description(text) != agent.description_hash:
+            if len(text) <= _LONGEST_KEPT:
+                self._unread[robot] = text
+            wrong = f"what {agent.description} says is not what robot {robot} has told"
+            raise UpdateRefusedError(wrong, NOT_AUTHENTIC)
+        model = self._reading.read(text, base_frame=agent.base_frame)
         self._models[robot] = model
         self._bodies.describe(robot, model)
         self._node.get_logger().info(f"removing the body of teammate {robot} from clouds")

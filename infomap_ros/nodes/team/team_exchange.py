@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.errors import FrameError
-from infomap_ros.messages.rows import decode_rows, encode_rows
+from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.team.team_inbox import TeamInbox
 from infomap_ros.nodes.team.team_topics import DIGESTS, REQUESTS
 from infomap_ros.team import TeamConfig, TeamMember
+from infomap_ros.team.authentication import TeamKey
 
 Rows = NDArray[np.void]
+NOT_HEARD = "not heard by a teammate"
 
 
 class TeamExchange:
@@ -30,6 +32,7 @@ class TeamExchange:
         node: that speaks.
         frame: of the map.
         worker: where the member lives.
+        key: of the team, None without one.
         find_member: gives it, None as long as there is none.
         foreign: called with each digest before that, as it may be the first sign of a team.
     """
@@ -39,6 +42,7 @@ class TeamExchange:
         node: MonitoredNode,
         frame: str,
         worker: Worker,
+        key: TeamKey | None,
         find_member: Callable[[], TeamMember | None],
         foreign: Callable[[Rows], object] = lambda rows: None,
     ) -> None:
@@ -49,21 +53,14 @@ class TeamExchange:
         self._publishers = {
             topic: node.advertise(PointCloud2, topic, profile) for topic in (DIGESTS, REQUESTS)
         }
+        inbox = TeamInbox(node, frame, worker, key)
         for topic in (DIGESTS, REQUESTS):
-            receive = partial(self._receive, topic)
-            node.listen(PointCloud2, topic, receive, profile, required=False)
+            inbox.listen(topic, partial(self._hear, topic))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = node.config(TeamConfig).digest_period
         node.create_timer(period, self._speak_soon, clock=steady)
 
-    def _receive(self, topic: str, message: PointCloud2) -> None:
-        hear = partial(self._hear, topic, message)
-        self._worker.submit_always(lambda: self._node.guard_peer(topic, hear))
-
-    def _hear(self, topic: str, message: PointCloud2) -> None:
-        _, frame, rows = decode_rows(message)
-        if frame != self._frame:
-            raise FrameError(f"digest or request in frame '{frame}', the map is '{self._frame}'")
+    def _hear(self, topic: str, rows: Rows) -> None:
         if topic == DIGESTS:
             self._foreign(rows)
         member = self._find_member()
@@ -91,6 +88,9 @@ class TeamExchange:
         for robot, found in member.contradictions.items():
             known = f"{found.contradicted} of {found.compared} surface voxels"
             self._node.drop("maps contradict", f"robot {robot}: {known}; it is left out")
+        for robot, version in member.barred_by(time.monotonic()).items():
+            known = f"holds version {version} of this robot, which is at {member.version}"
+            self._node.drop(NOT_HEARD, f"robot {robot} {known}; restart this robot, set its clock")
         self._publish(REQUESTS, member.requests(time.monotonic()))
 
     def _publish(self, topic: str, messages: list[Rows]) -> None:

@@ -9,21 +9,18 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.errors import FrameError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.messages.rows import decode_rows
-from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.team.team_exchange import TeamExchange
+from infomap_ros.nodes.team.team_inbox import TeamInbox
 from infomap_ros.nodes.team.team_topics import UPDATES
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
@@ -52,14 +49,9 @@ class TeamMap:
 
     def listen(self, worker: Worker) -> None:
         """Apply updates in a worker from now on."""
-
-        def receive(message: PointCloud2) -> None:
-            apply = partial(self._apply, message)
-            worker.submit_always(lambda: self._node.guard_peer(UPDATES, apply))
-
-        profile = qos.stream(depth=200)
-        self._node.listen(PointCloud2, UPDATES, receive, profile, required=False)
-        TeamExchange(self._node, self._frame, worker, lambda: self._member, self._hear_of)
+        key = self._updates.key
+        TeamInbox(self._node, self._frame, worker, key).listen(UPDATES, self._apply)
+        TeamExchange(self._node, self._frame, worker, key, lambda: self._member, self._hear_of)
 
     @property
     def voxel_map(self) -> VoxelMap | None:
@@ -89,12 +81,7 @@ class TeamMap:
         """Memory in use [bytes]."""
         return self._member.replica.memory_bytes() if self._member else 0
 
-    def _apply(self, message: PointCloud2) -> None:
-        _, frame, rows = decode_rows(message)
-        if frame != self._frame:
-            raise FrameError(f"update in frame '{frame}', the map is '{self._frame}'")
-        if not len(rows):
-            return
+    def _apply(self, rows: Rows) -> None:
         if self._member is None:
             update = decode_update(self._genuine(rows))
             self._join(update.robot, update.session)

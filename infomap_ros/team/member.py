@@ -90,6 +90,11 @@ class TeamMember:
         return self._outbox.robot
 
     @property
+    def session(self) -> int:
+        """Number that it drew when it started."""
+        return self._outbox.session
+
+    @property
     def version(self) -> int:
         """Version of its last publication."""
         return self._outbox.version

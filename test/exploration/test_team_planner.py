@@ -379,6 +379,24 @@ def test_a_goal_that_is_never_reached_is_given_up(robot: RobotModel) -> None:
     assert held == [True, True, False, False]
 
 
+def test_a_robot_whose_clock_went_back_learns_it_and_is_heard(robot: RobotModel) -> None:
+    _, one, mate = scripted(robot, Script(robot))
+    number = mate.team.robot
+    versions = (10**6, 10**6 - 5000)
+    first, again = (Teamwork(number, session, v) for session, v in enumerate(versions, start=50))
+    presence = Presence(5, mate.state, robot, CAMERA, 2.5)
+    assert one.team.hear(first.tell(presence).text, 0.0)
+    heard = []
+    for now in (1.0, 1.2, 1.4):
+        heard.append(one.team.hear(again.tell(presence).text, now) is not None)
+        again.hear(one.team.tell(presence).text, now)
+    assert heard == [False, True, True]
+    liar = Teamwork(77, 1, 2**20)
+    liar.claim(pose_at(2.0, 0.0), np.zeros((1, 3)), {number: 10**6 + 2**30})
+    again.hear(liar.tell(presence).text, 1.5)
+    assert one.team.hear(again.tell(presence).text, 1.6), "not sent where nobody hears it"
+
+
 def test_a_teammate_is_told_as_it_is(robot: RobotModel) -> None:
     air, one, mate = scripted(robot, Script(robot))
     claims(mate, 2.0)

@@ -216,7 +216,6 @@ def test_what_robots_tell_of_themselves_need_not_count(graph: Any) -> None:
     bench.wait_for_results(1)
 
 
-
 def test_a_description_that_a_teammate_has_not_told_is_not_read(graph: Any) -> None:
     wall = Wall(graph)
     wall.tell(-100, 1, description_hash="0" * 64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.common.worker import MOST_WAITING, Worker
 
 
 def blocked_worker(capacity: int) -> tuple[Worker, threading.Event, list[int]]:
@@ -52,6 +52,30 @@ def test_a_full_queue_gives_up_its_oldest_jobs_and_says_so() -> None:
 
     assert done == [3, 4]
     assert len(overflows) == 3
+
+
+def test_messages_of_robots_are_bounded_and_who_sends_most_gives_way() -> None:
+    worker, release, overflows = blocked_worker(1)
+    done: list[str] = []
+    for source, count in (("quiet", 5), ("loud", 200), ("quiet", 5)):
+        for _ in range(count):
+            worker.submit_from(source, 1_000_000, lambda source=source: done.append(source))
+    assert worker.waiting < 70
+
+    finish(worker, release)
+
+    assert done.count("quiet") == 10
+    assert 50 < done.count("loud") < 64
+    assert len(overflows) == 200 - done.count("loud")
+
+
+def test_small_messages_are_bounded_too() -> None:
+    worker, release, overflows = blocked_worker(1)
+    for number in range(20_000):
+        worker.submit_from(f"robot {number % 64}", 0, lambda: None)
+    assert worker.waiting <= MOST_WAITING // 4000 + 1
+    assert len(overflows) == 20_000 - (worker.waiting - 1)
+    finish(worker, release)
 
 
 def test_orders_never_give_way() -> None:

@@ -13,10 +13,11 @@ from infomap_ros.errors import InfomapError, InvalidInputError, UpdateRefusedErr
 from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transform
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agent_text import agent_from_text, agent_to_text
-from infomap_ros.team.agents import Agent
+from infomap_ros.team.agents import Agent, hash_of_description
 from infomap_ros.team.agents_config import AgentBoardConfig
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
-from infomap_ros.team.membership import BACKWARDS, NOT_LISTED, TWO_OF_A_NAME
+from infomap_ros.team.limits import MOST_ROBOTS
+from infomap_ros.team.membership import BACKWARDS, NOT_LISTED, TOO_MANY, TWO_OF_A_NAME
 
 LENS = PinholeCamera(640, 480, 500.0, 501.0, 319.5, 239.5)
 KEY = TeamKey(b"a secret of sixteen bytes")
@@ -37,6 +38,7 @@ def agent(robot: int = 3, version: int = 100, session: int = 7, **fields: Any) -
         "claim": 4,
         "heard": {1: 9},
         "description": "/rover3/robot_description",
+        "description_hash": hash_of_description("<robot/>"),
         "base_frame": "base_link",
     }
     return Agent(robot, session, version, 12_345_678_901, 12_000_000_000, **(given | fields))
@@ -63,7 +65,8 @@ def test_a_text_says_all_of_it() -> None:
         "state",
         "joints",
     ]
-    same += ["claim", "heard", "radius", "bottom", "top", "description", "base_frame"]
+    same += ["claim", "heard", "radius", "bottom", "top", "base_frame"]
+    same += ["description", "description_hash"]
     assert {n: getattr(read, n) for n in same} == {n: getattr(told, n) for n in same}
 
 
@@ -99,6 +102,7 @@ def test_what_is_not_known_is_not_made_up() -> None:
         ("description", "/a b", "not the name of a topic"),
         ("description", "relative", "not the name of a topic"),
         ("top", -50.0, "agent top"),
+        ("description_hash", "zz", "not a hash"),
     ],
 )
 def test_what_is_impossible_is_refused_and_named(field: str, value: Any, problem: str) -> None:
@@ -162,7 +166,7 @@ def test_the_silent_lose_their_goals_first_and_are_forgotten_then() -> None:
     board.hear(word(2), 10.0)
     for now, goals, bodies in ((15.0, 1, 1), (15.1, 0, 1), (70.0, 0, 1), (70.1, 0, 0)):
         assert (len(board.present(now)), len(board.remembered(now))) == (goals, bodies)
-    assert board.hear(word(2, 99), 80.0), "an older version than that of one who was forgotten"
+    assert board.hear(word(2, 101), 80.0)
 
 
 @pytest.mark.parametrize("session", [1, None])
@@ -195,6 +199,36 @@ def test_a_robot_that_has_started_again_is_the_same_robot() -> None:
     assert board.hear(word(3, 200, session=8, claim=1), 1.0)
     assert not board.hear(word(3, 101, session=7, claim=41), 1.1), "late, from before"
     assert board.claims(1.1) == {3: 1}
+
+
+@pytest.mark.parametrize(("session", "behind"), [(7, 0), (7, 5000), (5, 100_000), (7, 2**23 + 1)])
+def test_old_words_of_who_has_fallen_silent_make_no_ghost(session: int, behind: int) -> None:
+    board = AgentBoard(0, 1, AgentBoardConfig(silence=5.0, memory=60.0), (3,), KEY)
+    board.hear(agent_to_text(agent(3, 2**30), KEY), 0.0)
+    old = agent_to_text(agent(3, 2**30 - behind, session), KEY)
+    for now in (1.0, 30.0, 90.0, 700.0):
+        try:
+            assert not board.hear(old, now)
+        except UpdateRefusedError as error:
+            assert error.reason == BACKWARDS
+        assert board.past() in ({3: 2**30}, {}), "whoever it is learns it"
+    assert board.remembered(700.0) == ()
+    assert board.hear(agent_to_text(agent(3, 2**30 + 9), KEY), 701.0)
+
+
+def test_a_robot_whose_clock_was_never_set_is_heard_after_it_was_forgotten() -> None:
+    board = AgentBoard(0, 1, AgentBoardConfig(memory=60.0))
+    board.hear(word(3, 2**30), 0.0)
+    assert not board.hear(word(3, 1000, session=8), 1.0)
+    assert board.hear(word(3, 1001, session=8), 61.0)
+    assert board.hear(word(3, 1002, session=8), 62.0)
+
+
+def test_more_robots_than_a_team_has_are_refused() -> None:
+    board = AgentBoard(0, 1)
+    for robot in range(1, MOST_ROBOTS):
+        assert board.hear(word(robot), 0.0)
+    assert refusal(board, word(9999)) == TOO_MANY
 
 
 def test_a_pose_tells_how_sure_it_is() -> None:

@@ -1,17 +1,26 @@
-"""Mutated messages are refused with the library's errors and leave the map as it was."""
+"""Mutated and odd messages are refused or cost little, and leave the robot what it was."""
 
 from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 
-SCRIPT = Path(__file__).resolve().parent.parent.parent / "benchmarks" / "fuzz_team.py"
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parent.parent.parent / "benchmarks"
+
+
+def script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_no_mutated_message_ends_the_process_or_changes_the_map() -> None:
-    spec = importlib.util.spec_from_file_location("fuzz_team", SCRIPT)
-    fuzz_team = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(fuzz_team)
+    fuzz_team = script("fuzz_team")
 
     plain = fuzz_team.fuzz(1000, 5, None)
     signed = fuzz_team.fuzz(1000, 6, fuzz_team.KEY)
@@ -20,3 +29,14 @@ def test_no_mutated_message_ends_the_process_or_changes_the_map() -> None:
     assert plain["REFUSED AND CHANGED THE MAP"] == signed["REFUSED AND CHANGED THE MAP"] == 0
     assert signed["taken for genuine"] == 0
     assert sum(plain[r] for r in plain if r.startswith("refused")) > 500
+
+
+@pytest.mark.parametrize(("kind", "rounds"), [("Victim", 25), ("Board", 60)])
+def test_odd_messages_cost_no_more_than_their_bytes_allow(kind: str, rounds: int) -> None:
+    content = script("fuzz_team_content")
+    victim = getattr(content, kind)()
+
+    content.endure_rounds(victim, 7, rounds)
+
+    heard = sum(count for name, count in victim.results.items() if name.endswith("heard"))
+    assert 0 < heard < victim.results.total()

@@ -97,6 +97,7 @@ class TeamNetwork:
         voxel_size: [m].
         seed: of the hall, the views and the losses.
         max_range: to which robots map [m].
+        memory_limit: of each map [GB].
     """
 
     def __init__(
@@ -107,9 +108,12 @@ class TeamNetwork:
         voxel_size: float = 0.05,
         seed: int = 0,
         max_range: float = 5.0,
+        memory_limit: float = VoxelMapConfig.memory_limit,
     ) -> None:
         self.radio, self.now = radio, 0.0
-        self.config = VoxelMapConfig(voxel_size=voxel_size, max_range=max_range)
+        self.config = VoxelMapConfig(
+            voxel_size=voxel_size, max_range=max_range, memory_limit=memory_limit
+        )
         self._team = team or TeamConfig()
         self._rng = np.random.default_rng(seed)
         self.scene = make_hall(self._rng)
@@ -144,15 +148,26 @@ class TeamNetwork:
         self._digested = self.now if digests else self._digested
         for number, robot in enumerate(self.robots):
             start = time.thread_time()
-            member, messages = robot.member, []
-            messages += [("update", rows) for rows in member.tell(robot.own, self.now)]
-            if digests:
-                messages += [("digest", rows) for rows in member.digests(self.now)]
-            messages += [("request", rows) for rows in member.requests(self.now)]
+            messages = self.speak(number, digests)
             robot.seconds += time.thread_time() - start
             for kind, rows in messages:
                 self._send(number, robot, kind, rows)
         self._deliver()
+
+    def speak(self, number: int, digests: bool) -> list[tuple[str, Rows]]:
+        """What a robot says now, with or without digests, and of which kind it is."""
+        robot = self.robots[number]
+        member = robot.member
+        messages = [("update", rows) for rows in member.tell(robot.own, self.now)]
+        if digests:
+            messages += [("digest", rows) for rows in member.digests(self.now)]
+        return messages + [("request", rows) for rows in member.requests(self.now)]
+
+    def hear(self, receiver: int, kind: str, rows: Rows) -> None:
+        """A message has come to a robot."""
+        member = self.robots[receiver].member
+        hear = {"digest": member.hear_digest, "request": member.hear_request}
+        hear.get(kind, member.hear_update)(rows, self.now)
 
     def run(self, seconds: float) -> None:
         """Let time go by."""
@@ -171,9 +186,6 @@ class TeamNetwork:
 
     def _deliver(self) -> None:
         for receiver, kind, rows in self._channel.deliver(self.now):
-            robot = self.robots[receiver]
-            member = robot.member
-            hear = {"digest": member.hear_digest, "request": member.hear_request}
             start = time.thread_time()
-            hear.get(kind, member.hear_update)(rows, self.now)
-            robot.seconds += time.thread_time() - start
+            self.hear(receiver, kind, rows)
+            self.robots[receiver].seconds += time.thread_time() - start

@@ -247,7 +247,9 @@ class Contribution:
         kernels.find_blocks(self._blocks, corners, slots)
         hashes = np.zeros(len(slots), np.uint64)
         kernels.hash_some(self._blocks, self._planes, slots, hashes)
-        return _folded(hashes), np.where(slots >= 0, self._planes.newest[slots], 0)
+        newest, there = np.zeros(len(slots), np.uint32), slots >= 0
+        newest[there] = self._planes.newest[slots[there]]
+        return _folded(hashes), newest
 
     def coordinates(self, slots: NDArray[np.int64]) -> NDArray[np.int32]:
         """Coordinates of blocks [blocks], shape (n, 3)."""

@@ -25,6 +25,9 @@ class DescriptionListener:
         prefix: put before the names of its links.
         required: whether the node cannot work without it.
         on_edge: told of each transform that is heard.
+
+    Attributes:
+        published: what stands on robot_description; empty before it has come.
     """
 
     def __init__(
@@ -37,6 +40,7 @@ class DescriptionListener:
         on_edge: Callable[[TransformRecord], None] = lambda _: None,
     ) -> None:
         self._on_description, self._prefix, self._pass_on = on_description, prefix, on_edge
+        self.published = ""
         self._text: str | None = None
         self._told: str | None = None
         self._wanted: set[str] = set()
@@ -51,7 +55,8 @@ class DescriptionListener:
             self._tell()
 
     def _on_text(self, message: String) -> None:
-        self._text, self._told = with_prefix(decode_text(message).text, self._prefix), None
+        self.published = decode_text(message).text
+        self._text, self._told = with_prefix(self.published, self._prefix), None
         self._tell()
 
     def _on_edge(self, edge: TransformRecord) -> None:

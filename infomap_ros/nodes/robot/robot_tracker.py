@@ -256,7 +256,7 @@ class RobotTracker:
     def _on_description(self, text: str) -> None:
         with self._news:
             self._description = text
-            self._description_hash = hash_of_description(text)
+            self._description_hash = hash_of_description(self._texts.published)
             self._read_robot()
 
     def _info_listener(self, number: int) -> Callable[[CameraInfo], None]:

@@ -272,6 +272,7 @@ class Board:
 
     def __init__(self) -> None:
         self.board, self.now, self.results = AgentBoard(1, 11), 0.0, Counter[str]()
+        AgentBoard(1, 11).hear(agent_text(), 0.0, START)  # what is compiled is compiled now
 
     def endure(self, told: list[Any]) -> None:
         """A round: hear these texts, with pauses, and judge.

@@ -238,7 +238,8 @@ def test_who_fills_the_memory_gives_way_to_the_others() -> None:
 
 
 def test_what_informs_least_is_dropped() -> None:
-    replica = MapReplica(SMALL, own=1)
+    limit = 0.016e9
+    replica = MapReplica(VoxelMapConfig(voxel_size=0.1, memory_limit=1e-9 * limit), own=1)
     for place, odds in ((0, 2), (1, SHARED_LOG_ODDS_LIMIT)):
         for rows in states(9, lattice(12, place), odds=odds):
             replica.apply(decode_update(rows))
@@ -249,11 +250,12 @@ def test_what_informs_least_is_dropped() -> None:
     assert before == 2 * 12**3 > part.blocks > 100
     assert np.count_nonzero(kept.log_odds == SHARED_LOG_ODDS_LIMIT) >= min(12**3, part.blocks)
     assert replica.voxel_map.known_voxels == len(kept.versions)
-    assert replica.memory_bytes() < 0.75 * 0.03e9
+    assert replica.memory_bytes() < 0.75 * limit
 
 
 def test_what_there_is_no_room_for_is_told_later() -> None:
-    small, own = VoxelMapConfig(voxel_size=0.1, memory_limit=0.001), own_map()
+    own = own_map(config=VoxelMapConfig(voxel_size=0.05))
+    small = VoxelMapConfig(voxel_size=0.05, memory_limit=0.001)
     member = TeamMember(1, 11, START, small)
     member.begin(own)
     waiting = changed_blocks(own._storage)[1].sum()

@@ -272,7 +272,9 @@ class Board:
 
     def __init__(self) -> None:
         self.board, self.now, self.results = AgentBoard(1, 11), 0.0, Counter[str]()
-        AgentBoard(1, 11).hear(agent_text(), 0.0, START)  # what is compiled is compiled now
+        other = AgentBoard(1, 11)
+        for _ in range(2):  # what is compiled is compiled now
+            other.hear(agent_text(), 0.0, START)
 
     def endure(self, told: list[Any]) -> None:
         """A round: hear these texts, with pauses, and judge.

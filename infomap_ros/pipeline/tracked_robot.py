@@ -83,6 +83,11 @@ class TrackedRobot:
         return self._robot
 
     @property
+    def is_described(self) -> bool:
+        """Whether it is known what the robot is."""
+        return self._robot is not None
+
+    @property
     def newest_stamp(self) -> int | None:
         """Stamp of the newest pose or odometry [ns]; None before the first pose."""
         newest = self._pose.newest_stamp

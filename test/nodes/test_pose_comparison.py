@@ -71,7 +71,7 @@ def test_published_poses_are_held_against_the_truth_in_the_frame_of_the_map() ->
 
     poses = truth.poses(T_world_map)
 
-    assert [pose.stamp for pose in poses] == [0, 10**9, 3 * 10**9]
+    assert [each.pose.stamp for each in poses] == [0, 10**9, 3 * 10**9]
     for pose in poses:
         np.testing.assert_allclose(pose.error, error, atol=1e-9)
         assert pose.nees == pytest.approx(error @ error / sigma**2)

@@ -79,7 +79,7 @@ def test_the_log_and_the_files_tell_of_the_same_run(explored: tuple[ExplorationR
     log = recorded(explored)
     assert log.problems == ()
     known = [progress.known_fraction for progress in log.of(Progress)]
-    assert len(known) == 8
+    assert {progress.views for progress in log.of(Progress)} == set(range(1, 9))
     assert known[-1] > known[0] + 0.2
     loaded = VoxelMap.load(out / "map.infomap")
     assert loaded.known_voxels == run.map.known_voxels

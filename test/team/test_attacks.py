@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from typing import Any
 
@@ -280,15 +279,12 @@ def test_digests_of_blocks_that_do_not_exist_cost_a_few_times_their_bytes(robot:
         size += message_bytes(rows)
         member.hear_digest(rows, 0.0)
     assert len(member._reconciler._missed) <= MOST_MISSED
-    now, most = 0.0, 0.0
+    now = 0.0
     while now < MISSED_FOR + 10.0:
         now += 0.1
-        start = time.thread_time()
         asked += sum(map(message_bytes, member.requests(now)))
-        most = max(most, time.thread_time() - start)
     assert asked <= MOST_TRIES * size
     assert len(member._reconciler._missed) == 0
-    assert most < 0.5
 
 
 def test_who_has_died_is_not_asked_for_ever() -> None:

@@ -125,6 +125,12 @@ class RobotTracker:
             return self._tracked.robot
 
     @property
+    def is_described(self) -> bool:
+        """Whether `robot` has an answer."""
+        with self._news:
+            return self._tracked.is_described
+
+    @property
     def calibrations(self) -> tuple[CameraCalibration, ...]:
         """Calibrations of the cameras, in the order of the topics.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import signal
 
 import pytest
@@ -19,11 +18,11 @@ def test_an_interrupt_asks_the_run_to_stop_and_a_second_one_leaves():
     control, said = Control(), io.StringIO()
     before = signal.getsignal(signal.SIGINT)
     with _stops_when_interrupted(control, Console(file=said)):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         assert control.request is Request.STOP
         assert "map and report follow" in said.getvalue()
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
 

@@ -66,7 +66,8 @@ class ErrorPrediction:
 
     def surface_points(self, voxel_map: VoxelMap) -> FloatArray:
         """Points of the mapped surface that stand for fiducials still to be found, (S, 3) [m]."""
-        _, means, _ = voxel_map.gaussians()
+        indices, means, _ = voxel_map.gaussians()
+        means = means[np.lexsort(indices.T)]  # maps store the same voxels in different orders
         rng = np.random.default_rng(0)  # any points will do; the same map gives the same ones
         count = min(self.config.surface_points, len(means))
         return np.asarray(means[rng.choice(len(means), count, replace=False)])

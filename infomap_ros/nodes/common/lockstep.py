@@ -124,16 +124,23 @@ class LockstepConductor:
         self._news = threading.Condition()
         self._reports: dict[str, Mapping[str, int]] = {}
         self._base: dict[tuple[str, str], int] = {}
+        self._listeners: set[tuple[str, str]] = set()
         self._heard, self._complete = time.monotonic(), 0.0
         node.create_subscription(DiagnosticStatus, REPORTS, self._on_report, qos.stream(depth=500))
         self._publisher = node.create_publisher(Clock, TIME, qos.stream(depth=10))
 
     def begin(self) -> None:
-        """Wait until all are there and quiet; what was sent before is not counted."""
+        """Wait until all are there and quiet.
+
+        What was sent before is not counted, and nobody waits for who begins to listen later.
+        """
         self._wait(lambda: self._names <= self._reports.keys())
         self._complete = time.monotonic()
         self._wait(self._is_quiet)
         with self._news:
+            self._listeners = {
+                (name, key) for name, report in self._reports.items() for key in report
+            }
             self._base = self._missing()
 
     def settle(self, stamp: int) -> None:
@@ -170,7 +177,7 @@ class LockstepConductor:
         return all(report.get(_WAITED, stamp) >= stamp for report in self._reports.values())
 
     def _is_settled(self) -> bool:
-        return all(missing == self._base.get(key, 0) for key, missing in self._missing().items())
+        return all(count == self._base.get(key, 0) for key, count in self._missing().items())
 
     def _is_settled_or_lost(self) -> bool:
         if self._is_settled():
@@ -192,7 +199,9 @@ class LockstepConductor:
             (name, topic): sent[topic] - count
             for name, report in self._reports.items()
             for key, count in report.items()
-            if key.startswith(_USED) and (topic := key.removeprefix(_USED)) in sent
+            if key.startswith(_USED)
+            and (name, key) in self._listeners
+            and (topic := key.removeprefix(_USED)) in sent
         }
 
     def _waited_for(self) -> str:

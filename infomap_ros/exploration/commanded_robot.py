@@ -211,11 +211,13 @@ class CommandedRobot:
         while True:
             moved = partial(self._has_left, self._whereabouts())
             goes_on = self._wait(_either(ended, moved), interrupted)
-            arrived()  # notes the path
+            has_arrived = arrived()  # notes the path, too
             if (told := link.result(motion)) is not None:
                 return told
-            if ended():
-                return "what moves the robot has gone" if is_told else ""
+            if is_told and not link.tells_results:
+                return "what moves the robot has gone"
+            if has_arrived and not is_told:
+                return ""
             if not goes_on:
                 return None
 

@@ -149,7 +149,6 @@ class Worker:
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._busy = False
                 self._condition.wait_for(lambda: self._stopping or self._waiting)
                 if self._stopping:
                     return

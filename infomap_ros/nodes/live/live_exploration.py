@@ -19,11 +19,11 @@ from infomap_ros.nodes.simulated.simulated_driver import (
     simulated_driver,
 )
 from infomap_ros.nodes.simulated.simulated_localisation import (
-    IMAGE_RATE,
     simulated_localisation,
     simulated_motion_noise,
 )
 from infomap_ros.replay.mapping.map_files import MAP_FILE
+from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
 LOCALISATION_FILE = "localisation.infomap"

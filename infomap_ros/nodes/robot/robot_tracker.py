@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, JointState
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import CameraCalibration, OdometryRecord, Record, TransformRecord
+from infomap_ros.geometry import CameraCalibration, Record, TransformRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -99,7 +99,7 @@ class RobotTracker:
         )
         self._odometries = OdometryListener(
             node,
-            self._on_odometry,
+            self._add,
             self._texts.frames,
             self._config.odom_frame,
             self._config.base_frame,
@@ -200,14 +200,14 @@ class RobotTracker:
         with self._news:
             return self._tracked.joint_positions()
 
-    def wait_in_lockstep(self, time: LockstepTime) -> None:
-        """From now on `wait_until` waits in the time of a simulator in lockstep."""
-        self._lockstep = time
-
     def joint_velocities(self) -> dict[str, float]:
         """Velocity of each joint between its two newest positions [rad/s or m/s]."""
         with self._news:
             return self._tracked.joint_velocities()
+
+    def wait_in_lockstep(self, time: LockstepTime) -> None:
+        """From now on `wait_until` waits in the time of a simulator in lockstep."""
+        self._lockstep = time
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
@@ -250,9 +250,6 @@ class RobotTracker:
 
     def _on_edge(self, edge: TransformRecord) -> None:
         self._odometries.add(edge)
-
-    def _on_odometry(self, record: OdometryRecord) -> None:
-        self._add(record)
 
     def _add(self, record: Record) -> None:
         with self._news:

@@ -8,9 +8,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.common.parameters import parameter_values
-from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE, SimulatedLocalizationConfig
-
-__all__ = ["IMAGE_RATE", "simulated_localisation", "simulated_motion_noise"]
+from infomap_ros.simulation.exploring.simulated_robot import SimulatedLocalizationConfig
 
 
 def simulated_localisation() -> dict[str, Any]:

@@ -13,10 +13,10 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
 from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
 from infomap_ros.nodes.simulated.simulated_localisation import (
-    IMAGE_RATE,
     simulated_localisation,
     simulated_motion_noise,
 )
+from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 from launch import LaunchDescription
 
 TASK = TaskConfig()

@@ -97,10 +97,10 @@ $(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
 		--no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Tried again each time until they are there; all but tf and the actions of robots works without.
+# Tried again each time until they are there; all but tf, the actions of robots and octrees works without.
 $(STAMPS)/messages: infomap_ros/nodes/common/message_packages.py | $(STAMPS)/package
 	@if $(BIN)/python -m infomap_ros.nodes.common.message_packages; then touch $@; \
-	else echo "going on without: no tf (tf2_msgs), no actions (control_msgs, nav2_msgs)" >&2; fi
+	else echo "going on without: no tf (tf2_msgs), actions (control_msgs, nav2_msgs), octrees (octomap_msgs)" >&2; fi
 
 # The simulated camera renders off screen; recorded bags are mapped without.
 $(STAMPS)/rendering: | $(STAMPS)/package

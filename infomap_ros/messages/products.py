@@ -1,4 +1,4 @@
-"""What nodes compute and publish, into messages: disparity, occupancy grid, clock."""
+"""What nodes compute and publish, into messages: disparity, occupancy grid, octree, clock."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from infomap_ros.messages.types import (
     make_region,
     make_time,
 )
+
+OCTOMAP = "octomap_msgs/msg/Octomap"
 
 
 def encode_clock(types: MessageTypes, stamp: int) -> Any:
@@ -64,6 +66,29 @@ def encode_disparity(
         min_disparity=float(disparity_range[0] + rig.principal_offset),
         max_disparity=float(disparity_range[1] + rig.principal_offset),
         delta_d=float(resolution),
+    )
+
+
+def encode_octomap(
+    types: MessageTypes, stamp: int, frame_id: str, resolution: float, data: bytes, *, binary: bool
+) -> Any:
+    """Build an ``octomap_msgs/Octomap`` of an OcTree.
+
+    Args:
+        types: who makes the message.
+        stamp: [ns].
+        frame_id: frame of the tree.
+        resolution: edge of a voxel [m].
+        data: the tree as OctoMap stores it, without a file's header.
+        binary: whether it tells free and occupied only, as a .bt file does.
+    """
+    return types.make(
+        OCTOMAP,
+        header=make_header(types, stamp, frame_id),
+        binary=binary,
+        id="OcTree",
+        resolution=float(resolution),
+        data=np.frombuffer(data, np.int8),
     )
 
 

@@ -42,6 +42,7 @@ from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.fusion.map_corrections import MapCorrections
 from infomap_ros.nodes.fusion.map_keeper import MapKeeper, MapKeeperConfig
 from infomap_ros.nodes.fusion.map_outputs import MapOutputsConfig
+from infomap_ros.nodes.fusion.map_services import offer_map
 from infomap_ros.nodes.fusion.scan_inputs import ScanInputs
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
@@ -125,6 +126,7 @@ class MapFusionNode(MonitoredNode):
         for order in (keeper.save, keeper.save_team, keeper.load, keeper.reset):
             name = f"~/{order.__name__}"
             offer_order(self, name, self._worker, partial(self._carry_out, order))
+        offer_map(self, keeper, self._worker)
         offer_order(self, "~/team_hash", self._worker, keeper.team.account)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)

@@ -7,11 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import FrameError
+from infomap_ros.errors import FrameError, InvalidInputError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan, on_bodies
-from infomap_ros.geometry import PointCloudRecord
+from infomap_ros.geometry import (
+    Box,
+    PlacedSolid,
+    PointCloudRecord,
+    float_array,
+    make_transform,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.organised import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap
@@ -27,6 +33,7 @@ _MOST_WAITING = 20
 """Corrections that wait for the one at hand; beyond that the oldest is left out, as a later one
 tells the poses of all keyframes anew."""
 _NO_SCANS = ScanStoreConfig(memory=0.0)
+_AS_IT_IS = BodyFilterConfig(margin=0.0, sigmas=0.0)  # a body that is not grown
 
 
 class MapBuilder:
@@ -130,6 +137,27 @@ class MapBuilder:
         """
         grown = replace(self._body, margin=body.margin)
         return self._corrected.forget_body(body.solids, grown, body.ground)
+
+    def clear_region(self, low: ArrayLike, high: ArrayLike) -> int:
+        """Take what is occupied in a box out of the map, and the points in it out of its scans.
+
+        Args:
+            low: smallest x, y, z of the box, shape (3,) [m, map].
+            high: largest x, y, z, shape (3,) [m, map].
+
+        Returns:
+            Number of occupied voxels that are unknown now.
+
+        Raises:
+            InvalidInputError: the box is empty or not finite.
+        """
+        first, last = float_array(low, "low"), float_array(high, "high")
+        if not (np.isfinite([first, last]).all() and (first < last).all()):
+            text = f"from {first.tolist()} to {last.tolist()}, expected finite, growing corners"
+            raise InvalidInputError("region", text)
+        x, y, z = (float(edge) for edge in last - first)
+        box = PlacedSolid(Box((x, y, z)), make_transform(np.eye(3), 0.5 * (first + last)))
+        return self._corrected.forget_body([box], _AS_IT_IS)
 
     @property
     def is_correcting(self) -> bool:

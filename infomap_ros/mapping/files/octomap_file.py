@@ -59,32 +59,60 @@ class OctomapLeaves:
         return np.concatenate(parts)
 
 
-def write_ot(voxel_map: VoxelMap, path: str | Path) -> None:
-    """Write all known voxels with their log-odds as a full OctoMap tree.
+@dataclass(frozen=True)
+class OctomapData:
+    """A tree as OctoMap stores it, without the header of a file.
 
-    OctoMap takes log-odds of exactly 0 for occupied.
+    Attributes:
+        nodes: how many it has.
+        data: as OctoMap's ``writeData`` or, with free and occupied only, ``writeBinaryData`` give.
+    """
+
+    nodes: int
+    data: bytes
+
+
+def full_tree(voxel_map: VoxelMap) -> OctomapData:
+    """All known voxels with their log-odds; OctoMap takes log-odds of exactly 0 for occupied.
 
     Raises:
         InvalidInputError: a voxel lies beyond OctoMap's 2^15 voxels from the origin.
-        OSError: the file cannot be written.
     """
     tree = build_octree(*voxel_map.voxels())
     nodes = np.zeros(len(tree.values), dtype=[("value", "<f4"), ("children", "u1")])
     nodes["value"], nodes["children"] = tree.values, tree.children
-    _write(path, _FULL, len(nodes), voxel_map.config.voxel_size, nodes.tobytes())
+    return OctomapData(len(nodes), nodes.tobytes())
 
 
-def write_bt(voxel_map: VoxelMap, path: str | Path) -> None:
-    """Write all known voxels as a binary OctoMap tree; occupied is p > 0.5.
+def binary_tree(voxel_map: VoxelMap) -> OctomapData:
+    """All known voxels as free or occupied, which is p > 0.5.
 
     Raises:
         InvalidInputError: a voxel lies beyond OctoMap's 2^15 voxels from the origin.
-        OSError: the file cannot be written.
     """
     indices, log_odds = voxel_map.voxels()
     tree = build_octree(indices, np.where(log_odds > 0.0, 1.0, -1.0).astype(np.float32))
-    data = _child_states(tree).tobytes()
-    _write(path, _BINARY, len(tree.values), voxel_map.config.voxel_size, data)
+    return OctomapData(len(tree.values), _child_states(tree).tobytes())
+
+
+def write_ot(voxel_map: VoxelMap, path: str | Path) -> None:
+    """Write a `full_tree`.
+
+    Raises:
+        InvalidInputError: as there.
+        OSError: the file cannot be written.
+    """
+    _write(path, _FULL, full_tree(voxel_map), voxel_map.config.voxel_size)
+
+
+def write_bt(voxel_map: VoxelMap, path: str | Path) -> None:
+    """Write a `binary_tree`.
+
+    Raises:
+        InvalidInputError: as there.
+        OSError: the file cannot be written.
+    """
+    _write(path, _BINARY, binary_tree(voxel_map), voxel_map.config.voxel_size)
 
 
 def _child_states(tree: Octree) -> NDArray[np.uint16]:
@@ -100,10 +128,11 @@ def _child_states(tree: Octree) -> NDArray[np.uint16]:
     return states
 
 
-def _write(path: str | Path, title: str, size: int, resolution: float, data: bytes) -> None:
-    header = f"{title}\n# written by infomap_ros\nid OcTree\nsize {size}\nres {resolution}\ndata\n"
+def _write(path: str | Path, title: str, tree: OctomapData, resolution: float) -> None:
+    fields = f"id OcTree\nsize {tree.nodes}\nres {resolution}"
+    header = f"{title}\n# written by infomap_ros\n{fields}\ndata\n"
     with replacing(path) as file:
-        file.write(header.encode("ascii") + data)
+        file.write(header.encode("ascii") + tree.data)
 
 
 def read_bt(path: str | Path) -> OctomapLeaves:

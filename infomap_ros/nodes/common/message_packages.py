@@ -4,8 +4,9 @@
 imported: a ROS installation brings its own, and a second run finds the first one's. It generates
 each with the interface generators of ROS, compiles it (about half a minute on one core) and
 installs it into the virtual environment that runs it. The nodes work without them, but for tf
-(tf2_msgs) and for the actions of robot_driver (control_msgs, nav2_msgs). The interfaces are those
-of ROS 2 Jazzy, and of each package those that this one uses.
+(tf2_msgs), for the actions of robot_driver (control_msgs, nav2_msgs) and for OctoMap
+(octomap_msgs). The interfaces are those of ROS 2 Jazzy, and of each package those that this one
+uses.
 """
 
 from __future__ import annotations
@@ -143,6 +144,26 @@ builtin_interfaces/Duration estimated_time_remaining
 int16 number_of_recoveries
 float32 distance_remaining
 int16 number_of_poses_remaining
+""",
+        },
+    ),
+    MessagePackage(
+        "octomap_msgs",
+        "2.0.1",
+        ("geometry_msgs", "std_msgs"),
+        {
+            "msg/Octomap.msg": """\
+std_msgs/Header header
+bool binary
+string id
+float64 resolution
+int8[] data
+""",
+            "srv/GetOctomap.srv": "---\noctomap_msgs/Octomap map\n",
+            "srv/BoundingBoxQuery.srv": """\
+geometry_msgs/Point min
+geometry_msgs/Point max
+---
 """,
         },
     ),

@@ -25,17 +25,17 @@ _ARRAY_CODES = {
 
 @cache
 def message_class(type_name: str) -> type:
-    """The rclpy class of a message type.
+    """The rclpy class of a message or service type.
 
     Args:
         type_name: for example ``sensor_msgs/msg/Image``.
 
     Raises:
         ModuleNotFoundError: its package is not installed.
-        AttributeError: its package has no such message.
+        AttributeError: its package has no such type.
     """
-    package, _, name = type_name.split("/")
-    found: type = getattr(importlib.import_module(f"{package}.msg"), name)
+    package, kind, name = type_name.split("/")
+    found: type = getattr(importlib.import_module(f"{package}.{kind}"), name)
     return found
 
 

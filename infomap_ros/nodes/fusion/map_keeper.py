@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
@@ -38,6 +39,7 @@ from infomap_ros.team.moving import moved_map
 
 KEYFRAME_POSES = "keyframe_poses"
 _UNNAMED = "map.infomap"
+Corner = tuple[float, float, float]
 _LAST_CORRECTIONS = 3.0  # [s], for which the last save waits at the most
 
 
@@ -169,17 +171,40 @@ class MapKeeper:
         """Publish more of what subscribers of map_updates wait for."""
         self._updates.publish(self._map, self._stamp, always=False)
 
+    @property
+    def has_octomap(self) -> bool:
+        """Whether there are pictures as octrees."""
+        return self._outputs.has_octomap
+
+    def picture(self, topic: str) -> Any:
+        """The message of a topic of `MapOutputs` for the map as it is now.
+
+        Raises:
+            InvalidInputError: the map reaches too far for an octree.
+        """
+        shown = self._shown
+        return self._outputs.picture(topic, shown, self._shown_stamp(shown))
+
     def publish_pictures(self) -> None:
-        """Publish voxel_map and projected_map where they are wanted and out of date."""
-        shown = self.team.voxel_map or self._map
+        """Publish the pictures of the map that are wanted and out of date."""
+        shown = self._shown
         memory = self._map.memory_bytes() + self.team.memory_bytes()
         self._node.health.note("map memory [bytes]", str(memory))
         store = self._builder.scans
         self._node.health.note("scans kept", str(len(store)))
         self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
         self._node.health.note("known voxels", str(shown.known_voxels))
-        stamp = self._stamp or self._node.get_clock().now().nanoseconds  # none: from a file
-        self._outputs.publish_pictures(shown, stamp if shown.known_voxels else self._stamp)
+        self._outputs.publish_pictures(shown, self._shown_stamp(shown))
+
+    @property
+    def _shown(self) -> VoxelMap:
+        """The map of the team, where there is one."""
+        return self.team.voxel_map or self._map
+
+    def _shown_stamp(self, shown: VoxelMap) -> int:
+        """That of the last scan, or of now for a map from a file; 0 for one without content."""
+        now = self._node.get_clock().now().nanoseconds if shown.known_voxels else 0
+        return self._stamp or int(now)
 
     def save(self) -> str:
         """Finish corrections that have begun and write the map file; returns a sentence.
@@ -247,6 +272,23 @@ class MapKeeper:
         empty = VoxelMap(self._map.config)
         self._replace_by(empty)
         return f"forgot {count} voxels"
+
+    def clear_region(self, low: Corner, high: Corner) -> str:
+        """Make what is occupied in a box unknown, until it is seen again; returns a sentence.
+
+        Args:
+            low: smallest x, y, z of the box [m, map].
+            high: largest x, y, z [m, map].
+
+        Raises:
+            InvalidInputError: the box is empty or not finite.
+        """
+        count = self._builder.clear_region(low, high)
+        if count:
+            self._is_saved = False
+            self._outputs.changed()
+            self._updates.publish(self._map, self._stamp)
+        return f"cleared {count} occupied voxels"
 
     def move(self, told: PoseRecord) -> str:
         """Move what is in the map, voxel by voxel, and say so; scans move no more after that.

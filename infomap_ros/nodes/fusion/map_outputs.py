@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.publisher import Publisher
@@ -12,13 +13,18 @@ from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.octomap_file import binary_tree, full_tree
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.messages import encode_cloud_fields, encode_occupancy_grid
+from infomap_ros.messages.products import OCTOMAP, encode_octomap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
+
+PROJECTED_MAP = "projected_map"
+OCTOMAP_BINARY, OCTOMAP_FULL = "octomap_binary", "octomap_full"
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,8 @@ class MapOutputsConfig:
 
     voxel_map_period: float = parameter(
         1.0,
-        "Shortest time between two messages on voxel_map and projected_map.",
+        "Shortest time between two messages on voxel_map, projected_map, octomap_binary or "
+        "octomap_full.",
         unit="s",
         low=0.05,
         high=3600.0,
@@ -41,28 +48,47 @@ class MapOutputsConfig:
         check_config(self)
 
 
+@dataclass(eq=False)
+class _Picture:
+    """A topic with what builds its message of a map and a stamp [ns]."""
+
+    publisher: Publisher
+    build: Callable[[VoxelMap, int], Any]
+    is_outdated: bool = True
+
+    def publish(self, voxel_map: VoxelMap, stamp: int) -> None:
+        self.publisher.publish(self.build(voxel_map, stamp))
+
+
 class MapOutputs:
     """The publishers of the pictures of a map.
 
     Args:
         node: the node that publishes.
         on_wanted: called when a subscriber has appeared, who is to get the map as it is now.
+
+    Attributes:
+        has_octomap: whether octomap_msgs is installed.
     """
 
     def __init__(self, node: MonitoredNode, on_wanted: Callable[[], object]) -> None:
+        self._node, self._on_wanted = node, on_wanted
         self._config = node.config(MapOutputsConfig)
         self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
-        self._outdated = {"voxel_map", "projected_map"}
-
-        def show(topic: str) -> None:
-            self._outdated.add(topic)
-            on_wanted()
-
-        show_voxels, show_grid = (partial(show, topic) for topic in ("voxel_map", "projected_map"))
-        self._voxel_map = node.advertise(PointCloud2, "voxel_map", qos.current(), show_voxels)
-        self._projected = node.advertise(OccupancyGrid, "projected_map", qos.current(), show_grid)
+        self._pictures: dict[str, _Picture] = {}
+        self._add(PointCloud2, "voxel_map", self._voxels)
+        self._add(OccupancyGrid, PROJECTED_MAP, self._project)
+        self.has_octomap = True
+        try:
+            kind = message_class(OCTOMAP)
+        except ModuleNotFoundError:
+            self.has_octomap = False
+            node.get_logger().info("no octomap topics and services: octomap_msgs is not installed")
+            return
+        self._add(kind, OCTOMAP_BINARY, partial(self._octomap, binary=True))
+        self._add(kind, OCTOMAP_FULL, partial(self._octomap, binary=False))
 
     @property
     def pictures_period(self) -> float:
@@ -71,31 +97,48 @@ class MapOutputs:
 
     def changed(self) -> None:
         """The map is another than in the last pictures."""
-        self._outdated = {"voxel_map", "projected_map"}
+        for picture in self._pictures.values():
+            picture.is_outdated = True
 
     def publish_pictures(self, voxel_map: VoxelMap, stamp: int) -> None:
-        """Send voxel_map and projected_map to who listens, if they changed or somebody is new.
+        """Send pictures to who listens, if they changed or somebody is new.
 
         Nothing is sent before anything is known.
         """
         if not stamp and not voxel_map.known_voxels:
             return
-        if self._wanted("voxel_map", self._voxel_map):
-            rows = voxel_map_rows(voxel_map)
-            self._voxel_map.publish(
-                encode_cloud_fields(self._types, stamp, self._frame, VOXEL_MAP_FIELDS, rows)
-            )
-        if self._wanted("projected_map", self._projected):
-            self._projected.publish(self._project(voxel_map, stamp))
+        for topic, picture in self._pictures.items():
+            if picture.is_outdated and picture.publisher.get_subscription_count() > 0:
+                picture.is_outdated = False
+                self._node.guard(topic, partial(picture.publish, voxel_map, stamp))
 
-    def _wanted(self, topic: str, publisher: Publisher) -> bool:
-        wanted = topic in self._outdated and publisher.get_subscription_count() > 0
-        if wanted:
-            self._outdated.remove(topic)
-        return wanted
+    def picture(self, topic: str, voxel_map: VoxelMap, stamp: int) -> Any:
+        """The message of a topic for a map as it is now.
 
-    def _project(self, voxel_map: VoxelMap, stamp: int) -> OccupancyGrid:
+        Raises:
+            InvalidInputError: the map reaches too far for an octree.
+        """
+        return self._pictures[topic].build(voxel_map, stamp)
+
+    def _add(self, kind: type, topic: str, build: Callable[[VoxelMap, int], Any]) -> None:
+        def show() -> None:
+            self._pictures[topic].is_outdated = True
+            self._on_wanted()
+
+        publisher = self._node.advertise(kind, topic, qos.current(), show)
+        self._pictures[topic] = _Picture(publisher, build)
+
+    def _voxels(self, voxel_map: VoxelMap, stamp: int) -> Any:
+        rows = voxel_map_rows(voxel_map)
+        return encode_cloud_fields(self._types, stamp, self._frame, VOXEL_MAP_FIELDS, rows)
+
+    def _project(self, voxel_map: VoxelMap, stamp: int) -> Any:
         grid = project_map(voxel_map, self._projection)
         return encode_occupancy_grid(
             self._types, stamp, self._frame, grid.cells, grid.resolution, grid.origin
         )
+
+    def _octomap(self, voxel_map: VoxelMap, stamp: int, *, binary: bool) -> Any:
+        tree = (binary_tree if binary else full_tree)(voxel_map)
+        size = voxel_map.config.voxel_size
+        return encode_octomap(self._types, stamp, self._frame, size, tree.data, binary=binary)

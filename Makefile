@@ -10,7 +10,7 @@ READY := $(STAMPS)/package $(STAMPS)/messages
 # Processes that test at the same time.
 WORKERS ?= 2
 
-EXTRAS := ros tf2 test bench dev
+EXTRAS := ros tf2 test bench dev docs
 
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'
@@ -24,7 +24,7 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-team demo-bag test lint types bench lock clean
+.PHONY: help setup demo demo-team demo-bag test lint types docs bench lock clean
 .DELETE_ON_ERROR:
 
 help:  ## list the commands
@@ -53,6 +53,10 @@ lint: $(READY)  ## style
 
 types: $(READY)  ## static types
 	@$(BIN)/mypy
+
+docs: $(READY)  ## this documentation as a site, in out/docs
+	@$(BIN)/sphinx-build -W --keep-going -q -b html -d out/docs/.doctrees docs out/docs
+	@echo "open out/docs/index.html"
 
 bench: $(READY)  ## speed against peers, one JSON line each
 	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done

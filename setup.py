@@ -108,6 +108,7 @@ setup(
         # Not in requirements.lock: large, and only `exploration.rerun_recording` needs it.
         "rerun": ["rerun-sdk>=0.24"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],
+        "docs": ["furo>=2024.8", "myst-parser>=4.0", "sphinx>=8.1"],
     },
     entry_points={
         "console_scripts": [

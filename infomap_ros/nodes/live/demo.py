@@ -109,7 +109,7 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
         truth = compare_with_truth(world, voxel_map, [observed])
         results |= {"poses": len(poses), **pose_errors(poses), **truth.figures()}
         write_results(out, voxel_map, results)
-    console.print(truth, highlight=False)
+    console.print(truth.summary(), highlight=False)
     return results
 
 

@@ -85,7 +85,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     results |= {"seconds to compile": round(ready, 1)}
     results["seconds"] = round(time.monotonic() - begin, 1)
     truth = _write_results(run, world, observed, options, results)
-    console.print(truth, highlight=False)
+    console.print(truth.summary(), highlight=False)
     for name, folder in run.folders.items():
         check_not_failed(results, folder, name)
     return results

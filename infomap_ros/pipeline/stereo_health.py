@@ -34,8 +34,13 @@ _WINDOW, _FAULTY = 5, 3
 
 _WIDTH = 320  # of the images in which corners are matched [px]; larger ones are reduced
 _CORNERS, _FEWEST = 24, 8  # that are looked for, and without which nothing is said
-_SIDE, _ROWS, _COLUMNS = 11, 4, 56  # of a patch, and how far it is looked for [px, reduced]
+_SIDE, _ROWS = 11, 4  # of a patch, and how far off its row it is looked for [px, reduced]
+_COLUMNS = 56, 96  # how far to the right and to the left: 0.22 m of a baseline of 0.1 m are 96 px
 _ALIKE, _UNIQUE = 0.9, 0.05  # least correlation of a match, and its lead over the second best
+_LEAST_SIGNAL = 4.0
+"""Standard deviation of a patch, in those of the noise. Two images, each with noise of its own,
+correlate by 1 - 1 / r^2 where a patch varies r times as much as the noise: `_ALIKE` at r = 3.2."""
+_LEAST_NOISE = 1.0  # grey levels; what is clipped or drawn has none
 _MOST_ROWS_OFF = 1.0  # median of corners [px]; a rectified pair has 0.2
 _MOST_LEFT = 1.0  # parallax to the wrong side [px], median of corners; at infinity it is 0
 _SAME_SHARE = 0.95  # of pixels that are equal to the last bit; noise of two cameras leaves 0.3
@@ -46,7 +51,10 @@ _LATE_RATIO = 0.3  # of the differences with and without one image's delay
 
 
 class _Matches(NamedTuple):
+    """Corners, those that look alike somewhere, and where those do that do so in one place."""
+
     corners: int
+    alike: int
     disparity: NDArray[np.float64]
     rows: NDArray[np.float64]
 
@@ -92,7 +100,7 @@ class StereoHealth:
         self, left: Grey, right: Grey, rig: StereoRig, scale: float, *, same: bool
     ) -> list[str]:
         """What is wrong with a pair; the first is the reason for the others."""
-        contrast = [float(cv2.meanStdDev(image)[1][0, 0]) for image in (left, right)]
+        contrast = [_contrast(image) for image in (left, right)]
         if min(contrast) < _LEAST_CONTRAST <= max(contrast):
             return [COVERED.format(("left", "right")[int(np.argmin(contrast))])]
         if same and min(contrast) >= _LEAST_CONTRAST:
@@ -103,7 +111,7 @@ class StereoHealth:
         matches = _match(left, right)
         if matches.corners < 2 * _FEWEST:
             return faults
-        if len(matches.rows) < 0.1 * matches.corners:
+        if matches.alike < 0.1 * matches.corners:
             return [*faults, UNLIKE]
         if len(matches.rows) < _FEWEST:
             return faults
@@ -175,20 +183,30 @@ _HANNING = cv2.createHanningWindow((80, 60), cv2.CV_32F)
 
 
 def _match(left: Grey, right: Grey) -> _Matches:
-    """Corners of the left image, wherever near they are in the right one."""
-    corners = cv2.goodFeaturesToTrack(left, _CORNERS, 0.03, 16)
-    half, disparity, rows, count = _SIDE // 2, [], [], 0
+    """Corners of the left image, wherever near they are in the right one.
+
+    What sticks out of the noise of its image counts alone: noise has corners, too, on a plain wall.
+    """
+    half, disparity, rows, count, alike = _SIDE // 2, [], [], 0, 0
     height, width = left.shape
-    for x, y in np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(int):
+    small = cv2.resize(left, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    corners = cv2.goodFeaturesToTrack(small, _CORNERS, 0.03, 8)  # a patch need not be centered
+    least = _LEAST_SIGNAL * max(_noise(left), _noise(right), _LEAST_NOISE)
+    for x, y in [] if corners is None else (2.0 * corners.reshape(-1, 2) + 0.5).astype(int):
         if not (half + _ROWS <= y < height - half - _ROWS and half <= x < width - half):
             continue
-        first, end = max(x - half - _COLUMNS, 0), min(x + half + _COLUMNS + 1, width)
         patch = left[y - half : y + half + 1, x - half : x + half + 1]
+        if _contrast(patch) < least:
+            continue
+        first, end = max(x - half - _COLUMNS[1], 0), min(x + half + _COLUMNS[0] + 1, width)
         band = right[y - half - _ROWS : y + half + _ROWS + 1, first:end]
         score = cv2.matchTemplate(band, patch, cv2.TM_CCOEFF_NORMED)
         count += 1
         _, best, _, (column, row) = cv2.minMaxLoc(score)
-        if best < _ALIKE or row in (0, 2 * _ROWS):
+        if best < _ALIKE:
+            continue
+        alike += 1
+        if row in (0, 2 * _ROWS):
             continue
         peak = score[row - 1 : row + 2, column].copy()
         score[:, max(column - 3, 0) : column + 4] = -1.0
@@ -198,4 +216,18 @@ def _match(left: Grey, right: Grey) -> _Matches:
         fine = 0.5 * (peak[0] - peak[2]) / bend if bend < 0.0 else 0.0
         rows.append(row - _ROWS + float(fine))
         disparity.append(float(x - half - first - column))
-    return _Matches(count, np.array(disparity), np.array(rows))
+    return _Matches(count, alike, np.array(disparity), np.array(rows))
+
+
+def _contrast(image: Grey) -> float:
+    """Standard deviation of the grey levels."""
+    return float(cv2.meanStdDev(image)[1][0, 0])
+
+
+def _noise(image: Grey) -> float:
+    """Standard deviation of the noise of an image (Immerkaer 1996), from its calmest quarter."""
+    rough = np.abs(cv2.filter2D(image, cv2.CV_16S, _ROUGHNESS)[::3, ::3])
+    return float(np.quantile(rough, 0.25)) / (0.319 * 6.0)  # of a Gaussian; norm of the kernel
+
+
+_ROUGHNESS = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)

@@ -122,6 +122,17 @@ def test_nothing_is_wrong_with_the_shipped_bag_nor_while_nothing_moves() -> None
     assert not any(alarms([(flat, flat)] * 10))  # a plain wall
 
 
+def test_the_noise_of_a_plain_wall_is_nothing_to_match() -> None:
+    rng, wall = np.random.default_rng(3), np.full((240, 320), 100.0)
+    wall[210:222, 290:302] += 18.0  # all that there is to see
+    camera = PinholeCamera(320, 240, 210.0, 210.0, 159.5, 119.5)
+    pairs = []
+    for _ in range(20):
+        noisy = [np.roll(wall, -shift, 1) + rng.normal(0, 1.5, wall.shape) for shift in (0, 8)]
+        pairs.append((noisy[0].astype(np.uint8), noisy[1].astype(np.uint8)))
+    assert not any(alarms(pairs, rig=StereoRig(camera, camera, 0.1)))
+
+
 @pytest.mark.parametrize("gain", [0.5, 0.8])
 def test_another_exposure_of_one_camera_or_a_light_that_is_switched_is_no_fault(
     gain: float,

@@ -116,6 +116,11 @@ class Contribution:
         kernels.find_blocks(self._blocks, corners, slots)
         return int(np.count_nonzero(slots < 0))
 
+    def count_new_surfaces(self, update: MapUpdate) -> int:
+        """Number of surface points of an update of whose voxels no surface was told."""
+        states = update.indices, update.codes
+        return int(kernels.count_new_codes(self._blocks, self._codes, *states))
+
     def growth_bytes(self, blocks: int, surfaces: int) -> int:
         """What memory is added for so many more blocks and surface points, at the most [bytes]."""
         room, rows = len(self._blocks.keys), len(self._codes.codes)
@@ -131,10 +136,9 @@ class Contribution:
         Returns:
             Which states are other than before, shape (K,).
         """
-        room = int(count_block_changes(update.indices))
+        room, surfaces = self.count_new(update.indices), self.count_new_surfaces(update)
         self._blocks = with_block_room(self._blocks, room, 0)
         self._planes = _grown_planes(self._planes, len(self._blocks.keys))
-        surfaces = int(np.count_nonzero(update.has_gaussian))
         self._codes = with_code_room(self._codes, surfaces, len(self._blocks.keys))
         count, done = len(update.versions), 0
         changed = np.zeros(count, np.bool_)

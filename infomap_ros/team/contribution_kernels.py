@@ -112,6 +112,23 @@ def accept_states(
 
 
 @kernel
+def count_new_codes(blocks: Any, codes: Any, indices: Any, words: Any) -> int:
+    """Number of surface points (K, 3), with their codes (K, 2), that have no row yet."""
+    count, last_key, slot = 0, np.int64(-1), np.int64(-1)
+    for row in range(len(indices)):
+        if words[row, 1] == _ZERO:
+            continue
+        x, y, z = indices[row, 0], indices[row, 1], indices[row, 2]
+        key = pack(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS)
+        if key != last_key:
+            slot, last_key = np.int64(find_block(blocks, key)), key
+        own = slot * BLOCK_VOXELS + local_index(x, y, z)
+        if slot < 0 or find_row(codes.table, codes.owner, own) < 0:
+            count += 1
+    return count
+
+
+@kernel
 def add_contribution(
     blocks: Any,
     planes: Any,

@@ -40,6 +40,9 @@ MOST_BLOCKS_TAKEN_BACK = 1 << 14
 Each takes 2.6 kB, so 43 MB. What more they hold stays with them; it was true when it was told.
 """
 
+TAKEN_BACK_SHARE = 0.02
+"""Part of the memory limit for these blocks, where that is less: anybody may hand back anything."""
+
 MOST_RECOVERED = 1 << 20
 """Voxels that others know of this robot and that wait to be put into its map; 40 MB."""
 

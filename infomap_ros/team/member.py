@@ -17,9 +17,15 @@ from infomap_ros.mapping.voxels.keys import BLOCK_BITS
 from infomap_ros.team.agreement import Agreement, compare
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.contribution import BLOCK_BYTES
 from infomap_ros.team.digest import Summary, decode_digest, decode_request
 from infomap_ros.team.freshness import Freshness
-from infomap_ros.team.limits import MOST_BLOCKS_TAKEN_BACK, MOST_RECOVERED, ROOM_PERIOD
+from infomap_ros.team.limits import (
+    MOST_BLOCKS_TAKEN_BACK,
+    MOST_RECOVERED,
+    ROOM_PERIOD,
+    TAKEN_BACK_SHARE,
+)
 from infomap_ros.team.membership import Membership
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.reconciler import Reconciler
@@ -78,6 +84,8 @@ class TeamMember:
         )
         self._freshness, self._made_room = Freshness(), -np.inf
         self._taken_back: set[tuple[int, ...]] = set()
+        limit = TAKEN_BACK_SHARE * map_config.memory_limit * 1e9
+        self._most_taken_back = min(MOST_BLOCKS_TAKEN_BACK, int(limit) // BLOCK_BYTES)
         self._tells, self._key = tells, key
         self._reviewed = -np.inf
         self.contradictions: dict[int, Agreement] = {}
@@ -158,7 +166,8 @@ class TeamMember:
         if now - self._reviewed >= _REVIEW_PERIOD:
             self._reviewed = now
             self._review()
-        if self.replica.is_crowded and now - self._made_room >= ROOM_PERIOD:
+        short = self.replica.is_crowded or self.replica.is_cut
+        if short and now - self._made_room >= ROOM_PERIOD:
             self._made_room = now
             self.replica.make_room()
         return self._spend(self._reconciler.digests(now))
@@ -269,7 +278,7 @@ class TeamMember:
             return
         held = update.indices[update.log_odds != NOT_OBSERVED]
         corners = [tuple(corner) for corner in (held >> BLOCK_BITS).tolist()]
-        room = MOST_BLOCKS_TAKEN_BACK - len(self._taken_back)
+        room = self._most_taken_back - len(self._taken_back)
         self._taken_back.update(islice(set(corners) - self._taken_back, room))
         chosen = [corner in self._taken_back for corner in corners]
         self._outbox.take_back(held[np.array(chosen, np.bool_)])

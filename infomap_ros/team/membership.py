@@ -22,7 +22,7 @@ TWO_OF_A_NAME = "two robots with one id"
 BACKWARDS = "version goes backwards"
 AHEAD = "version far ahead"
 TOO_MANY = "too many robots"
-NOT_TOLD_YET = "newer than what its robot told"
+TELLS_ITSELF = "is heard itself"
 MOST_AHEAD = 1 << 24
 """Versions by which a robot may go on at once: six days at the fastest rate."""
 _MOST_BEHIND = 32 * 600  # versions; ten minutes at the fastest rate
@@ -130,22 +130,20 @@ class Membership:
             self._refuse(update, newest, AHEAD)
 
     def _check_handed_on(self, update: Told, now: float, own_version: int) -> None:
-        """Refuse what its robot cannot have told.
+        """Refuse what others say of a robot that is heard itself, and what it cannot have told.
 
-        While a robot is heard, nobody else knows of newer versions. After that it may have told
-        more than was heard here.
+        Who is silent may have told more than was heard here.
         """
         if update.robot == self._own:
             return
-        newest = self._newest.get(update.robot)
-        most = MOST_AHEAD
+        if now - self._spoke.get(update.robot, -np.inf) < self._grace:
+            text = f"robot {update.sender} tells of robot {update.robot}, which {TELLS_ITSELF}"
+            raise UpdateRefusedError(text, TELLS_ITSELF)
+        newest, most = self._newest.get(update.robot), MOST_AHEAD
         if newest is None:
             newest, most = own_version, _BEYOND_OWN
-        elif now - self._spoke.get(update.robot, -np.inf) < self._grace:
-            most = 0
-        ahead = versions_ahead(update.versions.astype(np.int64), newest)
-        if (ahead > most).any():
-            self._refuse(update, newest, AHEAD if most else NOT_TOLD_YET)
+        if (versions_ahead(update.versions.astype(np.int64), newest) > most).any():
+            self._refuse(update, newest, AHEAD)
 
     def hear_of_itself(self, robot: int, session: int, version: int, now: float) -> None:
         """A robot that goes on in its session says which version it has reached."""

@@ -212,9 +212,8 @@ class Outbox:
         )
         try:
             messages += self._publish(MapUpdate(size, self.robot, *states, self.session))
-        except CapacityError:
+        except CapacityError:  # what this robot sees comes first; the replica says it is crowded
             self._taken_back = waiting
-            raise
 
     def _waited(self, slots: Slots, now: float) -> NDArray[np.float64]:
         """How long the changes of blocks have waited [s]."""

@@ -171,6 +171,8 @@ class Reconciler:
         part = self._replica.contribution(digest.robot)
         if (part is not None and part.is_cut) or not self._may_be_kept(digest.robot):
             return
+        if digest.sender != digest.robot and self._is_present(digest.robot, now):
+            return  # it says itself what it holds
         if digest.level == 0 and not self._is_own(digest.robot):
             self._missed.hear(digest, now)
             return

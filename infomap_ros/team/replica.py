@@ -23,6 +23,7 @@ from infomap_ros.mapping.voxels.blocks import PLANE_BYTES
 from infomap_ros.mapping.voxels.storage import Growth, MapStorage, growth_bytes
 from infomap_ros.mapping.voxels.voxel_states import (
     VoxelStates,
+    count_block_changes,
     put_states,
 )
 from infomap_ros.team.contribution import Contribution
@@ -119,7 +120,10 @@ class MapReplica:
         self._aside.discard(robot)
 
     def make_room(self) -> None:
-        """Drop what informs least of the others' largest contributions, until there is room."""
+        """Drop what informs least of the others' largest contributions, until there is room.
+
+        What was cut before and has less than its share now is compared and asked for again.
+        """
         self.is_crowded = False
         sizes = {robot: _size(part) for robot, part in self._parts()}
         total = sum(sizes.values())
@@ -127,12 +131,19 @@ class MapReplica:
         left -= sizes.pop(self._own, 0) if self._own is not None else 0
         share = _equal_share(sorted(sizes.values()), left)
         cut = [r for r, size in sizes.items() if size > share and self._contributions[r].blocks]
+        for robot, part in self._parts():
+            part.is_cut &= robot in cut
         for robot in cut:
             part = self._contributions[robot]
             worth, _ = worth_of_states(part, np.arange(part.blocks))
             self._contributions[robot] = part.most_telling(share / sizes[robot], worth)
         if cut:
             self._sum_again()
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether a contribution was cut by `make_room`."""
+        return any(part.is_cut for part in self._contributions.values())
 
     def set_aside(self, robot: int, aside: bool) -> None:
         """Leave a robot's contribution out of the map, or put it back; it is kept all the same."""
@@ -197,8 +208,9 @@ class MapReplica:
     def _fits(self, update: MapUpdate, limit: float) -> bool:
         part = self._contributions.get(update.robot)
         part = Contribution(self._map.config.voxel_size) if part is None else part
-        blocks, surfaces = part.count_new(update.indices), int(update.has_gaussian.sum())
-        more = Growth(blocks, blocks, min(surfaces, blocks), surfaces)
+        blocks, surfaces = part.count_new(update.indices), part.count_new_surfaces(update)
+        pages = min(surfaces, int(count_block_changes(update.indices)))
+        more = Growth(blocks, blocks, pages, surfaces)
         self._map._storage.check_growth(more)
         growth = part.growth_bytes(blocks, surfaces) + growth_bytes(self._map._storage, more)
         return not growth or self.memory_bytes() + growth <= limit

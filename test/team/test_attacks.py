@@ -21,8 +21,14 @@ from infomap_ros.team import (
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary, decode_request
 from infomap_ros.team.freshness import REPEATED
-from infomap_ros.team.limits import MISSED_FOR, MOST_MISSED, MOST_ROBOTS, MOST_TRIES
-from infomap_ros.team.membership import AHEAD, NOT_TOLD_YET, TOO_MANY
+from infomap_ros.team.limits import (
+    MISSED_FOR,
+    MOST_MISSED,
+    MOST_ROBOTS,
+    MOST_TRIES,
+    ROOM_PERIOD,
+)
+from infomap_ros.team.membership import AHEAD, TELLS_ITSELF, TOO_MANY
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.sent import message_bytes
 
@@ -157,9 +163,14 @@ def test_who_is_heard_cannot_be_told_of_by_another_what_it_has_not_said() -> Non
     told = mate.replica.contribution(1).states(1)
     before = mate.replica.hash()
 
-    for ahead in (2**31 - 5, 100):
-        forged = states(1, told.indices, START + ahead, -SHARED_LOG_ODDS_LIMIT, sender=9)
-        assert set(heard(mate, forged, now)) == {NOT_TOLD_YET}
+    for ahead, place in (
+        (2**31 - 5, 0),
+        (100, 0),
+        (-5, 4096),
+    ):  # newer, or of where it has not been
+        told_of = told.indices + place
+        forged = states(1, told_of, START + ahead, -SHARED_LOG_ODDS_LIMIT, sender=9)
+        assert set(heard(mate, forged, now)) == {TELLS_ITSELF}
     assert mate.replica.hash() == before
     later = states(1, told.indices[:9], START + 2**31 - 5, 5, sender=9)
     assert set(heard(mate, later, now + 60.0)) == {AHEAD}
@@ -234,6 +245,34 @@ def test_who_fills_the_memory_gives_way_to_the_others() -> None:
     part = member.replica.contribution(9)
     assert part.is_cut and part.blocks < size
     assert member.replica.contribution(2).hash() == mate.replica.contribution(2).hash()
+
+
+def test_telling_again_what_is_told_takes_no_memory() -> None:
+    """Neither by what is counted before, nor by what is then allocated."""
+    replica = MapReplica(VoxelMapConfig(voxel_size=0.1, memory_limit=0.008), own=1)
+    (rows,) = states(9, lattice(11))
+    replica.apply(decode_update(rows))
+    (again,) = states(9, lattice(11), START + 1)
+    before = replica.memory_bytes()
+    for _ in range(3):
+        replica.apply(decode_update(again))
+    assert replica.memory_bytes() == before
+
+
+def test_a_contribution_that_was_cut_is_asked_for_again_when_there_is_room() -> None:
+    member, own = begun(config=SMALL)
+    member.tell(own, 0.0)
+    fill(member, 9, 0.0)
+    fill(member, 8, 0.0)
+    member.digests(1.0)
+    cut = [robot for robot in (8, 9) if member.replica.contribution(robot).is_cut]
+    assert cut
+    for robot in (8, 9):
+        member.replica.forget(robot)
+    heard(member, states(cut[0], lattice(3)), 2.0)
+    member.replica.contribution(cut[0]).is_cut = True
+    member.digests(2.0 + ROOM_PERIOD)
+    assert not member.replica.is_cut
 
 
 def test_what_informs_least_is_dropped() -> None:

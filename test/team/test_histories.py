@@ -14,7 +14,7 @@ from infomap_ros.team import MapUpdate
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.freshness import REPEATED
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.membership import NOT_TOLD_YET, TWO_OF_A_NAME
+from infomap_ros.team.membership import TELLS_ITSELF, TWO_OF_A_NAME
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=1000, silence=2.0, recovery=3.0)
@@ -109,7 +109,7 @@ class Team:
                         robot.hear(inbox[place], self.now)
                     except UpdateRefusedError as error:  # so late that it seems another robot's
                         allowed = (TWO_OF_A_NAME,) if self.may_be_late else ()
-                        assert error.reason in (REPEATED, NOT_TOLD_YET, *allowed)
+                        assert error.reason in (REPEATED, TELLS_ITSELF, *allowed)
 
     def settle(self) -> None:
         """A network without loss, until all hold the same; fails where that never happens."""

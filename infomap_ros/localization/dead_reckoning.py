@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import OdometryRecord, PoseRecord, check_transform, skew
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import (
+    OdometryRecord,
+    PoseRecord,
+    check_transform,
+    invert_transform,
+    skew,
+)
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -69,6 +76,11 @@ class DeadReckoningConfig:
         rotation = self.rotation_per_metre**2 * way + self.rotation_per_radian**2 * turned
         return np.diag([position] * 3 + [rotation] * 3)
 
+    def kinematics_covariance(self) -> FloatArray:
+        """How well the camera's pose on the robot is known, shape (6, 6)."""
+        sigmas = [self.kinematics_position_sigma] * 3 + [self.kinematics_rotation_sigma] * 3
+        return np.diag(np.square(sigmas))
+
 
 class DeadReckoning:
     """Adds up what odometry and kinematics say.
@@ -112,6 +124,20 @@ class DeadReckoning:
             odometry.child_frame_id,
         )
 
+    def place(self, T_map_base: FloatArray) -> None:
+        """The base of the last odometry is there in the map; its covariance stays.
+
+        Args:
+            T_map_base: shape (4, 4).
+
+        Raises:
+            InvalidInputError: there was no odometry yet, or that is no pose.
+        """
+        if self._last is None:
+            raise InvalidInputError("T_map_base", "there was no odometry yet")
+        placed = check_transform(T_map_base, "T_map_base")
+        self._T_map_odom = placed @ invert_transform(self._last)
+
     def camera_pose(self, base: PoseRecord, T_base_camera: FloatArray, frame: str) -> PoseRecord:
         """Pose of the camera at the end of a kinematic chain.
 
@@ -123,10 +149,8 @@ class DeadReckoning:
         lever = base.transform[:3, :3] @ T_base_camera[:3, 3]
         over = np.eye(6)
         over[:3, 3:] = -skew(lever)
-        config = self.config
-        sigmas = [config.kinematics_position_sigma] * 3 + [config.kinematics_rotation_sigma] * 3
         assert base.covariance is not None
-        covariance = over @ base.covariance @ over.T + np.diag(np.square(sigmas))
+        covariance = over @ base.covariance @ over.T + self.config.kinematics_covariance()
         return PoseRecord(
             base.stamp, base.frame_id, base.transform @ T_base_camera, covariance, frame
         )

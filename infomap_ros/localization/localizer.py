@@ -39,6 +39,7 @@ from infomap_ros.mapping import VoxelMap
 
 __all__ = ["Localisation", "Localizer"]
 
+_LEAST_VARIANCE = 1e-10  # of a told pose [m^2 and rad^2], as who points at a plan tells no height
 _ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]
 
 
@@ -135,6 +136,38 @@ class Localizer(KnownMap):
             raise InvalidInputError("T_new_old", "the map is the target's, which stays")
         super().move_map(T_new_old, covariance)
         self._keyframe, self._recalled = T_new_old @ self._keyframe, T_new_old @ self._recalled
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it has a map in which it does not know where the camera is."""
+        return self._state == "lost"
+
+    @property
+    def last_pose(self) -> FloatArray:
+        """Where the camera was taken to be last, shape (4, 4) [map]."""
+        return self._filter.pose[0]
+
+    def place_camera(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> None:
+        """Take from a user where a camera is that was lost; fiducials that it sees correct it.
+
+        Args:
+            T_map_camera: at the last view, shape (4, 4).
+            covariance: of that, shape (6, 6).
+
+        Raises:
+            InvalidInputError: that is no pose, or one so uncertain that the camera stays lost.
+        """
+        pose = check_transform(T_map_camera, "T_map_camera")
+        told = check_covariance(covariance, 6)
+        if not is_certain(told, self.config):
+            limits = self.config.max_position_sigma, self.config.max_rotation_sigma
+            words = f"beyond max_position_sigma {limits[0]} m or max_rotation_sigma {limits[1]} rad"
+            raise InvalidInputError("covariance", f"is {words}, so the camera would stay lost")
+        known = told + _LEAST_VARIANCE * np.eye(6)
+        self._filter.predict(MotionPrior(invert_transform(self._filter.pose[0]) @ pose, known))
+        self._filter.observe_pose(pose, known)
+        self._state, self._fixed = "coasting", self._stamp
+        self._coasted, self._contradicted = 0, 0.0
 
     def locate(
         self,

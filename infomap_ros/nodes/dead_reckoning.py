@@ -13,15 +13,22 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo
 
+from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import OdometryRecord, PoseRecord, TransformRecord, invert_transform
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization import DeadReckoning, DeadReckoningConfig
+from infomap_ros.localization.base_pose import told_base
 from infomap_ros.messages import decode_camera_info, encode_pose
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.locating.base_topics import (
+    INITIAL_POSE,
+    BaseOdometry,
+    listen_to_initial_pose,
+)
 from infomap_ros.nodes.locating.odom_frame import (
     MapFrameConfig,
     OdomFrameBroadcaster,
@@ -58,6 +65,8 @@ class DeadReckoningNode(MonitoredNode):
         self._motion = PostureListener(
             self, self._answer, required=True, on_odometry=self._on_odometry
         )
+        self._base_odometry = BaseOdometry(self)
+        listen_to_initial_pose(self, self._place)
         self.listen(CameraInfo, "left/camera_info", self._on_info, qos.sensor_data())
 
     def _on_odometry(self, odometry: OdometryRecord) -> None:
@@ -65,6 +74,15 @@ class DeadReckoningNode(MonitoredNode):
             self.get_logger().warning("time went backwards: the map is where odometry begins now")
             self._reckoning = DeadReckoning(self.config(DeadReckoningConfig))
             self._bases.add(self._reckoning.add(odometry))
+
+    def _place(self, told: PoseRecord) -> None:
+        """The base is where a user says; poses from before are forgotten, not joined to it."""
+        stamp = self._bases.newest_stamp
+        if stamp is None:
+            raise PoseUnavailableError("there was no odometry yet", "no odometry")
+        self._reckoning.place(told_base(told, self._bases.at(stamp).transform))
+        self._bases.clear()
+        self.get_logger().info(f"{INITIAL_POSE}: the map's frame is where that puts it")
 
     def _on_info(self, message: CameraInfo) -> None:
         record = decode_camera_info(message)
@@ -92,6 +110,7 @@ class DeadReckoningNode(MonitoredNode):
         T_map_odom = base.transform @ invert_transform(posture.T_odom_base)
         names = self._frames.map_frame, self._motion.odom_frame
         self._odom_frame.update(TransformRecord(base.stamp, *names, T_map_odom))
+        self._base_odometry.publish(pose, posture.T_base_camera)
         self.health.produced()
 
 

@@ -25,6 +25,7 @@ from rclpy.clock import Clock, ClockType
 from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
@@ -39,6 +40,7 @@ from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.locating.base_topics import INITIAL_POSE, listen_to_initial_pose
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_news import LocalizationNews
 from infomap_ros.nodes.locating.localization_warm_up import warm_up
@@ -116,6 +118,7 @@ class FiducialLocalizationNode(MonitoredNode):
             who = self.config(TeamIdentityConfig)
             identity = who.read_key(), who.robot_id
             listen_to_moves(self, frame, self._worker, self._move_map, MAP_ALIGNMENT, *identity)
+        listen_to_initial_pose(self, self._on_initial_pose)
         self._inputs = ViewInputs(self, topics, self._on_view, self._on_clock_jump)
         offer_order(self, "~/reset", self._worker, self._reset)
         if self._path is not None:
@@ -176,11 +179,30 @@ class FiducialLocalizationNode(MonitoredNode):
         check_is_later(told, self._moved)
         covariance = np.zeros((6, 6)) if told.covariance is None else told.covariance
         self._localizer.move_map(told.transform, covariance)
+        self._note_move(told.transform)
+
+    def _note_move(self, T_new_old: FloatArray) -> None:
         self._moved = self._seen
         self._teammates.forget()
-        sentence = f"the map has moved {describe_move(told.transform)}"
+        sentence = f"the map has moved {describe_move(T_new_old)}"
         self.health.note("last move", sentence)
         self.get_logger().info(sentence)
+
+    def _on_initial_pose(self, told: PoseRecord) -> None:
+        place = partial(self._place_base, told)
+        self._worker.submit_always(lambda: self.guard(INITIAL_POSE, place))
+
+    def _place_base(self, told: PoseRecord) -> None:
+        """Take from a user where the base is.
+
+        Raises:
+            InvalidInputError: that cannot be; see `CameraLocalizer.place_base`.
+        """
+        T_new_old = self._localizer.place_base(told)
+        if T_new_old is None:
+            self.get_logger().info(f"{INITIAL_POSE}: the camera is looked for there")
+        else:
+            self._note_move(T_new_old)
 
     def _reset(self) -> str:
         self._localizer.reset()

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError, SensorFaultError
-from infomap_ros.geometry import PinholeCamera, PlacedSolid, invert_transform, make_transform
+from infomap_ros.geometry import (
+    PinholeCamera,
+    PlacedSolid,
+    PoseRecord,
+    invert_transform,
+    make_transform,
+)
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.base_pose import told_base, told_camera
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
@@ -135,6 +142,35 @@ class CameraLocalizer:
         if self._localizer is None:
             raise InvalidInputError("T_new_old", "there is no map yet")
         self._localizer.move_map(T_new_old, covariance)
+
+    def place_base(self, told: PoseRecord) -> FloatArray | None:
+        """Take from a user where the base of the robot is.
+
+        A camera that is lost is there in the map as it is. Else it is known where it is, and the
+        frame of the map is put so that the base is where it was told.
+
+        Args:
+            told: pose of the base in the map.
+
+        Returns:
+            How the map's frame has moved, ``T_new_old``, shape (4, 4); None where it has not.
+
+        Raises:
+            InvalidInputError: it is not known where the camera is on the base, the map is that of
+                a target, or the pose is too uncertain.
+        """
+        if self._localizer is None or self._posture is None:
+            raise InvalidInputError("initialpose", "no view with odometry was located yet")
+        T_base_camera = self._posture.T_base_camera
+        T_map_base = self._localizer.last_pose @ invert_transform(T_base_camera)
+        if self._localizer.is_lost:
+            camera = told_camera(told, T_map_base, T_base_camera)
+            assert camera.covariance is not None
+            self._localizer.place_camera(camera.transform, camera.covariance)
+            return None
+        T_new_old = told_base(told, T_map_base) @ invert_transform(T_map_base)
+        self._localizer.move_map(T_new_old, np.zeros((6, 6)))
+        return T_new_old
 
     def lose_track(self) -> None:
         """Keep the map; where the camera is in it has to be found out."""

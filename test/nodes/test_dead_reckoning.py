@@ -17,17 +17,20 @@ from infomap_ros.geometry import (
     CameraInfoRecord,
     JointStateRecord,
     OdometryRecord,
+    PoseRecord,
     TextRecord,
     make_transform,
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.messages import (
     TF,
+    decode_odometry,
     decode_pose_with_covariance,
     decode_transforms,
     encode_camera_info,
     encode_joint_state,
     encode_odometry,
+    encode_pose,
     encode_text,
 )
 from infomap_ros.motion import RobotModel
@@ -141,3 +144,30 @@ def test_bad_description_is_counted(graph: Any, text: str) -> None:
     stage.description.publish(encode_text(TYPES, TextRecord(0, "", text)))
     key = "dropped: robot description"
     graph.spin_until(lambda: stage.node.health.values().get(key) == "1", "the drop")
+
+
+def test_the_base_is_published_and_is_where_a_user_puts_it(graph: Any) -> None:
+    stage = Stage(graph)
+    bases = graph.collect(Odometry, "base_odometry")
+    told = graph.publisher(PoseWithCovarianceStamped, "initialpose")
+    graph.connect(told)
+    stage.tell(10 * SECOND, x=1.0, pan=0.3)
+    stage.look(10 * SECOND)
+    graph.spin_until(lambda: bases, "base_odometry")
+    found = decode_odometry(bases[0])
+    np.testing.assert_allclose(found.transform[:3, 3], (1.0, 0.0, 0.1), atol=1e-9)
+    assert (found.frame_id, found.child_frame_id) == ("map", "base_link")
+    assert found.covariance is not None
+
+    plane = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.07])  # as RViz tells it
+    quarter = make_transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], (5.0, 6.0, 0.0))
+    told.publish(encode_pose(TYPES, PoseRecord(0, "map", quarter, plane)))
+    graph.spin_until(lambda: stage.node._bases.newest_stamp is None, "the new place")
+    stage.tell(11 * SECOND, x=2.0, pan=0.3)
+    stage.look(11 * SECOND)
+    graph.spin_until(lambda: len(bases) > 1, "the base at its new place")
+    moved = decode_odometry(bases[1]).transform
+    np.testing.assert_allclose(moved[:3, 3], (5.0, 7.0, 0.1), atol=1e-9)
+
+    told.publish(encode_pose(TYPES, PoseRecord(0, "odom", quarter, plane)))
+    graph.spin_until(lambda: stage.node.health.drops().get("wrong frame"), "the drop")

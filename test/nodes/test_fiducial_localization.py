@@ -7,16 +7,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nav_msgs.msg import Path
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ConfigError, MapFileError
-from infomap_ros.geometry import ImageRecord, TransformRecord, invert_transform
+from infomap_ros.geometry import (
+    ImageRecord,
+    PoseRecord,
+    TransformRecord,
+    invert_transform,
+    make_transform,
+)
 from infomap_ros.localization.saved_localisation import SavedLocalisation
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.messages import TF, decode_transforms, encode_image
+from infomap_ros.messages import (
+    TF,
+    decode_odometry,
+    decode_transforms,
+    encode_image,
+    encode_pose,
+)
 from infomap_ros.messages.keyframes import decode_keyframe_poses
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.messages.rows import decode_rows
@@ -112,6 +125,28 @@ def test_the_frame_of_odometry_is_placed_so_that_the_camera_is_at_its_pose(graph
         posture = stage.node._inputs._motion.posture(stamp)
         found = edge.transform @ posture.T_odom_camera
         assert np.allclose(found, stage.poses[stamp].transform, atol=1e-9)
+
+
+def test_the_map_is_put_where_a_user_says_that_the_base_is(graph: Any) -> None:
+    stage = Stage(graph)
+    bases = graph.collect(Odometry, "base_odometry", qos.stream(50))
+    told = graph.publisher(PoseWithCovarianceStamped, "initialpose")
+    graph.connect(told)
+    stage.run(3)
+    graph.spin_until(lambda: len(bases) >= 2, "base_odometry")
+    before = decode_odometry(bases[-1])
+    assert (before.frame_id, before.child_frame_id) == ("map", "base_link")
+    plane = np.diag([0.25, 0.25, 0.0, 0.0, 0.0, 0.07])
+    pointed = make_transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], (5.0, 6.0, 0.0))
+    told.publish(encode_pose(TYPES, PoseRecord(0, "map", pointed, plane)))
+    graph.spin_until(lambda: "last move" in stage.node.health.values(), "the move")
+    count = len(bases)
+    stage.run(2, first=4)
+    graph.spin_until(lambda: len(bases) > count, "base_odometry after the move")
+    after = decode_odometry(bases[count]).transform
+    assert np.linalg.norm(after[:2, 3] - (5.0, 6.0)) < 0.3  # and what it has driven since
+    assert abs(after[2, 3] - before.transform[2, 3]) < 0.05
+    assert max(np.diag(decode_odometry(bases[count]).covariance)[:3]) < 0.01
 
 
 def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:

@@ -8,6 +8,7 @@ from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.localization.localizer import Localisation
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.locating.base_topics import BaseOdometry
 from infomap_ros.nodes.locating.camera_root import CameraRoot
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
 from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
@@ -38,6 +39,7 @@ class LocalizationNews:
         self._publish_frame = frame_publisher(node)
         self._odom_frame = OdomFrameBroadcaster(node, self._publish_frame, tolerance)
         self._root = CameraRoot(node, self._map)
+        self._base = BaseOdometry(node)
         self._state = ""
         self._changes = KeyframeChanges(self._config.least_correction)
         self._told_fiducials = -(2**62)
@@ -77,6 +79,7 @@ class LocalizationNews:
             edge = TransformRecord(pose.stamp, self._map, odom_frame, T_map_odom)
             self._root.note_own(odom_frame)
             self._odom_frame.update(edge)
+            self._base.publish(pose, posture.T_base_camera)
         elif not odom_frame and (below := self._root.below_map(pose)) is not None:
             self._publish_frame(below)
 

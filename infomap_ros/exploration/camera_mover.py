@@ -45,7 +45,7 @@ class CameraMover:
         log: RunLog,
         on_motion: Callable[[], None],
     ) -> None:
-        self._robot, self._planner, self._task = robot, planner, task
+        self._robot, self._planner, self.task = robot, planner, task
         self._mission, self._log, self._on_motion = mission, log, on_motion
 
     def follow(self, route: Route, interrupted: Interrupted) -> str:
@@ -116,7 +116,7 @@ class CameraMover:
 
     def _has_arrived(self, view: FloatArray) -> bool:
         away, turned = camera_error(self._robot.state().T_map_camera, view)
-        task = self._task
+        task = self.task
         return away <= task.view_position_tolerance and turned <= task.view_angle_tolerance
 
     def _note_miss(self, view: FloatArray, reason: str) -> None:

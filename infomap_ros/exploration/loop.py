@@ -93,20 +93,28 @@ class Exploration:
         self._mover = CameraMover(robot, planner, task, self.mission, log, self._step)
         self._failures, self._teammates = TooManyFailures(task.max_failures), WaitForTeammates()
         self._unproductive, self._return = UnproductiveViews(task), ReturnToLastView(self.mission)
+        self._is_met, self._budget = TaskIsMet(task), BudgetSpent(task, self.mission)
         self._rules: list[StopRule | Fallback] = [
             self._failures,
-            TaskIsMet(task),
+            self._is_met,
             StopRequested(self.control),
             UserRequests(self.control),
             *(() if plan_only else (self._return,)),
             self._teammates,
             NoViewLeft(),
-            BudgetSpent(task, self.mission),
+            self._budget,
             PlanOnly() if plan_only else self._unproductive,
         ]
         self._missed: FailedView | None = None  # the last view, where the camera came only near
         self._route_monitor = RouteMonitor(robot, planner)
-        self._monitors = [DriftMonitor(robot, task.most_drift), self._route_monitor]
+        self._drift_monitor = DriftMonitor(robot, task.most_drift)
+        self._monitors = [self._drift_monitor, self._route_monitor]
+
+    def change_task(self, task: TaskConfig) -> None:
+        """Go on by another task, also from another thread: the next step counts by it."""
+        self.task = self._mover.task = task
+        self._is_met.task = self._budget.task = self._unproductive.task = task
+        self._failures.most, self._drift_monitor.most_drift = task.max_failures, task.most_drift
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.

@@ -47,11 +47,11 @@ class DriftMonitor(MotionMonitor):
     rejects_view = False
 
     def __init__(self, robot: Robot, most_drift: float) -> None:
-        self._robot, self._most_drift, self._most = robot, most_drift, 0.0
+        self._robot, self.most_drift, self._most = robot, most_drift, 0.0
 
     def begin(self) -> None:
         """Take how well the robot's place is known now."""
-        self._most = self._sigma() + self._most_drift
+        self._most = self._sigma() + self.most_drift
 
     def problem(self) -> str:
         """Whether it is known much less well."""

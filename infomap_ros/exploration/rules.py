@@ -121,14 +121,14 @@ class TaskIsMet(StopRule):
     """Expanse and resolution suffice."""
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task = task
+        self.task = task
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """DONE, where the map at the choice is what the task asks for."""
         if choice is None:
             return None
         progress = choice.progress
-        if not self._task.is_met(progress.known_fraction, progress.mean_sigma):
+        if not self.task.is_met(progress.known_fraction, progress.mean_sigma):
             return None
         return Ending(EndReason.DONE, _in_words(progress))
 
@@ -158,13 +158,13 @@ class BudgetSpent(StopRule):
     """Views, distance or time are used up, and there would be more to do."""
 
     def __init__(self, task: TaskConfig, mission: Mission) -> None:
-        self._task, self._mission = task, mission
+        self.task, self._mission = task, mission
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """BUDGET_SPENT, with the budgets that are."""
         if choice is None:
             return None
-        task, mission = self._task, self._mission
+        task, mission = self.task, self._mission
         budgets = (
             (f"{mission.views} views", mission.views >= task.max_views),
             (f"{mission.distance:.1f} m", mission.distance >= task.max_distance),
@@ -183,7 +183,7 @@ class TooManyFailures(StopRule):
     """
 
     def __init__(self, most: int) -> None:
-        self._most, self._count, self._last = most, 0, ""
+        self.most, self._count, self._last = most, 0, ""
 
     def count(self, reason: str) -> None:
         """Something has failed."""
@@ -195,7 +195,7 @@ class TooManyFailures(StopRule):
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """FAILED, with the last reason."""
-        if self._count < self._most:
+        if self._count < self.most:
             return None
         detail = f"{self._count} failures one after the other, the last: {self._last}"
         return Ending(EndReason.FAILED, detail)

@@ -22,7 +22,7 @@ class UnproductiveViews(StopRule):
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task = task
+        self.task = task
         self._views, self._known, self._sigma, self._surface = 0, 0.0, math.nan, 0
         self._gains: list[tuple[float, float]] = []  # shares, a pair per view
 
@@ -31,7 +31,7 @@ class UnproductiveViews(StopRule):
         if views > self._views:
             gain = progress.known_fraction - self._known
             finer = 1.0 - progress.mean_sigma / self._sigma  # NaN before there is a surface
-            if finer > gain and progress.mean_sigma > self._task.mean_sigma:
+            if finer > gain and progress.mean_sigma > self.task.mean_sigma:
                 gain = finer
             growth = progress.surface_voxels / max(self._surface, 1) - 1.0
             self._gains.append((max(gain, 0.0), max(growth, 0.0)))
@@ -45,7 +45,7 @@ class UnproductiveViews(StopRule):
         if not self._gains:
             return False
         gain, growth = self._gains[-1]
-        return gain < self._task.least_gain and growth < self._task.least_growth
+        return gain < self.task.least_gain and growth < self.task.least_growth
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """NOTHING_LEFT, with what the last views have brought."""
@@ -54,7 +54,7 @@ class UnproductiveViews(StopRule):
 
     def reason(self) -> str:
         """How little the last views have brought; empty where it is enough."""
-        task = self._task
+        task = self.task
         if len(self._gains) < task.vain_views:
             return ""
         gain, growth = (sum(each) for each in zip(*self._gains[-task.vain_views :], strict=True))

@@ -91,6 +91,8 @@ class ExplorerNode(MonitoredNode):
         (LockstepConfig, ""),
     )
 
+    SETTABLE = ("task.*",)
+
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("explorer", **node_arguments)
         self._config = self.config(ExplorerConfig)
@@ -122,6 +124,11 @@ class ExplorerNode(MonitoredNode):
         self.create_timer(_STATUS_PERIOD, self._publish_status, clock=steady)
         if self._config.autostart:
             self.get_logger().info(self._start())
+
+    def take_config(self, config: object) -> None:
+        """Have the exploration that runs go on by another task."""
+        if isinstance(config, TaskConfig) and self._exploration is not None:
+            self._exploration.change_task(config)
 
     @property
     def _running(self) -> bool:

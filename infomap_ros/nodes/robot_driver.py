@@ -44,6 +44,8 @@ class RobotDriverNode(MonitoredNode):
         (JointBufferConfig, "joints."),
     )
 
+    SETTABLE = ("max_speed", "max_turn_rate", "acceleration", "turn_acceleration")
+
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("robot_driver", **node_arguments)
         config = self.config(RobotDriverConfig)

@@ -170,6 +170,24 @@ def test_ends_when_a_budget_is_spent(budget: dict[str, float], word: str) -> Non
     assert word in ending.detail
 
 
+@pytest.mark.parametrize(
+    ("changed", "end"),
+    [({"max_views": 2}, EndReason.BUDGET_SPENT), ({"known_fraction": 0.3}, EndReason.DONE)],
+)
+def test_a_task_that_is_changed_on_the_way_counts_from_then_on(
+    changed: dict[str, float], end: EndReason
+) -> None:
+    run = Run(*[view(float(x), known=0.5 + 0.02 * x) for x in range(1, 9)])
+
+    def change(deed: str) -> None:
+        if deed == "drive":
+            run.exploration.change_task(TaskConfig(**changed))
+
+    run.robot.during = change
+    assert run.exploration.run().reason is end
+    assert run.exploration.mission.views == 2
+
+
 def test_says_that_nothing_is_left_where_a_budget_is_spent_too() -> None:
     run = Run(view(1.0), nothing(), task=TaskConfig(max_views=2))
     assert run.exploration.run().reason is EndReason.NOTHING_LEFT

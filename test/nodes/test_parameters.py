@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import pytest
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from infomap_ros.errors import ConfigError
+from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.nodes.common.parameters import declare_config, parameter_values
+from infomap_ros.nodes.common.parameters import declare_config, is_settable, parameter_values
+from infomap_ros.nodes.explorer import ExplorerNode
+from infomap_ros.nodes.next_best_view import NextBestViewNode
+from infomap_ros.nodes.parameter_docs import node_parameters
+from infomap_ros.nodes.robot_driver import RobotDriverNode
 
 
 @dataclass(frozen=True)
@@ -92,3 +100,53 @@ def test_the_values_of_a_configuration_declare_it_again(graph: Any) -> None:
     assert values["localizer.selection.depth_windows"] == [5, 7]
     node = graph.add(Node, "configured", **{k.replace(".", "__"): v for k, v in values.items()})
     assert declare_config(node, LocalizerConfig, "localizer.") == config
+
+
+def test_a_new_value_is_judged_by_the_configuration_that_judges_the_first_one(graph: Any) -> None:
+    """Nothing is taken of what is refused; two values that need each other are set together."""
+    node = graph.add(ExplorerNode)
+    task = partial(node.config, TaskConfig)
+    before = task()
+
+    def give(**values: Any) -> list[Any]:
+        return [Parameter(f"task.{name}", value=value) for name, value in values.items()]
+
+    (result,) = node.set_parameters(give(known_fraction=0.5))
+    assert result.successful
+    assert task() == replace(before, known_fraction=0.5)
+    (result,) = node.set_parameters(give(region_low=[5.0, 5.0, 5.0]))
+    assert not result.successful
+    assert "'task.region_high'" in result.reason
+    assert "above" in result.reason
+    result = node.set_parameters_atomically(
+        give(region_low=[5.0, 5.0, 5.0], region_high=[7.0, 8.0, 6.0])
+    )
+    assert result.successful
+    assert task().region_low == (5.0, 5.0, 5.0)
+    result = node.set_parameters_atomically(give(max_views=3, max_time=-1.0))
+    assert not result.successful
+    assert task().max_views == before.max_views
+    (result,) = node.set_parameters([Parameter("map_frame", value="earth")])
+    assert not result.successful
+    assert "read-only" in result.reason
+
+
+def test_a_strategy_that_there_is_not_is_refused(graph: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr("infomap_ros.nodes.next_best_view.prepare_kernels", lambda *_, **__: None)
+    node = graph.add(NextBestViewNode)
+    good, bad, unknown = (
+        node.set_parameters([Parameter(name, value=value)])[0]
+        for name, value in (("strategy", "raster"), ("strategy", "luck"), ("metric", "hope"))
+    )
+    assert good.successful
+    assert not bad.successful
+    assert "'strategy' is 'luck'" in bad.reason
+    assert not unknown.successful
+    assert node.config(ViewPlannerConfig).strategy == "raster"
+
+
+@pytest.mark.parametrize("kind", [ExplorerNode, NextBestViewNode, RobotDriverNode])
+def test_what_is_settable_is_there(kind: Any) -> None:
+    names = node_parameters(kind.CONFIGS)
+    for pattern in kind.SETTABLE:
+        assert any(is_settable(name, [pattern]) for name in names), pattern

@@ -16,15 +16,18 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from infomap_ros.errors import (
     CalibrationError,
     CapacityError,
+    ConfigError,
     FrameError,
     InfomapError,
     InvalidInputError,
@@ -40,7 +43,7 @@ from infomap_ros.nodes.common.health import Health
 from infomap_ros.nodes.common.interrupts import release_when_leaving
 from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepReporter
 from infomap_ros.nodes.common.memory import heap_in_use
-from infomap_ros.nodes.common.parameters import declare_config
+from infomap_ros.nodes.common.parameters import changed_config, declare_config
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
 
@@ -68,6 +71,7 @@ class MonitoredNode(Node):
 
     Attributes:
         CONFIGS: configuration classes of the node with the prefix of their parameters.
+        SETTABLE: file-name patterns of the parameters that may be set while it runs.
         lockstep: counts messages, where a simulator's time waits for them.
 
     Raises:
@@ -75,6 +79,7 @@ class MonitoredNode(Node):
     """
 
     CONFIGS: ClassVar[tuple[tuple[type, str], ...]] = ()
+    SETTABLE: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
         super().__init__(name, **node_arguments)
@@ -82,8 +87,10 @@ class MonitoredNode(Node):
         self.health = Health()
         self._listened: dict[str, tuple[str, QoSProfile]] = {}
         self._configs: dict[type, Any] = {
-            kind: declare_config(self, kind, prefix) for kind, prefix in self.CONFIGS
+            kind: declare_config(self, kind, prefix, self.SETTABLE) for kind, prefix in self.CONFIGS
         }
+        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
         self._warn_of_unknown_parameters()
         self._workers: list[Worker] = []
         self._is_in_callback = False
@@ -96,9 +103,43 @@ class MonitoredNode(Node):
         self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
 
     def config(self, kind: type[Config]) -> Config:
-        """The validated configuration of one of the classes in `CONFIGS`."""
+        """The validated configuration of one of the classes in `CONFIGS`, as it is now."""
         found: Config = self._configs[kind]
         return found
+
+    def judge_config(self, config: object) -> None:
+        """Refuse a configuration that its class accepts, and this node cannot use.
+
+        Args:
+            config: with values that are about to be set.
+
+        Raises:
+            ConfigError: it cannot be used.
+        """
+
+    def take_config(self, config: object) -> None:
+        """A configuration has become another; nodes that do not ask for it each time use it now."""
+
+    def _judge_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Accept new values that their configurations accept."""
+        try:
+            for config in self._changed_configs(parameters):
+                self.judge_config(config)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, parameters: list[Parameter]) -> None:
+        for config in self._changed_configs(parameters):
+            self._configs[type(config)] = config
+            self.take_config(config)
+
+    def _changed_configs(self, parameters: list[Parameter]) -> list[Any]:
+        """The configurations that become others by new values."""
+        values = {parameter.name: parameter.value for parameter in parameters}
+        pairs = [(self._configs.get(kind), prefix) for kind, prefix in self.CONFIGS]
+        changed = [(old, changed_config(old, prefix, values)) for old, prefix in pairs if old]
+        return [new for old, new in changed if new is not old]
 
     def listen(
         self,

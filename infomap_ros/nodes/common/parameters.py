@@ -1,14 +1,16 @@
 """Declare ROS parameters from configuration dataclasses.
 
-Description, unit, range and default come from the configuration class alone. All parameters are
-read-only: a node that runs has the configuration it was started with.
+Description, unit, range and default come from the configuration class alone. Parameters are
+read-only, but for those that a node names as settable: a new value is judged by the configuration
+class that judges the first one.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -23,7 +25,9 @@ _LARGEST_INTEGER = 2**63 - 1
 _LARGEST_NUMBER = 1.7976931348623157e308
 
 
-def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> Config:
+def declare_config(
+    node: Node, config_class: type[Config], prefix: str = "", settable: Sequence[str] = ()
+) -> Config:
     """Declare the fields of a configuration as parameters and read them.
 
     Args:
@@ -31,6 +35,7 @@ def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> 
         config_class: a configuration whose fields are made by `geometry.config.parameter`, or are
             configurations themselves, whose parameters have the field's name before theirs.
         prefix: put before each parameter's name, for example ``poses.``.
+        settable: file-name patterns of parameters that may be set while the node runs.
 
     Returns:
         The validated configuration.
@@ -40,15 +45,38 @@ def declare_config(node: Node, config_class: type[Config], prefix: str = "") -> 
     """
     fields = all_parameters(config_class)
     values = {name: _given(node, prefix + name, default) for name, (default, _) in fields.items()}
-    try:
-        config = build_config(config_class, values)
-    except ConfigError as error:
-        raise ConfigError(prefix + error.parameter, error.value, error.expected) from error
+    config = _build(config_class, prefix, values)
     for name, (default, info) in fields.items():
         value = list(values[name]) if isinstance(default, tuple) else values[name]
         descriptor = describe(default, info)
+        descriptor.read_only = not is_settable(prefix + name, settable)
         node.declare_parameter(prefix + name, value, descriptor, ignore_override=True)
     return config
+
+
+def is_settable(name: str, settable: Sequence[str]) -> bool:
+    """Whether a parameter of that full name matches one of the patterns."""
+    return any(fnmatchcase(name, pattern) for pattern in settable)
+
+
+def changed_config(config: Config, prefix: str, values: Mapping[str, Any]) -> Config:
+    """The configuration with other values; the same object where none of them is its own.
+
+    Args:
+        config: as it is.
+        prefix: of its parameters' names.
+        values: by full name, those of other configurations among them.
+
+    Raises:
+        ConfigError: a value is refused; names the parameter in full.
+    """
+    fields = all_parameters(type(config))
+    own = {name: values[prefix + name] for name in fields if prefix + name in values}
+    if not own:
+        return config
+    everything = {**parameter_values(config), **own}
+    kept = {name: _of_kind(fields[name][0], value) for name, value in everything.items()}
+    return _build(type(config), prefix, kept)
 
 
 def parameter_values(config: object, prefix: str = "") -> dict[str, Any]:
@@ -69,7 +97,7 @@ def parameter_values(config: object, prefix: str = "") -> dict[str, Any]:
 
 
 def describe(default: Any, info: ParameterInfo) -> ParameterDescriptor:
-    """Descriptor of a parameter: description with unit, choices, range."""
+    """Descriptor of a read-only parameter: description with unit, choices, range."""
     unit = f" [{info.unit}]" if info.unit else ""
     descriptor = ParameterDescriptor(description=info.description + unit, read_only=True)
     if info.choices:
@@ -102,6 +130,18 @@ def _given(node: Node, name: str, default: Any) -> Any:
     node.undeclare_parameter(name)
     if given is None:  # an empty list in a parameter file has no type
         return default
+    return _of_kind(default, given)
+
+
+def _build(config_class: type[Config], prefix: str, values: Mapping[str, Any]) -> Config:
+    try:
+        return build_config(config_class, values)
+    except ConfigError as error:
+        raise ConfigError(prefix + error.parameter, error.value, error.expected) from error
+
+
+def _of_kind(default: Any, given: Any) -> Any:
+    """A value as its configuration holds it."""
     if isinstance(default, tuple):
         elements = given if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
         return tuple(_as_kind_of(default[0] if default else None, each) for each in elements)

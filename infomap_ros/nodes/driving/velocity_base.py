@@ -30,13 +30,13 @@ class VelocityBase:
     """
 
     def __init__(self, node: MonitoredNode) -> None:
-        self._config = node.config(RobotDriverConfig)
+        self._node, config = node, node.config(RobotDriverConfig)
         self._frames = node.config(RobotTrackerConfig)
         self._tracker = RobotTracker(node, infos=("left/camera_info",))
-        self._clock, self._stamped = node.get_clock(), self._config.base == "cmd_vel_stamped"
+        self._clock, self._stamped = node.get_clock(), config.base == "cmd_vel_stamped"
         kind = TwistStamped if self._stamped else Twist
         self._velocities = node.advertise(kind, "cmd_vel", qos.stream(depth=1))
-        self._driving = PathDriving(self._config.following())
+        self._driving = PathDriving(config.following())
         self._order: Order | None = None
         self._cause = ""
         self._in_odometry = False
@@ -62,6 +62,8 @@ class VelocityBase:
             raise FrameError(f"base_path in frame '{command.frame_id}', expected {expected}")
         in_odometry = command.frame_id != self._frames.map_frame
         self._place(in_odometry)
+        if self._order is None:  # at rest: with the limits as they are now
+            self._driving = PathDriving(self._node.config(RobotDriverConfig).following())
         self._driving.follow(command.poses)
         if self._order is not None:
             self._order.end(Outcome.CANCELED, self._cause or REPLACED)

@@ -348,3 +348,46 @@ def test_nodes_come_back_and_log_as_wanted(launch_file: ModuleType) -> None:
     for node in own(nodes):
         assert node.respawn is (node.executable != "bag_player")
         assert node.ros_arguments == ["--log-level", "debug"]
+
+
+def test_compressed_images_have_the_names_of_image_transport(launch_file: ModuleType) -> None:
+    nodes = nodes_of(launch_file, image_transport="compressed")
+    for name in ("stereo_range", "fiducial_localization"):
+        topics = dict(nodes[name].remappings)
+        assert topics["left/image_raw"] == "left/image_raw/compressed"
+        assert "left/camera_info" not in topics
+    given = {"camera": "realsense_depth", "image_transport": "compressed"}
+    topics = dict(nodes_of(launch_file, **given)["stereo_range"].remappings)
+    place = "camera/camera/aligned_depth_to_color"
+    assert topics["depth/image_rect"] == f"{place}/image_raw/compressedDepth"
+    assert topics["depth/camera_info"] == f"{place}/camera_info"
+
+
+def test_a_team_is_launched_with_a_robot_in_each_namespace(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    *arguments, start = load("team", monkeypatch).generate_launch_description().given[0]
+    context = {a.given[0]: a.default_value for a in arguments}
+    given = {"robots": "3", "size": "8", "max_views": "2", "out": str(tmp_path)}
+    nodes = start.function(context | given)
+    robots = {
+        space: {n.executable: n for n in nodes if n.namespace == space}
+        for space in ("rover1", "rover2", "rover3")
+    }
+    assert sum(map(len, robots.values())) == len(nodes)
+    places = []
+    for number, own in enumerate(robots.values(), 1):
+        assert {*EXPLORING, "simulator"} <= set(own)
+        check_settings(own)
+        fusion, simulator = settings_of(own["map_fusion"]), settings_of(own["simulator"])
+        assert (fusion["robot_id"], fusion["team"]) == (number, [1, 2, 3])
+        assert Path(fusion["map_file"]).parent == tmp_path / f"rover{number}"
+        assert len(simulator["teammates"]) == 2
+        assert simulator["publish_clock"] == (number == 1)
+        assert settings_of(own["explorer"])["task.max_views"] == 2
+        assert settings_of(own["fiducial_localization"])["target.kind"] == "tags"
+        remaps = dict(own["map_fusion"].remappings)
+        assert remaps["team/map_updates"] == "/team/map_updates"
+        assert remaps["/tf"] == "tf"
+        places.append(tuple(simulator["start"]))
+    assert len(set(places)) == 3

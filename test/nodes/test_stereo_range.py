@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
+from functools import partial
+from itertools import count
 from typing import Any
 
 import cv2
@@ -9,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from infomap_ros.errors import ConfigError
@@ -376,3 +379,35 @@ def test_whatever_an_image_claims_the_node_survives(
         return sum(health.drops().values()) + health.results() > before
 
     graph.spin_until(told, "a result or a counted drop", timeout=5.0)
+
+
+def test_compressed_images_are_read_where_a_topic_is_named_as_image_transport_does(
+    graph: Any,
+) -> None:
+    remaps = [f"{s}/image_rect:=cam/{s}/image_rect/compressed" for s in ("left", "right")]
+    given = ["--ros-args", *(part for remap in remaps for part in ("-r", remap))]
+    graph.add(partial(StereoRangeNode, cli_args=given))
+    clouds = graph.collect(PointCloud2, "points2")
+    images = [
+        graph.publisher(CompressedImage, f"cam/{side}/image_rect/compressed")
+        for side in ("left", "right")
+    ]
+    infos = [graph.publisher(CameraInfo, f"{side}/camera_info") for side in ("left", "right")]
+    graph.connect(*images, *infos)
+    for publisher, info in zip(infos, INFOS, strict=True):
+        publisher.publish(encode_camera_info(TYPES, CameraInfoRecord(START, FRAME, info)))
+
+    seconds = count(START // SECOND)
+
+    def look() -> bool:
+        second = next(seconds)
+        for publisher, pixels in zip(images, wall(), strict=True):
+            message = CompressedImage(format="mono8; png compressed mono8")
+            message.header.frame_id, message.header.stamp.sec = FRAME, second
+            message.data = array("B", cv2.imencode(".png", pixels)[1].tobytes())
+            publisher.publish(message)
+        return bool(clouds)
+
+    graph.spin_until(look, "a cloud")
+    depths = decode_point_cloud(clouds[0]).points[..., 2]
+    assert np.nanmedian(depths) == pytest.approx(DEPTH, rel=0.02)

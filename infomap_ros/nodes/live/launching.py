@@ -11,6 +11,8 @@ from typing import Any
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.environment import additions, reliable_inputs
 from infomap_ros.nodes.live.camera_presets import PRESETS, camera_preset
+from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
+from infomap_ros.nodes.robot.image_inputs import COMPRESSED, COMPRESSED_DEPTH
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
 
 ROBOT_ARGUMENTS = {
@@ -33,6 +35,11 @@ ROBOT_ARGUMENTS = {
         "",
         f"Driver whose topics are used: {', '.join(PRESETS)}. It counts for more than source and "
         "rectify. Empty: left/image_raw and so on, remapped by you.",
+    ),
+    "image_transport": (
+        "raw",
+        "raw or compressed: whether images come as they are or as image_transport compresses "
+        "them, below the names of their topics.",
     ),
     "respawn": ("false", "Start a node that died anew, two seconds later."),
     "log_level": ("info", "Least severity that is logged: debug, info, warn, error."),
@@ -121,8 +128,19 @@ class RobotLaunch:
         """Topics of the robot that have other names."""
         frames = {} if self._given["frame_prefix"] else OWN_FRAMES
         shared = SHARED if self._is_member else {}
-        camera = self._camera.topics if self._camera else {}
-        return [*frames.items(), *shared.items(), *camera.items()]
+        return [*frames.items(), *shared.items(), *self._camera_topics().items()]
+
+    def _camera_topics(self) -> dict[str, str]:
+        """Names of the camera's topics, where they are others."""
+        topics = dict(self._camera.topics) if self._camera else {}
+        if self._given["image_transport"] != COMPRESSED:
+            return topics
+        is_depth = self.source == "depth"
+        inputs = depth_topics(color=True) if is_depth else stereo_topics(rectify=self.rectify)
+        for topic in inputs.images:
+            transport = COMPRESSED_DEPTH if topic.startswith("depth/") else COMPRESSED
+            topics[topic] = f"{topics.get(topic, topic)}/{transport}"
+        return topics
 
     def _frames(self, executable: str) -> dict[str, object]:
         """Parameters that name the robot's frames."""

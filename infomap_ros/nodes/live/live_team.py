@@ -21,9 +21,40 @@ from infomap_ros.nodes.team.team_topics import SHARED
 from infomap_ros.simulation.company.team_starts import TeamStart
 
 _SHARING = ("map_fusion", "next_best_view")
-_IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
+IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
 _CLEARANCE = ViewPlannerConfig().start_clearance
 _AGREEING = 2.0  # [s] between two comparisons of the maps
+
+
+def robot_names(robots: int) -> tuple[str, ...]:
+    """Names of the robots of a team, which are their namespaces too."""
+    return tuple(f"rover{number}" for number in range(1, robots + 1))
+
+
+def member_parameters(
+    names: Sequence[str], number: int, start: TeamStart, folder: Path
+) -> dict[str, dict[str, object]]:
+    """Parameters of the nodes of one robot of a simulated team, by node name.
+
+    Args:
+        names: of all robots.
+        number: of this one among them, from 0 on.
+        start: where it starts.
+        folder: of its files, an absolute path.
+    """
+    name = names[number]
+    nodes = robot_parameters(folder, f"/{name}")
+    nodes["simulator"] |= {
+        "teammates": [other for other in names if other != name],
+        "start": list(start.place),
+        "seed": 1 + number,
+        "publish_clock": number == 0,
+    }
+    member = {"robot_id": number + 1, "team": list(range(1, len(names) + 1))}
+    for node in IN_TEAM:
+        nodes[node] |= member
+    nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
+    return nodes
 
 
 class LiveTeam(LiveGraph):
@@ -52,7 +83,7 @@ class LiveTeam(LiveGraph):
         loss: float = 0.0,
     ) -> None:
         super().__init__(out)
-        self.names = tuple(f"rover{number}" for number in range(1, len(starts) + 1))
+        self.names = robot_names(len(starts))
         self.figures: dict[str, dict[str, str]] = {name: {} for name in self.names}
         self.folders = {name: out.absolute() / name for name in self.names}
         self._team = {
@@ -61,36 +92,14 @@ class LiveTeam(LiveGraph):
         }
         self._down: set[str] = set()
         self._may_end: tuple[str, ...] = ()
-        self._parameters = {
-            name: self._parameters_of(number, starts[number], loss, parameters or {})
-            for number, name in enumerate(self.names)
-        }
-
-    def _parameters_of(
-        self,
-        number: int,
-        start: TeamStart,
-        loss: float,
-        given: Mapping[str, Parameters],
-    ) -> dict[str, dict[str, object]]:
-        name = self.names[number]
-        nodes = robot_parameters(self.folders[name], f"/{name}")
-        nodes["simulator"] |= {
-            "teammates": [other for other in self.names if other != name],
-            "start": start.place,
-            "seed": 1 + number,
-            "publish_clock": number == 0,
-        }
-        member = {
-            "robot_id": number + 1,
-            "team": list(range(1, len(self.names) + 1)),
-        }
-        for node in _IN_TEAM:
-            nodes[node] |= member
-        nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
-        for node in _SHARING:
-            nodes[node]["team_map.simulated_loss"] = loss
-        return {node: {**values, **given.get(node, {})} for node, values in nodes.items()}
+        given, self._parameters = parameters or {}, {}
+        for number, name in enumerate(self.names):
+            nodes = member_parameters(self.names, number, starts[number], self.folders[name])
+            for node in _SHARING:
+                nodes[node]["team_map.simulated_loss"] = loss
+            self._parameters[name] = {
+                node: {**values, **given.get(node, {})} for node, values in nodes.items()
+            }
 
     def start(self) -> None:
         """Start all nodes of all robots; the explorers begin when the other nodes are there."""
@@ -107,7 +116,7 @@ class LiveTeam(LiveGraph):
         """Start all nodes of a robot, the first time or again."""
         self._down.discard(name)
         for node, values in self._parameters[name].items():
-            remaps = SHARED if node in _IN_TEAM else {}
+            remaps = SHARED if node in IN_TEAM else {}
             self.pids[f"{name}/{node}"] = self._team[name].start(node, values, remaps)
 
     def kill_robot(self, name: str) -> None:

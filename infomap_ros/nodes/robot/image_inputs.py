@@ -1,4 +1,8 @@
-"""Images of one moment with their calibrations, out of topics."""
+"""Images of one moment with their calibrations, out of topics.
+
+A topic whose name, after remapping, ends as image_transport names its compressed forms carries
+sensor_msgs/CompressedImage, any other one sensor_msgs/Image.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,17 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from infomap_ros.messages import decode_camera_info, decode_image
+from infomap_ros.geometry import ImageRecord
+from infomap_ros.messages import decode_camera_info, decode_compressed_image, decode_image
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.pipeline.image_synchronizer import ImageSet, ImageSynchronizer
 from infomap_ros.pipeline.perception import ImageSources
+
+COMPRESSED, COMPRESSED_DEPTH = "compressed", "compressedDepth"
+"""The last parts of topics of compressed images, as image_transport names them."""
 
 
 class ImageInputs:
@@ -43,7 +51,12 @@ class ImageInputs:
         for camera, topic in enumerate(topics.infos):
             node.listen(CameraInfo, topic, partial(self._on_info, camera), qos.sensor_data())
         for camera, topic in enumerate(topics.images):
-            node.listen(Image, topic, partial(self._on_image, camera), qos.sensor_data())
+            transport = node.resolve_topic_name(topic).rpartition("/")[2]
+            is_compressed = transport in (COMPRESSED, COMPRESSED_DEPTH)
+            decode = decode_compressed_image if is_compressed else decode_image
+            receive = partial(self._on_image, camera, decode)
+            kind = CompressedImage if is_compressed else Image
+            node.listen(kind, topic, receive, qos.sensor_data())
 
     def ask_witness(self) -> None:
         """The witness has gone on."""
@@ -54,6 +67,8 @@ class ImageInputs:
         for images in self._images.add_info(camera, decode_camera_info(message)):
             self._on_images(images)
 
-    def _on_image(self, camera: int, message: Image) -> None:
-        for images in self._images.add_image(camera, decode_image(message)):
+    def _on_image(
+        self, camera: int, decode: Callable[[object], ImageRecord], message: object
+    ) -> None:
+        for images in self._images.add_image(camera, decode(message)):
             self._on_images(images)

@@ -10,13 +10,17 @@ from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.projection import ProjectedGrid
+from infomap_ros.mapping.terrain.terrain import terrain_of
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.base.pose_margin import base_sigma
+from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_check import RouteCheck
+from infomap_ros.motion.traversability import traversability
 from infomap_ros.motion.whole_body import WholeBody
 
 _CORRECTION = 1.0
@@ -31,10 +35,14 @@ class ViewMotion:
         robot: with its camera frame.
         config: of the motion, and of the space that is clear about the start.
         task: how near the camera must come to a view.
+
+    Attributes:
+        config: as given; may be replaced.
+        task: likewise.
     """
 
     def __init__(self, robot: RobotModel, config: ViewPlannerConfig, task: TaskConfig) -> None:
-        self._robot, self._config, self._task = robot, config, task
+        self._robot, self.config, self.task = robot, config, task
         self._start: ClearStart | None = None
         self._last_reach: WholeBodyReach | None = None
         self._sent: Route | None = None
@@ -50,8 +58,8 @@ class ViewMotion:
 
     def begin(self, T_map_start: FloatArray) -> None:
         """Note where the mission began, shape (4, 4), where that is not known yet."""
-        if self._start is None and self._config.start_clearance > 0.0:
-            self._start = ClearStart(T_map_start, self._config.start_clearance)
+        if self._start is None and self.config.start_clearance > 0.0:
+            self._start = ClearStart(T_map_start, self.config.start_clearance)
 
     def reach(
         self,
@@ -73,7 +81,7 @@ class ViewMotion:
             voxel_map,
             state.T_map_base,
             state.joints,
-            self._config.reaching,
+            self.config.reaching,
             self._start,
             previous=self._last_reach,
             sent=self._sent,
@@ -82,6 +90,18 @@ class ViewMotion:
         )
         self._last_reach, self._sent = reach, None
         return reach
+
+    def traversability(self, voxel_map: VoxelMap, state: RobotState) -> ProjectedGrid:
+        """Where the base can stand, the arm in its posture for driving."""
+        reaching = self.config.reaching
+        vehicle = WholeBody.of(self._robot, reaching, state.joints).vehicle
+        terrain = terrain_of(voxel_map, reaching.terrain, state.T_map_base[:3, 3])
+        if self._start is not None:
+            terrain = self._start.ground(terrain, vehicle)
+        reach = reaching.base.standing_reach
+        return traversability(
+            with_standing_ground(terrain, vehicle, state.T_map_base, reach), vehicle
+        )
 
     def send(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:
         """Note the route along which the robot is sent from here.
@@ -106,7 +126,7 @@ class ViewMotion:
     ) -> None:
         """Begin to check a route that begins here."""
         if route is not None:
-            reaching = self._config.reaching
+            reaching = self.config.reaching
             whole = WholeBody.of(self._robot, reaching, state.joints)
             self._check = RouteCheck(
                 route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
@@ -149,7 +169,7 @@ class ViewMotion:
             T_map_camera: the view, shape (4, 4).
             obstacles: what must not be touched and the map does not show.
         """
-        task = self._task
+        task = self.task
         for widen in (True, False):
             reach = self.reach(voxel_map, state, obstacles, widen)
             reach.near.add_free(self._been)
@@ -179,7 +199,7 @@ class ViewMotion:
 
     def _sigma(self, state: RobotState) -> float:
         """How well it is known where the base is [m]."""
-        whole = WholeBody.of(self._robot, self._config.reaching, state.joints)
+        whole = WholeBody.of(self._robot, self.config.reaching, state.joints)
         return base_sigma(
             state.T_map_camera, state.pose_covariance, state.T_map_base, whole.base_radius
         )

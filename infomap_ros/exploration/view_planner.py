@@ -20,6 +20,7 @@ from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.projection import ProjectedGrid
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.collision.obstacles import Obstacle
@@ -84,27 +85,38 @@ class ViewPlanner:
         config: ViewPlannerConfig | None = None,
         localization_error: LocalizationError | None = None,
     ) -> None:
-        self.config = config or ViewPlannerConfig()
-        self.robot, self._rig, self._task = robot, rig, task
-        sensor = replace(
-            InformationConfig.of_stereo(rig),
-            wanted_sigma=task.mean_sigma,
-            predict_unknown=self.config.predict_unknown,
-        )
-        information = ExpectedInformation(self.config.metric, sensor, threads=self.config.threads)
-        self._information = information
-        self._choice = ViewChoice(self.config, information, localization_error)
-        self._vain = VainLooks(self.config.vain)
-        self._kept = KeptPromises()
-        self._turns = StrategyAlternator(task)
-        self._rng = np.random.default_rng(self.config.seed)
-        self._heights = camera_heights(robot)
-        self._motion = ViewMotion(robot, self.config, task)
+        self.robot, self._rig, self._error = robot, rig, localization_error
+        settings = config or ViewPlannerConfig()
+        self._motion = ViewMotion(robot, settings, task)
+        self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
+        self._vain, self._kept = VainLooks(settings.vain), KeptPromises()
+        self._configure(task, settings)
         self._goal: FloatArray | None = None
         self._measured: MapProgress | None = None
         self._failures: list[FailedView] = []
         self._past: list[FloatArray] = []
         self._noted = 0  # so many of which are known for what they promised in vain
+
+    def reconfigure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
+        """Choose by another task and configuration from now on.
+
+        What past views have told, and which could not be reached, stays known.
+        """
+        memory = self._choice.memory
+        self._configure(task, config)
+        self._choice.memory = memory
+        self._motion.config, self._motion.task = config, task
+
+    def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
+        self.config, self._task = config, task
+        sensor = replace(
+            InformationConfig.of_stereo(self._rig),
+            wanted_sigma=task.mean_sigma,
+            predict_unknown=config.predict_unknown,
+        )
+        self._information = ExpectedInformation(config.metric, sensor, threads=config.threads)
+        self._choice = ViewChoice(config, self._information, self._error)
+        self._turns = StrategyAlternator(task)
 
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
@@ -184,6 +196,10 @@ class ViewPlanner:
         pose = None if result.route is None else result.route.T_map_camera
         progress = self._measured or self._progress(voxel_map, state)
         return Choice(progress, pose, result.route, result.reason)
+
+    def traversability(self, voxel_map: VoxelMap, state: RobotState) -> ProjectedGrid:
+        """Where the base can stand; see `infomap_ros.motion.traversability`."""
+        return self._motion.traversability(voxel_map, state)
 
     def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:
         """Why what is left of the route planned last is blocked; empty where it is free."""

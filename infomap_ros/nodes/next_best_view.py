@@ -32,6 +32,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.projection import ProjectedGrid
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
@@ -45,6 +46,7 @@ from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
 from infomap_ros.nodes.planning.route_status import RouteStatusPublisher
 from infomap_ros.nodes.planning.search_plans import SearchPlans
+from infomap_ros.nodes.planning.traversability_map import TraversabilityMap
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
@@ -52,6 +54,8 @@ from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.ranking.strategies import make_strategy
 
 _AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
@@ -76,6 +80,8 @@ class NextBestViewNode(MonitoredNode):
         (LockstepConfig, ""),
     )
 
+    SETTABLE = ("task.*", "strategy", "metric", "choice.rating.*", "reaching.trajectory.*")
+
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("next_best_view", **node_arguments)
         planning = partial(warm_up, self.config(ViewPlannerConfig))
@@ -88,6 +94,7 @@ class NextBestViewNode(MonitoredNode):
         self._route_status, self._is_checking = RouteStatusPublisher(self), False
         self._target: FloatArray | None = None
         self._planner: TeamPlanner | None = None
+        self._settings: tuple[TaskConfig, ViewPlannerConfig] | None = None
         self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1, last_job=1.0)
@@ -96,11 +103,18 @@ class NextBestViewNode(MonitoredNode):
         self.listen(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(), required=False
         )
+        self._traversability = TraversabilityMap(self, self._worker, self._traversable)
         offer_order(self, "~/plan", self._worker, self._plan)
         offer_order(self, "~/plan_home", self._worker, lambda: self._plan_way(self._news.home))
         offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
         offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
+
+    def judge_config(self, config: object) -> None:
+        """Refuse a strategy or a metric that there is not."""
+        if isinstance(config, ViewPlannerConfig):
+            make_strategy(config.strategy)
+            ExpectedInformation(config.metric)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         before, self._news = self._news, read_status(message)
@@ -131,6 +145,15 @@ class NextBestViewNode(MonitoredNode):
         if self._error is not None:
             self.health.note("localization error by", self._error.model)
         return self._publish(choice)
+
+    def _traversable(self) -> ProjectedGrid:
+        """Where the base can stand.
+
+        Raises:
+            InfomapError: something that is needed has not arrived.
+        """
+        planner, voxel_map, state = self._ready()
+        return planner.planner.traversability(voxel_map, state)
 
     def _plan_way(self, place: KnownPlace) -> str:
         """Plan the way to where the robot has stood, which exploration_status tells.
@@ -181,6 +204,7 @@ class NextBestViewNode(MonitoredNode):
             self._target = choice.target
             self._route_status.begin(choice.route)
         self.get_logger().info(choice.reason)
+        self._traversability.publish()
         return choice_to_text(choice)
 
     def _ready(self) -> tuple[TeamPlanner, VoxelMap, RobotState]:
@@ -191,9 +215,12 @@ class NextBestViewNode(MonitoredNode):
         """
         voxel_map = self._map.voxel_map()
         robot, state = self._tracker.robot, self._tracker.state()
+        settings = task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
+        if self._planner is not None and settings != self._settings:
+            self._planner.planner.reconfigure(task, config)
+        self._settings = settings
         if self._planner is None or self._planner.planner.robot is not robot:
             rig = rig_from_calibrations(*self._tracker.calibrations)
-            task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
             self._error = FiducialLocalizationError(
                 rig,
                 self._fiducials.fiducials,

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import OccupancyGrid, Path
+from nav_msgs.srv import GetMap
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -155,6 +157,34 @@ def test_candidates_show_their_terms_and_their_rejections(stage: Stage) -> None:
     listed = len(kinds["candidates"]) + len(kinds["rejected"])
     assert listed == len(choice.explanation["candidates"])
     assert [marker.id for marker in markers if marker.ns == "chosen"] == [0]
+
+
+def test_a_strategy_that_is_set_counts_for_the_next_plan(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    assert stage.plan().reason.startswith("largest_information")
+    (result,) = stage.node.set_parameters([Parameter("strategy", value="raster")])
+    assert result.successful
+    assert stage.plan().reason.startswith("raster")
+
+
+def test_where_the_robot_can_stand_is_published_and_given_by_service(stage: Stage) -> None:
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    stage.plan()
+    grids = stage.graph.collect(OccupancyGrid, "traversability_map", qos.latched())
+    stage.graph.spin_until(lambda: grids, "the grid")
+    client = stage.graph.tester.create_client(GetMap, "traversability_map")
+    stage.graph.spin_until(client.service_is_ready, "the service")
+    answer = client.call_async(GetMap.Request())
+    stage.graph.spin_until(answer.done, "the answer")
+    given = answer.result().map
+    assert given.header.frame_id == grids[0].header.frame_id == "map"
+    assert (given.info.width, given.data) == (grids[0].info.width, grids[0].data)
+    cells = np.array(given.data).reshape(given.info.height, given.info.width)
+    corner = given.info.origin.position
+    base = stage.rover.base[:2, 3]
+    column, row = ((base - (corner.x, corner.y)) / given.info.resolution).astype(int)
+    assert cells[row, column] == 0  # where it stands
+    assert (cells == -1).any()
 
 
 def test_what_is_missing_is_said(graph: Any) -> None:

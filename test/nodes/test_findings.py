@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord, PoseRecord
@@ -113,6 +114,23 @@ def test_the_doctor_says_that_the_camera_is_lost(graph: Any) -> None:
 
     wrong = {f.subject: f.text for f in doctor.examine() if not f.good}
     assert wrong["/robot"] == "lost, 0 fiducials tracked: 3 fiducials in view, 5 needed"
+
+
+def test_the_doctor_reads_compressed_images(graph: Any, rng: np.random.Generator) -> None:
+    remap = ["--ros-args", "-r", "left/image_rect:=left/image_rect/compressed"]
+    doctor = graph.add(lambda **arguments: Doctor(False, cli_args=remap, **arguments))
+    left = graph.publisher(CompressedImage, "left/image_rect/compressed")
+    pixels = textured(rng, 120, 160)
+    message = CompressedImage(format="mono8; png compressed mono8")
+    message.data = array("B", cv2.imencode(".png", pixels)[1].tobytes())
+
+    def heard() -> bool:
+        doctor.listen_to_all()
+        left.publish(message)
+        return bool(doctor.records["left/image_rect"])
+
+    graph.spin_until(heard, "an image")
+    assert doctor.records["left/image_rect"][0].encoding == "mono8"
 
 
 def test_the_doctor_tells_raw_from_rectified(graph: Any) -> None:

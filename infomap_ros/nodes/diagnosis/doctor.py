@@ -17,6 +17,7 @@ from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import Record
 from infomap_ros.messages import (
     CAMERA_INFO,
+    COMPRESSED_IMAGE,
     IMAGE,
     JOINT_STATE,
     ODOMETRY,
@@ -30,6 +31,7 @@ from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.diagnosis import findings
 from infomap_ros.nodes.diagnosis.findings import Finding
 from infomap_ros.nodes.diagnosis.graph_checks import similar_topics, unconnected
+from infomap_ros.nodes.robot.image_inputs import is_compressed
 
 REQUIRED = {
     "left/camera_info": CAMERA_INFO,
@@ -58,7 +60,8 @@ class Doctor(Node):
         kind = "image_raw" if raw else "image_rect"
         self.raw = raw
         self.images = (f"left/{kind}", f"right/{kind}")
-        self.topics = dict.fromkeys(self.images, IMAGE) | REQUIRED | OPTIONAL
+        self.topics = {topic: self._image_type(topic) for topic in self.images}
+        self.topics |= REQUIRED | OPTIONAL
         self.records: dict[str, deque[Record]] = defaultdict(lambda: deque(maxlen=_KEPT))
         self.errors: dict[str, str] = {}
         self.conditions: dict[str, DiagnosticStatus] = {}
@@ -66,6 +69,10 @@ class Doctor(Node):
         self.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.stream(depth=50)
         )
+
+    def _image_type(self, topic: str) -> str:
+        """Of an image topic, by the name to which it is remapped."""
+        return COMPRESSED_IMAGE if is_compressed(self.resolve_topic_name(topic)) else IMAGE
 
     def listen_to_all(self) -> None:
         """Subscribe to what is published by now, with the durability on offer."""

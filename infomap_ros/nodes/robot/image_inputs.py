@@ -23,6 +23,11 @@ COMPRESSED, COMPRESSED_DEPTH = "compressed", "compressedDepth"
 """The last parts of topics of compressed images, as image_transport names them."""
 
 
+def is_compressed(topic: str) -> bool:
+    """Whether the images of a topic, by its full name, are compressed."""
+    return topic.rpartition("/")[2] in (COMPRESSED, COMPRESSED_DEPTH)
+
+
 class ImageInputs:
     """Listens to one image topic or two, and to their camera infos; see `ImageSynchronizer`.
 
@@ -51,11 +56,10 @@ class ImageInputs:
         for camera, topic in enumerate(topics.infos):
             node.listen(CameraInfo, topic, partial(self._on_info, camera), qos.sensor_data())
         for camera, topic in enumerate(topics.images):
-            transport = node.resolve_topic_name(topic).rpartition("/")[2]
-            is_compressed = transport in (COMPRESSED, COMPRESSED_DEPTH)
-            decode = decode_compressed_image if is_compressed else decode_image
+            compressed = is_compressed(node.resolve_topic_name(topic))
+            decode = decode_compressed_image if compressed else decode_image
             receive = partial(self._on_image, camera, decode)
-            kind = CompressedImage if is_compressed else Image
+            kind = CompressedImage if compressed else Image
             node.listen(kind, topic, receive, qos.sensor_data())
 
     def ask_witness(self) -> None:

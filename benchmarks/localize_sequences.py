@@ -73,6 +73,8 @@ SEQUENCES = {
     ),
     "room loop": Sequence("loop", "room_loop", "/camera_pose", 0.5),
     "tumvi_room1": Sequence("euroc", "tumvi_room1", "/camera_pose", 0.03),
+    "stereo_kitti_03": Sequence("kitti", "stereo_kitti_03", "/camera_pose", 1.0),
+    "stereo_kitti_curve": Sequence("kitti", "stereo_kitti_curve", "/camera_pose", 10.0),
     "rgbd_kitchen": Sequence("rgbd", "rgbd_kitchen", "/camera_pose", 0.5, (), KITCHEN),
 }
 

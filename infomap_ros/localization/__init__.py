@@ -20,13 +20,8 @@ from infomap_ros.localization.filter.camera_motion import (
 )
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
-from infomap_ros.localization.filter.motion_prior import (
-    FreeMotionConfig,
-    KinematicMotion,
-    MotionPrior,
-    RobotPosture,
-    free_motion,
-)
+from infomap_ros.localization.filter.free_motion import FreeMotionConfig, free_motion
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.filter.recursive_pose import RecursivePose
 

@@ -26,7 +26,9 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
-from infomap_ros.localization.filter.motion_prior import MotionPrior, free_motion
+from infomap_ros.localization.filter.free_motion import FreeMotion
+from infomap_ros.localization.filter.hypothesis_choice import CONTRADICTION
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import FilterUpdate
 from infomap_ros.localization.known_map import KnownMap
 from infomap_ros.localization.localisation import Choice, Localisation, State
@@ -82,7 +84,7 @@ class Localizer(KnownMap):
         self._state: State = "searching"
         self._stamp = self._fixed = -(2**62)
         self._keyframe = self._recalled = np.eye(4)
-        self._step = (np.eye(4), 0.0)  # last motion and its duration [s]
+        self._free_motion = FreeMotion(self.config.free_motion)
         self._coasted, self._contradicted = 0, 0.0  # views in a row
         self._is_resumed = False
         self._noise = AdaptiveNoise(self.config.max_noise_factor)
@@ -199,14 +201,14 @@ class Localizer(KnownMap):
         if self._state == "searching":
             return self._initialise(view, chosen)
         self._wake(view, prior)
-        before = self._filter.pose[0]
+        before = None if self._state == "lost" else self._filter.pose[0]
         seen = self._follow(view, prior)
         tracked, reason = self._solve(view, seen, prior)
         sighted = self._watch.correct(view, self._filter, tracked > 0)
         if sighted == "contradicted":
             return self._initialise(view, chosen)
         self._judge(view, seen, tracked > 0 or sighted == "corrected")
-        self._note_step(view, before)
+        self._note_step(view, before, tracked > 0)
         self._replace_fiducials(view, tracked, chosen)
         return self._conclude(view, reason or self._watch.reason, tracked, sighted != "", keep)
 
@@ -236,12 +238,16 @@ class Localizer(KnownMap):
         """Track the fiducials, from where they are expected."""
         if self._state == "lost":
             return self._scene.follow(view, None)
-        pose, (motion, duration) = self._filter.pose[0], self._step
+        pose = self._filter.pose[0]
         if prior is not None:
             return self._scene.follow(view, pose @ prior.T_before_after)
-        seconds = 1e-9 * (view.stamp - self._stamp)
-        steady = self._state == "tracking" and 0.5 * duration < seconds < 2.0 * duration
-        return self._scene.follow(view, pose @ motion if steady else pose)
+        if self._state == "tracking":
+            pose = pose @ self._free_motion.expected(self._since(view)).T_before_after
+        return self._scene.follow(view, pose)
+
+    def _since(self, view: RangeView) -> float:
+        """Time since the view before [s]."""
+        return 1e-9 * (view.stamp - self._stamp)
 
     def _solve(
         self, view: RangeView, seen: FiducialObservations, prior: MotionPrior | None
@@ -252,10 +258,11 @@ class Localizer(KnownMap):
         if prior is not None:
             self._filter.predict(prior)
         elif self._state != "lost":
-            seconds = 1e-9 * (view.stamp - self._stamp)
-            self._filter.predict(free_motion(seconds, self.config.free_motion))
+            self._filter.predict(self._free_motion.expected(self._since(view)))
         if self._state != "lost":
             update = self._update(seen)
+            if prior is None:
+                update = self._faster(view, seen, update)
             if update.is_consistent:
                 self._noise.note(update)
                 self._scene.note(seen, update)
@@ -263,12 +270,24 @@ class Localizer(KnownMap):
         seen = self._noise.applied(seen)
         return self._recovery.recover(view, seen, self._state == "lost", prior)
 
-    def _update(self, seen: FiducialObservations) -> FilterUpdate:
+    def _faster(
+        self, view: RangeView, seen: FiducialObservations, update: FilterUpdate
+    ) -> FilterUpdate:
+        """Where the fiducials contradict the motion that a free camera was expected to make."""
+        if update.reason != CONTRADICTION:
+            return update
+        for more in self._free_motion.wider(self._since(view)):
+            faster = self._update(seen, more)
+            if faster.is_consistent:
+                return faster
+        return update
+
+    def _update(self, seen: FiducialObservations, more: MotionPrior | None = None) -> FilterUpdate:
         """Filter; where the fiducials disagree, with larger sigmas."""
         usual = self._noise.factor
-        update = self._filter.update(self._noise.applied(seen))
+        update = self._filter.update(self._noise.applied(seen), more)
         while self._noise.may_explain(update.reason) and self._noise.grow():
-            update = self._filter.update(self._noise.applied(seen))
+            update = self._filter.update(self._noise.applied(seen), more)
         if not update.is_consistent:
             self._noise.factor = usual
         return update
@@ -295,9 +314,12 @@ class Localizer(KnownMap):
             self._recovery.lose()
             self._filter.predict(MotionPrior(np.eye(4), np.diag(np.square(_ANYWHERE))))
 
-    def _note_step(self, view: RangeView, before: FloatArray) -> None:
-        motion = invert_transform(before) @ self._filter.pose[0]
-        self._step = (motion, 1e-9 * (view.stamp - self._stamp))
+    def _note_step(self, view: RangeView, before: FloatArray | None, is_fixed: bool) -> None:
+        if before is not None and is_fixed:
+            motion = invert_transform(before) @ self._filter.pose[0]
+            self._free_motion.note(motion, self._since(view))
+        elif self._state == "lost":
+            self._free_motion.clear()
         self._stamp = view.stamp
 
     def _replace_fiducials(self, view: RangeView, tracked: int, chosen: Choice) -> None:

@@ -9,7 +9,7 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
-from infomap_ros.localization.filter.motion_prior import FreeMotionConfig
+from infomap_ros.localization.filter.free_motion import FreeMotionConfig
 
 
 @dataclass(frozen=True)

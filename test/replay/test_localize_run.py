@@ -16,6 +16,7 @@ from infomap_ros.replay.localizing.localize_inputs import LocalizeInputConfig, L
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
 from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.recording import open_recording
 
 from .moving_camera import START, STEP, WALL, pose, write
 
@@ -54,6 +55,22 @@ def test_images_alone_begin_a_level_map_at_the_camera(hand_held):
     summary = run.summary()
     assert (summary["views"], summary["tracking"], summary["lost"]) == (10, 10, 0)
     np.testing.assert_allclose(summary["path_length"], 9 * 0.025, atol=0.004)
+
+
+def test_a_car_is_followed_from_the_first_pair_on(real_data):
+    folder = real_data / "stereo_kitti_03"
+    with open_recording(folder) as recording:
+        run = LocalizeRun(recording)
+        run.run()
+    assert run.summary()["tracking"] == 5
+    found = run.log.trajectory.transforms
+    truth = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
+    for pose_found, pose_true in zip(found[1:], truth[1:], strict=True):
+        moved = np.linalg.inv(found[0]) @ pose_found
+        way = np.linalg.norm(pose_true[:, 3])  # 1 m at 10 pairs a second
+        assert np.linalg.norm(moved[:3, 3] - pose_true[:, 3]) <= 0.05 * way
+        turn = Rotation.from_matrix(moved[:3, :3] @ pose_true[:, :3].T).magnitude()
+        assert turn <= np.radians(0.1)
 
 
 def test_odometry_gives_the_frame_of_the_map(robot):

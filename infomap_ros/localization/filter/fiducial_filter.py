@@ -124,23 +124,30 @@ class FiducialFilter:
         """Take that the camera has moved; several motions add up."""
         self._motion = self._motion.then(prior)
 
-    def update(self, observations: FiducialObservations) -> FilterUpdate:
+    def update(
+        self, observations: FiducialObservations, more: MotionPrior | None = None
+    ) -> FilterUpdate:
         """Correct everything by the known fiducials of an image.
 
         Where it is not consistent nothing changes: the pose stays the predicted one.
+
+        Args:
+            observations: of the image.
+            more: motion beyond what was predicted, on trial: it is taken where it explains the
+                image.
         """
+        motion = self._motion if more is None else self._motion.then(more)
         indices, is_known = self._look_up(observations.ids)
         known, unknown = observations.select(is_known), observations.ids[~is_known]
         measured = Measured.of(self.camera, known)
         image = Image(known.ids, indices, measured)
-        chosen, reason, overruled = explain(
-            self._state, self._motion, image, self._history, self.config
-        )
+        chosen, reason, overruled = explain(self._state, motion, image, self._history, self.config)
         if chosen is None:
-            if reason in CONTESTED:
+            if reason in CONTESTED and more is None:
                 self._history.contradicted(known.ids)
             nothing = np.zeros(0, np.int64)
             return FilterUpdate(False, reason, nothing, nothing, unknown, np.nan, 0, np.nan)
+        self._motion = motion
         self._history.agreed(known.ids, chosen.members, chosen.innovations)
         self._apply(chosen, indices)
         used, rejected = known.ids[chosen.members], known.ids[chosen.rejected]

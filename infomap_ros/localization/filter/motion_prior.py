@@ -7,9 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_covariance, check_transform, invert_transform, skew
-from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 
@@ -44,50 +42,6 @@ class MotionPrior:
         turn = np.kron(np.eye(2), rotation)
         covariance = over @ self.covariance @ over.T + turn @ later.covariance @ turn.T
         return MotionPrior(self.T_before_after @ later.T_before_after, covariance)
-
-
-@dataclass(frozen=True)
-class FreeMotionConfig:
-    """How a camera may move of which nothing is known but that it is carried.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    speed: float = parameter(
-        0.7, "Standard deviation of the speed along each axis.", unit="m/s", low=1e-4, high=100.0
-    )
-    turn_rate: float = parameter(
-        1.0, "Standard deviation of the turn rate about each axis.", unit="rad/s", low=1e-4, high=30
-    )
-    longest: float = parameter(
-        3.0,
-        "Longer gaps count as this long: a camera that is carried about stays in its room.",
-        unit="s",
-        low=0.01,
-        high=1000.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
-
-
-def free_motion(duration: float, config: FreeMotionConfig | None = None) -> MotionPrior:
-    """Prior where neither odometry nor joint states exist: anything that is not too fast.
-
-    Args:
-        duration: between the two images [s].
-        config: speeds.
-
-    Raises:
-        InvalidInputError: the duration is negative or not finite.
-    """
-    if not (np.isfinite(duration) and duration >= 0.0):
-        raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
-    config = config or FreeMotionConfig()
-    time = min(duration, config.longest)
-    sigmas = np.repeat([config.speed * time, config.turn_rate * time], 3)
-    return MotionPrior(np.eye(4), np.diag(np.square(sigmas)))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class FiducialLocalizationConfig:
         "auto",
         "What the camera's motion is expected from. odometry: odom, with joint_states and "
         "robot_description; without them nothing is located, and where there is no target the "
-        "map begins where odometry does. none: nothing but that it is not too fast. auto: "
+        "map begins where odometry does. none: the images alone. auto: "
         "odometry where odom and robot_description are published.",
         choices=("auto", "odometry", "none"),
     )

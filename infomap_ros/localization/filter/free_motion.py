@@ -1,0 +1,130 @@
+"""How a camera is expected to move of which nothing is known but that it is carried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import make_transform
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.filter.motion_prior import MotionPrior
+
+_CHANGE = 0.2
+"""Standard deviation by which a velocity changes from one image to the next, as a share of it,
+beyond what a camera at rest is granted: at 10 images/s a car that brakes as hard as it can
+(10 m/s^2) loses a tenth of 10 m/s."""
+
+_WIDER, _FASTEST = 3.0, 40.0
+"""Factor of the speed that is tried where the images contradict the expected one, and its end
+[m/s]: the speed of a car on a motorway."""
+
+
+@dataclass(frozen=True)
+class FreeMotionConfig:
+    """How a camera may move of which nothing is known but that it is carried.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    speed: float = parameter(
+        0.7,
+        "Standard deviation of the speed along each axis while nothing is known of it.",
+        unit="m/s",
+        low=1e-4,
+        high=100.0,
+    )
+    turn_rate: float = parameter(
+        1.0, "Standard deviation of the turn rate about each axis.", unit="rad/s", low=1e-4, high=30
+    )
+    longest: float = parameter(
+        3.0,
+        "Longer gaps count as this long: a camera that is carried about stays in its room.",
+        unit="s",
+        low=0.01,
+        high=1000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def free_motion(duration: float, config: FreeMotionConfig | None = None) -> MotionPrior:
+    """Prior where neither odometry nor joint states exist: anything that is not too fast.
+
+    Args:
+        duration: between the two images [s].
+        config: speeds.
+
+    Raises:
+        InvalidInputError: the duration is negative or not finite.
+    """
+    if not (np.isfinite(duration) and duration >= 0.0):
+        raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
+    config = config or FreeMotionConfig()
+    time = min(duration, config.longest)
+    sigmas = np.repeat([config.speed * time, config.turn_rate * time], 3)
+    return MotionPrior(np.eye(4), np.diag(np.square(sigmas)))
+
+
+class FreeMotion:
+    """Follows how fast the camera is, so that no speed has to be set.
+
+    The next motion is expected to be like the last one (constant velocity), with standard
+    deviations that grow with it. Where the images contradict that, as at the beginning and after a
+    jerk, wider ones are tried (`wider`).
+
+    Args:
+        config: of a camera of which nothing is known yet.
+    """
+
+    def __init__(self, config: FreeMotionConfig | None = None) -> None:
+        self._config = config or FreeMotionConfig()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget how fast it was."""
+        self._velocity = np.zeros(6)  # [m/s, rad/s], in the frame of the camera
+
+    def note(self, motion: FloatArray, duration: float) -> None:
+        """Learn from a motion that images have shown.
+
+        Args:
+            motion: T_before_after, shape (4, 4).
+            duration: that it took [s].
+        """
+        turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+        self._velocity = np.concatenate([motion[:3, 3], turn]) / max(duration, 1e-3)
+
+    def expected(self, duration: float) -> MotionPrior:
+        """The motion that is expected within a duration [s]."""
+        time = min(duration, self._config.longest)
+        step = self._velocity * time
+        motion = make_transform(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3])
+        speed, turn_rate = self._sigmas()
+        return MotionPrior(motion, _covariance(speed * time, turn_rate * time))
+
+    def wider(self, duration: float) -> Iterator[MotionPrior]:
+        """What may be added to `expected` where the images contradict it, more and more.
+
+        Args:
+            duration: [s].
+        """
+        time = min(duration, self._config.longest)
+        speed, turn_rate = self._sigmas()
+        while speed < _FASTEST:
+            speed *= _WIDER
+            yield MotionPrior(np.eye(4), _covariance(speed * time, turn_rate * time))
+
+    def _sigmas(self) -> tuple[float, float]:
+        speed, turn_rate = (float(np.linalg.norm(part)) for part in np.split(self._velocity, 2))
+        return self._config.speed + _CHANGE * speed, self._config.turn_rate + _CHANGE * turn_rate
+
+
+def _covariance(way: float, turn: float) -> FloatArray:
+    return np.diag(np.square(np.repeat([way, turn], 3)))

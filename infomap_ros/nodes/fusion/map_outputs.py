@@ -23,7 +23,7 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_cl
 from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 
-PROJECTED_MAP = "projected_map"
+VOXEL_MAP, PROJECTED_MAP = "voxel_map", "projected_map"
 OCTOMAP_BINARY, OCTOMAP_FULL = "octomap_binary", "octomap_full"
 
 
@@ -78,8 +78,11 @@ class MapOutputs:
         self._projection = node.config(ProjectionConfig)
         self._types = RclpyMessageTypes()
         self._pictures: dict[str, _Picture] = {}
-        self._add(PointCloud2, "voxel_map", self._voxels)
-        self._add(OccupancyGrid, PROJECTED_MAP, self._project)
+        show_voxels, show_grid = (partial(self._show, name) for name in (VOXEL_MAP, PROJECTED_MAP))
+        voxels = node.advertise(PointCloud2, "voxel_map", qos.current(), show_voxels)
+        grids = node.advertise(OccupancyGrid, "projected_map", qos.current(), show_grid)
+        self._pictures[VOXEL_MAP] = _Picture(voxels, self._voxels)
+        self._pictures[PROJECTED_MAP] = _Picture(grids, self._project)
         self.has_octomap = True
         try:
             kind = message_class(OCTOMAP)
@@ -87,8 +90,9 @@ class MapOutputs:
             self.has_octomap = False
             node.get_logger().info("no octomap topics and services: octomap_msgs is not installed")
             return
-        self._add(kind, OCTOMAP_BINARY, partial(self._octomap, binary=True))
-        self._add(kind, OCTOMAP_FULL, partial(self._octomap, binary=False))
+        for topic, binary in ((OCTOMAP_BINARY, True), (OCTOMAP_FULL, False)):
+            trees = node.advertise(kind, topic, qos.current(), partial(self._show, topic))
+            self._pictures[topic] = _Picture(trees, partial(self._octomap, binary=binary))
 
     @property
     def pictures_period(self) -> float:
@@ -120,13 +124,11 @@ class MapOutputs:
         """
         return self._pictures[topic].build(voxel_map, stamp)
 
-    def _add(self, kind: type, topic: str, build: Callable[[VoxelMap, int], Any]) -> None:
-        def show() -> None:
+    def _show(self, topic: str) -> None:
+        """Somebody has subscribed."""
+        if topic in self._pictures:
             self._pictures[topic].is_outdated = True
-            self._on_wanted()
-
-        publisher = self._node.advertise(kind, topic, qos.current(), show)
-        self._pictures[topic] = _Picture(publisher, build)
+        self._on_wanted()
 
     def _voxels(self, voxel_map: VoxelMap, stamp: int) -> Any:
         rows = voxel_map_rows(voxel_map)

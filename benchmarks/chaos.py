@@ -155,6 +155,7 @@ class ChaosRun:
         except ProcessError:
             run.check()
             goes_on = False
+        goes_on &= run.figures.get("state") != "ended: failed"
         return told | self._verdict(goes_on) | {"seconds": round(time.monotonic() - begin, 1)}
 
     @property

@@ -56,7 +56,7 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
       elsewhere is air that was not seen.
 
     A large hole in a known surface counts with its rim alone, so the fraction errs towards 1 where
-    hidden faces stand upright. docs/exploration_worlds.md compares it with the truth.
+    hidden faces stand upright. docs/results/exploration_worlds.md compares it with the truth.
 
     Args:
         voxel_map: the map.

@@ -12,7 +12,7 @@ from infomap_ros.geometry.config import check_config, parameter
 class StereoConfig:
     """Matcher, filters and noise model of `StereoRangeSensor`.
 
-    The defaults of the noise model are fitted by `stereo.calibration`; docs/stereo_noise.md
+    The defaults of the noise model are fitted by `stereo.calibration`; docs/results/stereo_noise.md
     shows the fit.
 
     Raises:

@@ -94,7 +94,7 @@ class FiducialObservations:
 
         NaN without range, and where the sigma of the inverse depth is above 0.3 of it.
         Depth is freed of its second-order bias, ``z = (1 - r^2) / rho`` with ``r = sigma / rho``,
-        as ranges of the stereo sensor are (docs/stereo_noise.md).
+        as ranges of the stereo sensor are (docs/results/stereo_noise.md).
         """
         return self._depths()[0][:, None] * self._rays(camera)
 

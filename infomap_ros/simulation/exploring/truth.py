@@ -1,7 +1,7 @@
 """What only the simulator knows of how well an exploration went; for evaluation, never for a robot.
 
 Whatever compares a run with its truth (the demos, ``infomap explore``, the benchmarks) takes its
-figures from here; ``docs/exploration_worlds.md`` says what they mean.
+figures from here; ``docs/results/exploration_worlds.md`` says what they mean.
 """
 
 from __future__ import annotations

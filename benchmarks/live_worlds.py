@@ -2,11 +2,11 @@
 
 Each world is a run of `infomap_ros.nodes.live.demo`: simulator, localization, range, map, choice
 and loop are processes, the world has its usual size, and at the end map and poses are compared with
-the truth (docs/results/exploration_worlds.md says what the figures mean). One JSON file per world in
-the output folder; a world whose file is there is not run again, so a series that was broken off goes on
-where it was. Writes the table into table.md and prints it; `--table` runs nothing. Simulated time
-waits for the nodes, so that a row does not depend on the machine; with `--real-time` they think
-while time passes. A world takes 10 to 60 minutes of two cores.
+the truth (docs/results/exploration_worlds.md says what the figures mean). One JSON file per world
+in the output folder; a world whose file is there is not run again, so a series that was broken off
+goes on where it was. Writes the table into table.md and prints it; `--table` runs nothing.
+Simulated time waits for the nodes, so that a row does not depend on the machine; with `--real-time`
+they think while time passes. A world takes 10 to 60 minutes of two cores.
 
     python benchmarks/live_worlds.py --worlds mars:1 office:2 cave:3 --out out/live_worlds
 """

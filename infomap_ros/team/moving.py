@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.geometry import check_transform, invert_transform, transform_points
+from infomap_ros.geometry import check_transform, invert_transform, skew, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
+from infomap_ros.mapping.voxels.changes import put_offset
 from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
 
 
@@ -20,7 +21,8 @@ def moved_map(voxel_map: VoxelMap, T_new_old: ArrayLike) -> VoxelMap:
 
     The evidence of a voxel is that of the place from which its centre comes. Gaussians are moved
     as they are, each into the voxel in which its mean then lies; of several in one voxel the
-    surest is kept, as they may be of one observation. That voxel is occupied.
+    surest is kept, as they may be of one observation. That voxel is occupied. The error that the
+    whole map shares moves with it.
 
     Args:
         voxel_map: what is moved; stays as it is.
@@ -41,7 +43,20 @@ def moved_map(voxel_map: VoxelMap, T_new_old: ArrayLike) -> VoxelMap:
     present = np.ones(len(indices), np.bool_)
     put_states(moved._storage, VoxelStates(indices, present, quanta.astype(np.int32), nothing))
     put_states(moved._storage, _moved_surfaces(voxel_map, transform))
+    put_offset(moved._storage, _moved_offset(voxel_map.offset, transform))
     return moved
+
+
+def _moved_offset(offset: FloatArray, T_new_old: FloatArray) -> FloatArray:
+    """The covariance of a map's offset at its origin, (6, 6), told at another one.
+
+    An error (dt, dr) takes a point p by dt + dr x p, and so the moved one, R p + t, by
+    R dt - (R dr) x t + (R dr) x (R p + t).
+    """
+    change, turn = np.zeros((6, 6)), T_new_old[:3, :3]
+    change[:3, :3] = change[3:, 3:] = turn
+    change[:3, 3:] = skew(T_new_old[:3, 3]) @ turn
+    return np.asarray(change @ offset @ change.T)
 
 
 def _reached(voxel_map: VoxelMap, transform: FloatArray) -> NDArray[np.int32]:

@@ -13,7 +13,6 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.voxels.surface_kernels import NOTHING, add_observations, inflation
 from infomap_ros.team import MapReplica, MapUpdate
-from infomap_ros.team.moving import moved_map
 
 CAMERA = PinholeCamera(60, 48, 150.0, 150.0, 29.5, 23.5)
 WALL = CAMERA.back_project(np.full((48, 60), 1.025))
@@ -138,7 +137,6 @@ def test_what_is_shared_by_the_whole_map_is_added_when_it_is_read():
     _, _, relative = voxel_map.gaussians(relative=True)
     expected = 1e-4 * (means[:, 0] - 5.0) ** 2  # a turn about y, about the camera
     np.testing.assert_allclose((absolute - relative)[:, 2, 2], expected, atol=1e-9)
-    assert (moved_map(voxel_map, np.eye(4)).gaussians()[2][:, 2, 2] < 1e-3).all()
 
 
 def test_a_file_keeps_what_scans_shared_but_later_scans_share_nothing_with_them(tmp_path):

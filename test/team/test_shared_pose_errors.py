@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import PoseUncertainty
+from infomap_ros.geometry import PoseUncertainty, make_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.team import MapReplica, TeamConfig, TeamMember, decode_update
+from infomap_ros.team.moving import moved_map
 
 RANGE = 0.004
 DEPTH = 1.025
@@ -107,3 +109,26 @@ def test_what_is_told_of_a_surface_is_told_once() -> None:
     assert member.tell(own, LONG_AGO)
     own.mark_changed(0, 10**6)
     assert not member.tell(own, LONG_AGO + 60.0)
+
+
+def test_a_moved_map_tells_the_error_that_all_of_it_shares() -> None:
+    """Whoever hears it knows the moved surface no better than the robot knew where its map is."""
+    own = VoxelMap(CONFIG)
+    turned = np.diag([0.0, 0.0, 0.02**2, 0.0, 0.03**2, 0.0])
+    own.integrate(WALL, np.eye(4), None, PoseUncertainty(along_z(0.001), offset=turned))
+    move = make_transform(Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), [0.5, 3.0, 0.2])
+    moved = moved_map(own, move)
+    (_, means, before), (_, places, after) = own.gaussians(), moved.gaussians()
+    assert len(means) == 1
+    np.testing.assert_allclose(places, transform_points(move, means), atol=1e-6)
+    expected = move[:3, :3] @ before @ move[:3, :3].T
+    np.testing.assert_allclose(after, expected, rtol=1e-3, atol=1e-9)
+    told = surface_of(merged([moved]).voxel_map)
+    sigmas = [np.sqrt(np.linalg.eigvalsh(each)[0, -1]) for each in (told, after)]
+    assert sigmas[0] == pytest.approx(sigmas[1], rel=0.07)
+    assert sigmas[0] == pytest.approx(np.hypot(0.05 / 12**0.5, 0.03 * 1.025), rel=0.07)
+
+
+def surface_of(voxel_map: VoxelMap) -> FloatArray:
+    """Covariances of all surface points."""
+    return voxel_map.gaussians()[2]

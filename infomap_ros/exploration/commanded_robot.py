@@ -12,7 +12,7 @@ import numpy as np
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.controller_trajectories import stopping_path
 from infomap_ros.motion.route import ArmPath
@@ -29,13 +29,13 @@ class CommandedRobotConfig:
     position_tolerance: float = parameter(
         0.12, "The base has arrived when it rests so near the end of its path.", unit="m", low=0.001
     )
-    heading_tolerance: float = parameter(
+    heading_tolerance: float = setting(
         0.2,
         "The base has arrived when its heading is so near the wanted one.",
         unit="rad",
         low=0.01,
     )
-    joint_tolerance: float = parameter(
+    joint_tolerance: float = setting(
         0.03, "The arm has arrived when every joint is so near its goal.", unit="rad or m", low=1e-4
     )
     patience: float = parameter(
@@ -46,7 +46,7 @@ class CommandedRobotConfig:
         low=0.5,
         high=600.0,
     )
-    scans_per_view: int = parameter(
+    scans_per_view: int = setting(
         2,
         "Stereo pairs that are fused at each view: one look rarely makes a voxel free.",
         low=1,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -44,33 +44,33 @@ class TaskConfig:
         300.0, "Budget of the way of the base.", unit="m", low=0.0, high=1e6
     )
     max_time: float = parameter(7200.0, "Budget of time.", unit="s", low=1.0, high=1e7)
-    max_failures: int = parameter(
+    max_failures: int = setting(
         5,
         "So many views or motions that fail one after the other end the exploration.",
         low=1,
         high=1000,
     )
-    vain_views: int = parameter(
+    vain_views: int = setting(
         6,
         "The exploration ends where so many views, one after the other, together bring less than "
         "`least_gain` and less than `least_growth`.",
         low=1,
         high=1000,
     )
-    least_gain: float = parameter(
+    least_gain: float = setting(
         0.001,
         "Share of the reachable surface that must become known for views not to be in vain; while "
         "the mean standard deviation is larger than asked, also the share by which it shrinks.",
         low=0.0,
         high=1.0,
     )
-    least_growth: float = parameter(
+    least_growth: float = setting(
         0.01,
         "Share by which the number of surface voxels must grow for views not to be in vain.",
         low=0.0,
         high=1.0,
     )
-    most_drift: float = parameter(
+    most_drift: float = setting(
         0.06,
         "A motion on which the standard deviation of where the base is grows by more than this is "
         "broken off: the robot looks and chooses again.",
@@ -79,7 +79,7 @@ class TaskConfig:
         high=100.0,
     )
 
-    view_position_tolerance: float = parameter(
+    view_position_tolerance: float = setting(
         0.1,
         "The camera has reached a view when it is this near to it. Else the arm's motion is "
         "planned again from where the base stands, to within half of it: the other half is for "
@@ -88,7 +88,7 @@ class TaskConfig:
         low=1e-3,
         high=10.0,
     )
-    view_angle_tolerance: float = parameter(
+    view_angle_tolerance: float = setting(
         0.15,
         "And when its viewing direction differs by no more than this, with halves as above.",
         unit="rad",

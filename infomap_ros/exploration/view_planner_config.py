@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.views.goal_memory import GoalMemoryConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
@@ -27,7 +27,7 @@ class ViewPlannerConfig:
     metric: str = parameter(
         "expected_entropy_reduction", "What counts as information, by the name of a metric."
     )
-    predict_unknown: bool = parameter(
+    predict_unknown: bool = setting(
         False,
         "Whether unknown voxels near known ones have the average probability of their neighbors "
         "(the Markov chain of sec. 2.4 of the paper) instead of 0.5 when views are rated.",
@@ -35,7 +35,7 @@ class ViewPlannerConfig:
     max_range: float = parameter(
         4.0, "How far the camera measures well enough to map.", unit="m", low=0.1, high=1000.0
     )
-    arm_views: int = parameter(
+    arm_views: int = setting(
         250, "Candidates that are drawn among the postures of the arm.", low=0, high=100_000
     )
     start_clearance: float = parameter(
@@ -46,14 +46,14 @@ class ViewPlannerConfig:
         low=0.0,
         high=10.0,
     )
-    rounds: int = parameter(
+    rounds: int = setting(
         4,
         "When none of the views that were tried can be reached, others are drawn; so many times at "
         "most.",
         low=1,
         high=100,
     )
-    thorough: float = parameter(
+    thorough: float = setting(
         0.3,
         "Where no view is worth its cost and the task is not met yet, the way and the localization "
         "error on it count by this share only, and then views are sought that close holes of the "

@@ -29,6 +29,7 @@ class ParameterInfo:
         low: smallest allowed number, inclusive, or None.
         high: largest allowed number, inclusive, or None.
         choices: allowed strings, empty for any.
+        public: a ROS parameter of the nodes; else a setting of the library alone.
     """
 
     description: str
@@ -36,6 +37,7 @@ class ParameterInfo:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
+    public: bool = True
 
     def accepted(self) -> str:
         """The choices or the range, briefly; empty where everything is accepted."""
@@ -76,6 +78,33 @@ def parameter(
         choices: allowed strings.
     """
     info = ParameterInfo(description, unit, low, high, choices)
+    return dataclasses.field(default=default, metadata={_METADATA_KEY: info})
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare a field as `parameter` does that is no ROS parameter of a node.
+
+    It is for what studies, the simulator and tests vary. It is validated in the same way. A node
+    takes a value that it is started with, and does not declare it; it stands in no parameter file
+    and in no table.
+
+    Args:
+        default: bool, int, float, str, or tuple of one of these.
+        description: one or two sentences.
+        unit: SI unit or empty.
+        low: smallest allowed number, inclusive.
+        high: largest allowed number, inclusive.
+        choices: allowed strings.
+    """
+    info = ParameterInfo(description, unit, low, high, choices, public=False)
     return dataclasses.field(default=default, metadata={_METADATA_KEY: info})
 
 

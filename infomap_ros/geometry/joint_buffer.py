@@ -6,7 +6,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.records import JointStateRecord
 
 _NANOSECONDS = 1_000_000_000
@@ -20,14 +20,14 @@ class JointBufferConfig:
         ConfigError: a value is out of its range.
     """
 
-    max_gap: float = parameter(
+    max_gap: float = setting(
         0.5,
         "Longest time between two joint states across which a position is interpolated.",
         unit="s",
         low=0.0,
         high=3600.0,
     )
-    capacity: int = parameter(
+    capacity: int = setting(
         1000, "Number of positions that are kept of each joint.", low=2, high=1_000_000
     )
 

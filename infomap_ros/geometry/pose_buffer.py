@@ -6,7 +6,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.pose_uncertainty import PoseUncertainty
 from infomap_ros.geometry.records import PoseRecord
 from infomap_ros.geometry.transforms import FloatArray, interpolate_transforms
@@ -18,14 +18,14 @@ _NANOSECONDS = 1_000_000_000
 class PoseBufferConfig:
     """Configuration of `PoseBuffer`."""
 
-    max_gap: float = parameter(
+    max_gap: float = setting(
         0.5,
         "Longest time between two poses across which a pose is interpolated.",
         unit="s",
         low=0.0,
         high=3600.0,
     )
-    capacity: int = parameter(
+    capacity: int = setting(
         2000, "Number of poses that are kept; the oldest goes first.", low=2, high=10_000_000
     )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.records import PoseRecord
 
 Item = TypeVar("Item")
@@ -21,10 +21,10 @@ _NANOSECONDS = 1_000_000_000
 class WaitingQueueConfig:
     """Configuration of `WaitingQueue`."""
 
-    capacity: int = parameter(
+    capacity: int = setting(
         10, "Number of items that wait at most; the oldest is dropped for a new one.", low=1
     )
-    max_wait: float = parameter(
+    max_wait: float = setting(
         1.0, "How long an item waits for its pose, in time of the data.", unit="s", low=0.0
     )
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
@@ -23,13 +24,13 @@ class LocalizerConfig:
     wanted_fiducials: int = parameter(
         70, "Fiducials that are followed at the same time.", low=8, high=1000
     )
-    fewest_fiducials: int = parameter(
+    fewest_fiducials: int = setting(
         45, "With fewer in view, new ones are chosen.", low=5, high=1000
     )
-    keyframe_distance: float = parameter(
+    keyframe_distance: float = setting(
         0.15, "A pose is kept after this way.", unit="m", low=0.001, high=100.0
     )
-    keyframe_angle: float = parameter(
+    keyframe_angle: float = setting(
         0.17, "A pose is kept after this turn.", unit="rad", low=0.01, high=3.0
     )
     max_position_sigma: float = parameter(
@@ -39,7 +40,7 @@ class LocalizerConfig:
         low=0.001,
         high=100.0,
     )
-    max_rotation_sigma: float = parameter(
+    max_rotation_sigma: float = setting(
         0.15, "Likewise of its rotation about some axis.", unit="rad", low=0.001, high=1.0
     )
     max_coasting: float = parameter(
@@ -49,34 +50,29 @@ class LocalizerConfig:
         low=0.0,
         high=3600.0,
     )
-    patience: int = parameter(
+    patience: int = setting(
         3,
         "Views in a row in which fiducials ought to be seen and are not, after which the camera is "
         "not where it is thought to be, but lost.",
         low=1,
         high=1000,
     )
-    body_margin: float = parameter(
-        0.03,
-        "No fiducial is chosen this near to the robot's own body.",
-        unit="m",
-        low=0.0,
-        high=1.0,
-    )
-    max_noise_factor: float = parameter(
+    body_margin: ClassVar[float] = 0.03
+    """No fiducial is chosen this near to the robot's own body [m]."""
+    max_noise_factor: float = setting(
         8.0,
         "Sigmas of measurements are enlarged by at most this factor where fiducials disagree by "
         "more than their sigmas, as with imperfect calibration; 1 believes the stated noise.",
         low=1.0,
         high=100.0,
     )
-    recovery_fiducials: int = parameter(
+    recovery_fiducials: int = setting(
         12, "Fiducials that must agree to find a lost camera again.", low=5, high=1000
     )
-    target_interval: float = parameter(
+    target_interval: float = setting(
         1.0, "Time between two looks for the target while tracking.", unit="s", low=0.0, high=3600.0
     )
-    contradictions: int = parameter(
+    contradictions: int = setting(
         3,
         "Sightings of the target in a row that contradict the pose, after which the target is "
         "believed and all else forgotten.",

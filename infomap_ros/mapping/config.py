@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.stereo.config import StereoConfig
 
 LOG_ODDS_QUANTUM = 0.25
@@ -35,30 +35,30 @@ class VoxelMapConfig:
         low=0.01,
         high=1000.0,
     )
-    probability_hit: float = parameter(
+    probability_hit: float = setting(
         0.9,
         "Occupancy probability that one scan gives a voxel in which a surface certainly lies.",
         low=0.53,
         high=0.999,
     )
-    probability_miss: float = parameter(
+    probability_miss: float = setting(
         0.18,
         "Occupancy probability that one scan gives a voxel which it sees through. The default "
         "makes a voxel free (below 0.05) after two looks.",
         low=0.001,
         high=0.47,
     )
-    association_sigmas: float = parameter(
+    association_sigmas: float = setting(
         3.0,
         "A point informs every voxel within this many standard deviations along its surface "
         "normal, so that noise does not decide which voxel learns of it.",
         low=0.0,
         high=6.0,
     )
-    association_limit: float = parameter(
+    association_limit: float = setting(
         3.0, "Limit of that distance, in voxels.", low=0.0, high=64.0
     )
-    free_gap: float = parameter(
+    free_gap: float = setting(
         0.8660254,
         "A scan without a camera frees nothing so near to the tangent plane of a surface. The "
         "default is half a voxel's diagonal; 0 is for a sensor without noise whose surfaces are "
@@ -71,7 +71,7 @@ class VoxelMapConfig:
     """Correlation of the range errors of neighbouring points of a scan that does not say it: the
     variance of a voxel's mean of n points is sigma^2 (c + (1 - c) / n). No parameter: clouds say
     it. 0 is for a sensor whose points are independent."""
-    default_sigma: float = parameter(
+    default_sigma: float = setting(
         0.02,
         "Standard deviation of a point, along each axis, when no covariance comes with it.",
         unit="m",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.mapping.terrain.terrain import TerrainConfig
 from infomap_ros.motion.arm.arm_path import ArmPathConfig
 from infomap_ros.motion.arm.trajectory import TrajectoryConfig
@@ -21,33 +22,26 @@ class ReachingConfig:
         ConfigError: a value is out of its range.
     """
 
-    position_tolerance: float = parameter(
+    position_tolerance: float = setting(
         0.05, "A view counts as reached when the camera is this near to it.", unit="m",
         low=1e-4, high=10.0,
     )  # fmt: skip
-    direction_tolerance: float = parameter(
-        0.1, "And when its viewing direction differs by no more than this; the roll is free.",
-        unit="rad", low=1e-4, high=3.2,
-    )  # fmt: skip
-    postures: int = parameter(
+    direction_tolerance: ClassVar[float] = 0.1
+    """And when its viewing direction differs by no more than this; the roll is free [rad]."""
+    postures: int = setting(
         30000, "Random postures of the arm from which places for the base are derived.",
         low=100, high=10**7,
     )  # fmt: skip
-    stances: int = parameter(
-        400, "Places for the base that are looked at for one view.", low=1, high=100000
-    )
-    goals: int = parameter(
-        5, "Of these, the nearest good ones that are given to the planner of the base.", low=1,
-        high=1000,
-    )  # fmt: skip
-    least_approach: float = parameter(
-        0.3, "A way that does not lead to the view is offered where it brings the base nearer by "
-        "more than this.", unit="m", low=0.0, high=100.0,
-    )  # fmt: skip
-    clear_body: float = parameter(
-        0.05, "Space within this of the robot's present body is free though it was never seen.",
-        unit="m", low=0.0, high=1.0,
-    )  # fmt: skip
+    stances: ClassVar[int] = 400
+    """Places for the base that are looked at for one view."""
+    goals: ClassVar[int] = 5
+    """Of these, the nearest good ones that are given to the planner of the base."""
+    least_approach: ClassVar[float] = 0.3
+    """A way that does not lead to the view is offered where it brings the base nearer by more
+    than this [m].
+    """
+    clear_body: ClassVar[float] = 0.05
+    """Space within this of the robot's present body is free though it was never seen [m]."""
     driving_posture: tuple[float, ...] = parameter(
         (), "Positions of the arm's joints while the base drives; a compact posture is looked for "
         "where empty.", unit="rad or m",

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import BagError, ConfigError, InfomapError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.messages import encode_clock
 from infomap_ros.nodes.bag_topics import advertise_topics
 from infomap_ros.nodes.common import qos
@@ -53,13 +53,13 @@ class BagPlayerNodeConfig:
         "Topics that must have a subscriber before the replay starts, a topic given twice two. "
         "Empty: until any has one, and a second more.",
     )
-    wait_for_publishers: tuple[str, ...] = parameter(
+    wait_for_publishers: tuple[str, ...] = setting(
         (), "Topics that others must publish before the replay starts, as what they make of it."
     )
-    paced_topic: str = parameter(
+    paced_topic: str = setting(
         "/left/image_raw", "With acknowledged: the topic of the bag whose results are waited for."
     )
-    result_topic: str = parameter(
+    result_topic: str = setting(
         "map_updates",
         "With acknowledged: the clouds with whose stamp a message of paced_topic has been used.",
     )

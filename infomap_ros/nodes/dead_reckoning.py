@@ -44,7 +44,7 @@ class DeadReckoningNode(MonitoredNode):
     CONFIGS = (
         (RobotTrackerConfig, ""),
         (MapFrameConfig, ""),
-        (DeadReckoningConfig, ""),
+        (DeadReckoningConfig, "motion_noise."),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
     )

@@ -88,7 +88,7 @@ class FiducialLocalizationNode(MonitoredNode):
         (TeammatePlacesConfig, "teammates."),
         (AgentBoardConfig, "agents."),
         (DeadReckoningConfig, "motion_noise."),
-        (StereoConfig, "stereo."),
+        (StereoConfig, ""),
         (SparseStereoConfig, "sparse."),
         (DepthCameraConfig, "depth_camera."),
         (PoseBufferConfig, "poses."),

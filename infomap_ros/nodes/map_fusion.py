@@ -25,7 +25,7 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
@@ -74,7 +74,7 @@ class MapFusionConfig:
         low=0.0,
         high=86400.0,
     )
-    reset_on_clock_jump: bool = parameter(
+    reset_on_clock_jump: bool = setting(
         False, "Forget the map when the clock jumps back, as when a bag starts again."
     )
 

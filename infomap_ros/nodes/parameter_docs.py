@@ -1,7 +1,7 @@
 """Write down the parameters of the nodes from their configurations.
 
 ``python -m infomap_ros.nodes.parameter_docs`` writes the parameter files ``config/<node>.yaml``
-and the tables in ``docs/nodes.md``; with ``--check`` it only says what is out of date.
+and the tables of ``docs/parameters.md``; with ``--check`` it only says what is out of date.
 """
 
 from __future__ import annotations
@@ -36,7 +36,11 @@ NODES = {
     "dead_reckoning": DeadReckoningNode.CONFIGS,
     "robot_driver": RobotDriverNode.CONFIGS,
 }
-_BEGIN, _END = "<!-- parameters of {} -->", "<!-- end of parameters of {} -->"
+_HEAD = """# Parameters of the nodes
+
+Every parameter that a node declares. Made by `python -m infomap_ros.nodes.parameter_docs`; what a
+node does, and which parameters to set first, is in [nodes.md](nodes.md).
+"""
 
 
 def node_parameters(
@@ -51,6 +55,7 @@ def node_parameters(
         prefix + name: entry
         for config, prefix in configs
         for name, entry in all_parameters(config).items()
+        if entry[1].public
     }
 
 
@@ -87,22 +92,19 @@ def parameter_file(node: str, configs: Sequence[tuple[type, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def with_tables(text: str) -> str:
-    """A Markdown text with all parameter tables between their markers replaced."""
+def parameter_page() -> str:
+    """All parameters of all nodes as a page of the docs, in Markdown."""
+    parts = [_HEAD]
     for node, configs in NODES.items():
-        begin, end = _BEGIN.format(node), _END.format(node)
-        before, _, rest = text.partition(begin)
-        _, _, after = rest.partition(end)
-        text = f"{before}{begin}\n{parameter_table(configs)}\n{end}{after}"
-    return text
+        parts.append(f"## {node}\n\n{parameter_table(configs)}\n")
+    return "\n".join(parts)
 
 
 def expected_files() -> dict[Path, str]:
     """Every file that is made here, with the content that it should have."""
-    docs = find_share("docs/nodes.md")
     config = find_share("config")
     files = {config / f"{node}.yaml": parameter_file(node, c) for node, c in NODES.items()}
-    return {**files, docs: with_tables(docs.read_text(encoding="utf-8"))}
+    return {**files, find_share("docs") / "parameters.md": parameter_page()}
 
 
 def outdated_files() -> list[Path]:

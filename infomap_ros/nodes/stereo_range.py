@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.lockstep import LockstepConfig
@@ -56,7 +56,7 @@ class StereoRangeNodeConfig:
         low=0.0,
         high=1.0,
     )
-    queue_size: int = parameter(
+    queue_size: int = setting(
         4, "Pairs that wait to be measured at most; the oldest gives way.", low=1, high=100
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, Record
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.simulation.simulator import Simulator
 
 TICK = 0.02
@@ -26,11 +26,11 @@ class SensorScheduleConfig:
         ConfigError: a value is out of its range.
     """
 
-    state_rate: float = parameter(
+    state_rate: float = setting(
         20.0, "Rate of joint_states, odom and camera_pose.", unit="Hz", low=0.1, high=1000.0
     )
     image_rate: float = parameter(1.0, "Stereo pairs per second.", unit="Hz", low=0.01, high=60.0)
-    images_while_moving: bool = parameter(
+    images_while_moving: bool = setting(
         True, "Take pairs while the robot moves; drawing them is what takes most of the time."
     )
     publish_camera_pose: bool = parameter(

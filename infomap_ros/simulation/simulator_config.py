@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.base_motion import BaseMotionConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
@@ -22,24 +23,20 @@ class SimulatorConfig:
     """Parameters of the simulator; the parts have their own."""
 
     seed: int = parameter(1, "Seed of all noise.", low=0)
-    start_time: float = parameter(
-        1_000_000_000.0, "Stamp of the first moment.", unit="s", low=1.0, high=4e9
-    )
+    start_time: ClassVar[float] = 1_000_000_000.0
+    """Stamp of the first moment [s]."""
     start: tuple[float, ...] = parameter(
         (),
         "Where the robot starts: x, y [m] and yaw [rad] in the world. Empty: where the world says; "
         "of several robots in one world each needs a place of its own.",
     )
-    joint_noise: float = parameter(
-        0.0005, "Standard deviation of the joint positions.", unit="rad", low=0.0, high=0.1
-    )
-    position_noise: float = parameter(
-        0.003, "Standard deviation of the measured camera pose.", unit="m", low=0.0, high=1.0
-    )
-    rotation_noise: float = parameter(
-        0.0026, "Standard deviation of the measured camera pose.", unit="rad", low=0.0, high=0.5
-    )
-    step_height: float = parameter(
+    joint_noise: ClassVar[float] = 0.0005
+    """Standard deviation of the joint positions [rad]."""
+    position_noise: ClassVar[float] = 0.003
+    """Standard deviation of the measured camera pose [m]."""
+    rotation_noise: ClassVar[float] = 0.0026
+    """Standard deviation of the measured camera pose [rad]."""
+    step_height: float = setting(
         0.06, "What a wheel may touch above its lowest point.", unit="m", low=0.0, high=1.0
     )
     robot: RobotSetupConfig = field(default_factory=RobotSetupConfig)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 
 
 @dataclass(frozen=True)
@@ -25,14 +26,14 @@ class StereoConfig:
     max_depth: float = parameter(
         15.0, "Farthest depth that is measured; sets the smallest disparity.", unit="m", low=0.02
     )
-    max_search: float = parameter(
+    max_search: float = setting(
         0.35,
         "Largest number of disparities, as a share of the image width. Where it does not reach "
         "from max_depth to min_depth, the nearest measurable depth grows.",
         low=0.02,
         high=0.8,
     )
-    extend_search: bool = parameter(
+    extend_search: bool = setting(
         True,
         "Match the outer columns too, some of whose candidates lie outside the right image. "
         "Costs matching time in proportion to the disparities searched.",
@@ -43,27 +44,21 @@ class StereoConfig:
         choices=("sgbm_3way", "sgbm", "sgbm_hh"),
     )
     block_size: int = parameter(5, "Side of the matching window, odd.", unit="px", low=1, high=21)
-    smoothness_small: int = parameter(
-        8, "Penalty of a disparity step of 1 px, per pixel of the block (P1).", low=1, high=1000
-    )
-    smoothness_large: int = parameter(
+    smoothness_small: ClassVar[int] = 8
+    """Penalty of a disparity step of 1 px, per pixel of the block (P1)."""
+    smoothness_large: int = setting(
         32, "Penalty of a larger disparity step, per pixel of the block (P2).", low=2, high=1000
     )
-    prefilter_cap: int = parameter(
-        0,
-        "Cap of the horizontal derivative before matching; 0 for OpenCV's default.",
-        unit="grey levels",
-        low=0,
-        high=63,
-    )
-    uniqueness: int = parameter(
+    prefilter_cap: ClassVar[int] = 0
+    """Cap of the horizontal derivative before matching; 0 for OpenCV's default [grey levels]."""
+    uniqueness: int = setting(
         10,
         "The best match must beat the second best by this margin.",
         unit="%",
         low=0,
         high=100,
     )
-    left_right_tolerance: int = parameter(
+    left_right_tolerance: int = setting(
         1,
         "Largest difference between the disparity found from the left and from the right image, "
         "and between two left pixels that claim the same right pixel.",
@@ -71,17 +66,16 @@ class StereoConfig:
         low=1,
         high=100,
     )
-    speckle_size: int = parameter(
+    speckle_size: int = setting(
         100,
         "Smaller connected patches of disparity are dropped; 0 keeps all.",
         unit="px",
         low=0,
         high=100000,
     )
-    speckle_range: float = parameter(
-        1.0, "Neighbours that differ by less belong to one patch.", unit="px", low=0.1, high=16.0
-    )
-    edge_window: int = parameter(
+    speckle_range: ClassVar[float] = 1.0
+    """Neighbours that differ by less belong to one patch [px]."""
+    edge_window: int = setting(
         5,
         "Pixels with a disparity jump or a hole within this window are dropped (foreground "
         "fattening); odd, 1 keeps all.",
@@ -89,14 +83,14 @@ class StereoConfig:
         low=1,
         high=31,
     )
-    edge_threshold: float = parameter(
+    edge_threshold: float = setting(
         2.0,
         "Disparity range within edge_window that counts as a jump.",
         unit="px",
         low=0.25,
         high=100.0,
     )
-    max_grazing_angle: float = parameter(
+    max_grazing_angle: float = setting(
         1.405,
         "A disparity range within edge_window that only a surface seen at a larger angle from its "
         "normal would have counts as a jump too...",
@@ -104,21 +98,21 @@ class StereoConfig:
         low=0.1,
         high=1.55,
     )
-    edge_noise: float = parameter(
+    edge_noise: float = setting(
         1.0,
         "...but none up to this, which a match may have by chance.",
         unit="px",
         low=0.0,
         high=100.0,
     )
-    min_texture: float = parameter(
+    min_texture: float = setting(
         0.3,
         "Pixels whose neighbourhood has a smaller horizontal gradient (rms) are dropped.",
         unit="grey levels/px",
         low=0.0,
         high=100.0,
     )
-    min_contrast: float = parameter(
+    min_contrast: float = setting(
         0.35,
         "Pixels whose mean squared horizontal gradient is less than this many times the "
         "photometric variance that the match leaves unexplained are dropped: images of nothing "
@@ -126,21 +120,21 @@ class StereoConfig:
         low=0.0,
         high=100.0,
     )
-    min_support: float = parameter(
+    min_support: float = setting(
         0.5,
         "Pixels that stand alone are dropped: so large a share of the 9 x 9 pixels about each must "
         "be kept by all other checks.",
         low=0.0,
         high=1.0,
     )
-    refinement_window: int = parameter(
+    refinement_window: int = setting(
         7,
         "Side of the window of the photometric sub-pixel step and of the matching quality, odd.",
         unit="px",
         low=3,
         high=31,
     )
-    smoothing_window: int = parameter(
+    smoothing_window: int = setting(
         5,
         "Refined disparities are averaged over this window, odd, at most edge_window; 1 for none.",
         unit="px",
@@ -166,10 +160,10 @@ class StereoConfig:
     sigma_texture_power: float = parameter(
         0.928, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
-    sigma_floor: float = parameter(
+    sigma_floor: float = setting(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
     )
-    pixel_sigma: float = parameter(
+    pixel_sigma: float = setting(
         0.3,
         "Disparity model: standard deviation of the viewing ray across the image (the footprint "
         "of a pixel has 0.29).",
@@ -177,7 +171,7 @@ class StereoConfig:
         low=0.001,
         high=10.0,
     )
-    printed_s: float = parameter(
+    printed_s: float = setting(
         0.234,
         "Printed model: intrinsic constant as a disparity error; S of eq. (1) is this over focal "
         "length [px] times baseline [m].",
@@ -185,19 +179,19 @@ class StereoConfig:
         low=0.001,
         high=100.0,
     )
-    printed_t: tuple[float, ...] = parameter(
+    printed_t: tuple[float, ...] = setting(
         (0.13, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
     )
-    printed_n: float = parameter(
+    printed_n: float = setting(
         2.07, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
     )
-    printed_rho: tuple[float, ...] = parameter(
+    printed_rho: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
         "Printed model: correlations rho_xy, rho_xz, rho_yz of eq. (2), in the camera frame.",
         low=-0.99,
         high=0.99,
     )
-    max_relative_sigma: float = parameter(
+    max_relative_sigma: float = setting(
         0.15,
         "Pixels whose disparity sigma is a larger share of their disparity from infinity are "
         "dropped: beyond it the second-order range statistics are not trustworthy.",
@@ -205,7 +199,7 @@ class StereoConfig:
         high=0.3,
     )
     threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
-    error_correlation: float = parameter(
+    error_correlation: float = setting(
         0.38,
         "Mean correlation of the disparity errors of two pixels of one surface patch.",
         low=0.0,

@@ -12,6 +12,7 @@ slope of the depth image.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.stereo.assembly import assemble
 from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.images import check_image, check_size
@@ -42,9 +43,8 @@ class DepthCameraConfig:
     sigma_base: float = parameter(
         0.0012, "Depth noise at sigma_depth.", unit="m", low=1e-5, high=1.0
     )
-    sigma_linear: float = parameter(
-        0.0, "Growth of the depth noise with (z - sigma_depth).", low=0.0, high=1.0
-    )
+    sigma_linear: ClassVar[float] = 0.0
+    """Growth of the depth noise with (z - sigma_depth)."""
     sigma_quadratic: float = parameter(
         0.0019,
         "Growth of the depth noise with (z - sigma_depth)^2.",
@@ -52,47 +52,46 @@ class DepthCameraConfig:
         low=0.0,
         high=1.0,
     )
-    sigma_depth: float = parameter(
-        0.4, "Depth at which the noise is smallest.", unit="m", low=0.0, high=10.0
-    )
-    sigma_grazing: float = parameter(
+    sigma_depth: ClassVar[float] = 0.4
+    """Depth at which the noise is smallest [m]."""
+    sigma_grazing: float = setting(
         0.0001,
         "Depth noise that surfaces seen at an angle add: this times z^-1/2 [m^1/2], times "
         "(angle / (pi/2 - angle))^2 between ray and surface normal.",
         low=0.0,
         high=1.0,
     )
-    quantisation: float = parameter(
+    quantisation: float = setting(
         0.001,
         "Step of the depth values; its rounding error is added.",
         unit="m",
         low=0.0,
         high=0.1,
     )
-    pixel_sigma: float = parameter(
+    pixel_sigma: float = setting(
         0.8, "Standard deviation of the ray across the image.", unit="px", low=0.001, high=10.0
     )
-    max_grazing_angle: float = parameter(
+    max_grazing_angle: float = setting(
         1.4,
         "Surfaces seen at a larger angle from their normal are dropped.",
         unit="rad",
         low=0.1,
         high=1.55,
     )
-    edge_window: int = parameter(
+    edge_window: int = setting(
         3,
         "Pixels with a depth jump within this window are dropped; odd, 1 keeps all.",
         unit="px",
         low=1,
         high=31,
     )
-    edge_threshold: float = parameter(
+    edge_threshold: float = setting(
         0.05,
         "Depth range within edge_window that counts as a jump, as a share of the depth.",
         low=0.001,
         high=1.0,
     )
-    error_correlation: float = parameter(
+    error_correlation: float = setting(
         0.3,
         "Mean correlation of the depth errors of two pixels of one surface patch.",
         low=0.0,

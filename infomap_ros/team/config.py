@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class TeamConfig:
         low=0.001,
         high=1000.0,
     )
-    message_size: int = parameter(
+    message_size: int = setting(
         60_000,
         "Upper limit of a message. Below 64 kB it fits one datagram; where datagrams are lost and "
         "nothing sends them again, what fits one packet of the network is best.",
@@ -30,28 +30,28 @@ class TeamConfig:
         low=1000,
         high=1_000_000,
     )
-    digest_period: float = parameter(
+    digest_period: float = setting(
         0.1,
         "Time between two digests of what was told, and two rounds of requests.",
         unit="s",
         low=0.02,
         high=60.0,
     )
-    summary_period: float = parameter(
+    summary_period: float = setting(
         1.0,
         "Time between two summaries of all that this robot holds.",
         unit="s",
         low=0.05,
         high=600.0,
     )
-    patience: float = parameter(
+    patience: float = setting(
         0.2,
         "Time until what was asked for and has not come is asked for again.",
         unit="s",
         low=0.05,
         high=60.0,
     )
-    silence: float = parameter(
+    silence: float = setting(
         5.0,
         "A robot that was not heard for so long is taken to be gone: others answer for it.",
         unit="s",
@@ -59,7 +59,7 @@ class TeamConfig:
         high=3600.0,
     )
 
-    recovery: float = parameter(
+    recovery: float = setting(
         10.0,
         "For so long after the start, what others know of this robot's contribution is put into "
         "its map again; then all of its map is told.",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.views.decision import RatedView
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import RatingConfig
@@ -21,17 +22,14 @@ class ApproachConfig:
         ConfigError: a value is out of its range.
     """
 
-    attempts: int = parameter(
+    attempts: int = setting(
         15, "To at most so many views a motion is planned before the choice gives up.", low=1
     )
-    alternatives: int = parameter(
-        3,
-        "Where the way turns out longer than it looked, at most so many views are compared by the "
-        "way that each really takes.",
-        low=1,
-        high=1000,
-    )
-    elsewhere: float = parameter(
+    alternatives: ClassVar[int] = 3
+    """Where the way turns out longer than it looked, at most so many views are compared by the
+    way that each really takes.
+    """
+    elsewhere: float = setting(
         0.4,
         "Views nearer than this to one that could not be reached are tried after all others.",
         unit="m",
@@ -39,14 +37,10 @@ class ApproachConfig:
         high=100.0,
     )
 
-    least_progress: float = parameter(
-        0.2,
-        "A partial approach counts only if it leads at least so far; a shorter one would be chosen "
-        "again and again.",
-        unit="m",
-        low=0.0,
-        high=100.0,
-    )
+    least_progress: ClassVar[float] = 0.2
+    """A partial approach counts only if it leads at least so far; a shorter one would be chosen
+    again and again [m].
+    """
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray, check_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
@@ -20,32 +21,20 @@ class GoalMemoryConfig:
         ConfigError: a value is out of its range.
     """
 
-    same_distance: float = parameter(
+    same_distance: float = setting(
         0.2, "Views nearer than this to a remembered one, and", unit="m", low=0.0, high=10.0
     )
-    same_angle: float = parameter(
+    same_angle: float = setting(
         0.35, "turned by less than this, count as the same.", unit="rad", low=0.0, high=3.15
     )
-    around: float = parameter(
-        0.8,
-        "The map so far around a remembered view must change for the view to be tried again.",
-        unit="m",
-        low=0.01,
-        high=20.0,
-    )
-    local_change: float = parameter(
-        0.02,
-        "Share of the voxels around it whose state must change for that.",
-        low=0.0,
-        high=1.0,
-    )
-    overall_change: float = parameter(
-        0.15,
-        "Share by which the number of known voxels must grow or shrink for all views to be tried "
-        "again: the way may lead elsewhere.",
-        low=0.0,
-        high=100.0,
-    )
+    around: ClassVar[float] = 0.8
+    """The map so far around a remembered view must change for the view to be tried again [m]."""
+    local_change: ClassVar[float] = 0.02
+    """Share of the voxels around it whose state must change for that."""
+    overall_change: ClassVar[float] = 0.15
+    """Share by which the number of known voxels must grow or shrink for all views to be tried
+    again: the way may lead elsewhere.
+    """
 
     def __post_init__(self) -> None:
         check_config(self)

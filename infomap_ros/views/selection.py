@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.approach import Approach, ApproachConfig
 from infomap_ros.views.decision import RatedView, Stopwatch
@@ -32,23 +33,23 @@ class SelectionConfig:
         ConfigError: a value is out of its range.
     """
 
-    refined: int = parameter(
+    refined: int = setting(
         40,
         "The best so many of the views that the robot may reach are evaluated exactly.",
         low=1,
         high=100_000,
     )
-    least_information: float = parameter(
+    least_information: float = setting(
         0.005,
         "A view that is expected to tell less than this share of a full unknown view is not worth "
         "taking.",
         low=0.0,
         high=1.0,
     )
-    least_rating: float = parameter(
+    least_rating: float = setting(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
     )
-    most_shared: float = parameter(
+    most_shared: float = setting(
         0.5,
         "A view of whose information teammates are about to see more than this share is left to "
         "them.",
@@ -56,12 +57,8 @@ class SelectionConfig:
         high=1.0,
     )
     approach: ApproachConfig = field(default_factory=ApproachConfig)
-    keep_margin: float = parameter(
-        0.2,
-        "The previous goal is kept unless another view is better by this share of the score.",
-        low=0.0,
-        high=1e6,
-    )
+    keep_margin: ClassVar[float] = 0.2
+    """The previous goal is kept unless another view is better by this share of the score."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
@@ -31,7 +31,7 @@ class VainLooksConfig:
         ConfigError: a value is out of its range.
     """
 
-    patience: float = parameter(
+    patience: float = setting(
         1.5,
         "A voxel that stays unknown is no longer expected to tell anything after so many looks in "
         "vain from next to it. A look from a distance d counts 1 - (d / max_range)^2.",

@@ -16,6 +16,12 @@ def test_parameter_files_and_tables_are_up_to_date() -> None:
     assert outdated_files() == [], "run python -m infomap_ros.nodes.parameter_docs"
 
 
+def test_there_are_few_parameters() -> None:
+    distinct = set().union(*(node_parameters(configs) for configs in NODES.values()))
+
+    assert len(distinct) <= 150, len(distinct)
+
+
 @pytest.mark.parametrize("node", NODES)
 def test_no_two_configurations_share_a_parameter(node: str) -> None:
     parts = [set(node_parameters([entry])) for entry in NODES[node]]

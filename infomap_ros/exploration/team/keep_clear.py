@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState
 from infomap_ros.exploration.team.watched_motion import Awareness, WatchedDrive, WatchedReach
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import ArmPath
 
@@ -40,14 +40,14 @@ class KeepClearConfig:
         low=0.0,
         high=10.0,
     )
-    ahead: float = parameter(
+    ahead: float = setting(
         1.0,
         "Length of the way of the base ahead that must be clear.",
         unit="m",
         low=0.0,
         high=100.0,
     )
-    patience: float = parameter(
+    patience: float = setting(
         15.0,
         "After so long a wait the motion is given up, and another one planned.",
         unit="s",

@@ -25,7 +25,7 @@ from infomap_ros.exploration.team.bodies_in_scan import (
 )
 from infomap_ros.exploration.team.teammate_places import TeammatePlaces, TeammatePlacesConfig
 from infomap_ros.geometry import PlacedSolid, PoseRecord, invert_transform
-from infomap_ros.geometry.config import parameter
+from infomap_ros.geometry.config import setting
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.team.agents import Agent
@@ -44,7 +44,7 @@ class TeamBodiesConfig(TeammatePlacesConfig):
         ConfigError: a value is out of its range.
     """
 
-    wait: float = parameter(
+    wait: float = setting(
         0.5,
         "How long a scan waits until it is known where teammates were at its stamp, in time of the "
         "data.",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from infomap_ros.geometry import (
     PoseBufferConfig,
     PoseRecord,
 )
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.team.agents import Agent
@@ -39,14 +40,14 @@ class TeammatePlacesConfig:
         ConfigError: a value is out of its range.
     """
 
-    max_gap: float = parameter(
+    max_gap: float = setting(
         0.6,
         "Longest time between two messages of a teammate across which its place is interpolated.",
         unit="s",
         low=0.0,
         high=10.0,
     )
-    speed: float = parameter(
+    speed: float = setting(
         0.7,
         "How fast any part of a teammate moves at the most: so much its body grows for each second "
         "for which it is not known where it was.",
@@ -54,17 +55,12 @@ class TeammatePlacesConfig:
         low=0.0,
         high=100.0,
     )
-    most_growth: float = parameter(
+    most_growth: float = setting(
         1.5, "It grows no further by that: it is taken to have stopped.", unit="m", low=0.0,
         high=100.0,
     )  # fmt: skip
-    unknown_sigma: float = parameter(
-        0.1,
-        "Standard deviation of the place of a teammate that does not tell it.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
+    unknown_sigma: ClassVar[float] = 0.1
+    """Standard deviation of the place of a teammate that does not tell it [m]."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -9,14 +9,14 @@ docs/localization.md compares this with OpenCV's detectors and descriptors.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.gradient_histograms import LENGTH, gradient_histograms
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
@@ -37,27 +37,23 @@ class AppearanceConfig:
         ConfigError: a value is out of its range.
     """
 
-    spacing: float = parameter(
+    spacing: float = setting(
         2.0,
         "Distance of the gradients of a descriptor, which has 16 x 16 of them.",
         unit="px",
         low=0.5,
         high=10.0,
     )
-    corners: int = parameter(800, "Most corners of an image that are compared.", low=10, high=10000)
-    corner_distance: float = parameter(
+    corners: int = setting(800, "Most corners of an image that are compared.", low=10, high=10000)
+    corner_distance: float = setting(
         4.0, "Least distance of two corners.", unit="px", low=1.0, high=50.0
     )
-    corner_quality: float = parameter(
-        0.003, "Least response of a corner, as a share of the strongest.", low=1e-6, high=1.0
-    )
-    max_ratio: float = parameter(
-        0.85,
-        "The best match must be nearer than this share of the second best's distance (Lowe 2004, "
-        "DOI 10.1023/B:VISI.0000029664.99615.94).",
-        low=0.1,
-        high=1.0,
-    )
+    corner_quality: ClassVar[float] = 0.003
+    """Least response of a corner, as a share of the strongest."""
+    max_ratio: ClassVar[float] = 0.85
+    """The best match must be nearer than this share of the second best's distance (Lowe 2004, DOI
+    10.1023/B:VISI.0000029664.99615.94).
+    """
 
     def __post_init__(self) -> None:
         check_config(self)

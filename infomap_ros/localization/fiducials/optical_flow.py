@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 # Brightness is made equal where mean or contrast of the images differ by more than this.
@@ -26,18 +27,12 @@ class OpticalFlowConfig:
         ConfigError: a value is out of its range.
     """
 
-    window: int = parameter(21, "Side of the window, odd.", unit="px", low=5, high=61)
-    levels: int = parameter(
-        4, "Levels of the image pyramid; each doubles the step that is followed.", low=1, high=8
-    )
-    iterations: int = parameter(20, "Most iterations per level.", low=1, high=100)
-    max_round_trip: float = parameter(
-        1.0,
-        "A pixel must come back to where it was by this, when followed forward and back.",
-        unit="px",
-        low=0.05,
-        high=20.0,
-    )
+    window: int = setting(21, "Side of the window, odd.", unit="px", low=5, high=61)
+    levels: ClassVar[int] = 4
+    """Levels of the image pyramid; each doubles the step that is followed."""
+    iterations: int = setting(20, "Most iterations per level.", low=1, high=100)
+    max_round_trip: ClassVar[float] = 1.0
+    """A pixel must come back to where it was by this, when followed forward and back [px]."""
 
     def __post_init__(self) -> None:
         check_config(self)

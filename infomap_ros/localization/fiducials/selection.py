@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import check_transform, transform_points
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.evaluation import (
     certainty,
@@ -36,28 +36,25 @@ class FiducialSelectionConfig:
         ConfigError: a value is out of its range.
     """
 
-    certainty_weight: float = parameter(1.0, "Weight of f(P), eq. (19).", low=0.0, high=100.0)
-    contrast_weight: float = parameter(1.0, "Weight of g(C), eqs. (19)-(20).", low=0.0, high=100.0)
-    depth_weight: float = parameter(
+    certainty_weight: float = setting(1.0, "Weight of f(P), eq. (19).", low=0.0, high=100.0)
+    contrast_weight: float = setting(1.0, "Weight of g(C), eqs. (19)-(20).", low=0.0, high=100.0)
+    depth_weight: float = setting(
         0.2,
         "Weight of h(H), eq. (19). Small, because windows on depth edges show two surfaces.",
         low=0.0,
         high=100.0,
     )
-    spread_weight: float = parameter(
+    spread_weight: float = setting(
         2.0, "Weight of the penalty for being near another fiducial.", low=0.0, high=100.0
     )
-    spread_distance: float = parameter(
-        40.0, "Scale of that penalty.", unit="px", low=1.0, high=1000.0
-    )
-    least_distance: float = parameter(
-        12.0, "Fiducials are never nearer to each other.", unit="px", low=1.0, high=1000.0
-    )
-    border: int = parameter(
-        16, "Nothing is chosen this near to the image's border.", unit="px", low=0, high=500
-    )
-    candidates: int = parameter(250, "Most corners that are evaluated.", low=10, high=5000)
-    min_corner: float = parameter(
+    spread_distance: ClassVar[float] = 40.0
+    """Scale of that penalty [px]."""
+    least_distance: ClassVar[float] = 12.0
+    """Fiducials are never nearer to each other [px]."""
+    border: ClassVar[int] = 16
+    """Nothing is chosen this near to the image's border [px]."""
+    candidates: int = setting(250, "Most corners that are evaluated.", low=10, high=5000)
+    min_corner: float = setting(
         4.0,
         "Least corner strength: square root of the smaller eigenvalue of the mean gradient "
         "product in a 7 x 7 window (Shi and Tomasi 1994).",
@@ -65,23 +62,18 @@ class FiducialSelectionConfig:
         low=0.0,
         high=100.0,
     )
-    largest_window: int = parameter(
+    largest_window: int = setting(
         31, "Largest window of the visual contrast, odd.", unit="px", low=5, high=101
     )
-    depth_windows: tuple[int, ...] = parameter(
+    depth_windows: tuple[int, ...] = setting(
         (9, 13, 17), "Windows of the depth contrast, odd, growing.", unit="px", low=5, high=101
     )
-    largest_radius: int = parameter(
-        3, "Shells of voxels that the certainty looks at.", low=1, high=10
-    )
-    half_certainty: float = parameter(
-        0.05,
-        "Without a map: relative sigma of the range at which the certainty is one half.",
-        low=0.001,
-        high=1.0,
-    )
-    needs_range: bool = parameter(True, "Only what has a range is chosen.")
-    dense_range: bool = parameter(
+    largest_radius: ClassVar[int] = 3
+    """Shells of voxels that the certainty looks at."""
+    half_certainty: ClassVar[float] = 0.05
+    """Without a map: relative sigma of the range at which the certainty is one half."""
+    needs_range: bool = setting(True, "Only what has a range is chosen.")
+    dense_range: bool = setting(
         False,
         "Have the dense cloud worked out for the depth contrast where it is not at hand; "
         "otherwise that term is left out.",

@@ -19,13 +19,14 @@ Both numbers are calibrated on pairs with true disparity (docs/localization.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.patch_kernels import sample_patch
 
@@ -51,33 +52,25 @@ class SparseStereoConfig:
         ConfigError: a value is out of its range.
     """
 
-    window: int = parameter(11, "Side of the matching window, odd.", unit="px", low=5, high=31)
-    min_correlation: float = parameter(
-        0.7, "A match must have at least this normalised cross-correlation.", low=0.0, high=1.0
-    )
-    max_rivalry: float = parameter(
-        0.8,
-        "The best match must lack at most this share of the correlation that the second best "
-        "lacks; 1 accepts any.",
-        low=0.0,
-        high=1.0,
-    )
-    left_right_tolerance: int = parameter(
+    window: int = setting(11, "Side of the matching window, odd.", unit="px", low=5, high=31)
+    min_correlation: ClassVar[float] = 0.7
+    """A match must have at least this normalised cross-correlation."""
+    max_rivalry: ClassVar[float] = 0.8
+    """The best match must lack at most this share of the correlation that the second best lacks;
+    1 accepts any.
+    """
+    left_right_tolerance: int = setting(
         1, "Largest difference of the match found from the right image.", unit="px", low=0, high=8
     )
-    sigma_floor: float = parameter(
+    sigma_floor: float = setting(
         0.08,
         "Disparity sigma of a perfect match: what calibration, lenses and surfaces add.",
         unit="px",
         low=0.001,
         high=10.0,
     )
-    sigma_residual: float = parameter(
-        0.2,
-        "Disparity sigma as a share of the photometric residual over the gradient.",
-        low=0.01,
-        high=10.0,
-    )
+    sigma_residual: ClassVar[float] = 0.2
+    """Disparity sigma as a share of the photometric residual over the gradient."""
 
     def __post_init__(self) -> None:
         check_config(self)

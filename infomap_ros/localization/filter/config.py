@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 
 
 @dataclass(frozen=True)
@@ -15,94 +16,52 @@ class FiducialFilterConfig:
         ConfigError: a value is out of its range.
     """
 
-    max_fiducials: int = parameter(300, "Fiducials that are held.", low=8, high=2000)
-    max_kept_poses: int = parameter(60, "Camera poses that are kept.", low=2, high=1000)
-    least_fiducials: int = parameter(
+    max_fiducials: int = setting(300, "Fiducials that are held.", low=8, high=2000)
+    max_kept_poses: int = setting(60, "Camera poses that are kept.", low=2, high=1000)
+    least_fiducials: int = setting(
         5, "Fiducials that must agree for the pose to be updated.", low=4, high=1000
     )
-    fiducial_gate: float = parameter(
-        0.999,
-        "Probability within which a fiducial's measurement must lie of what the others say.",
-        low=0.5,
-        high=0.999999,
-    )
-    joint_gate: float = parameter(
-        0.9999,
-        "Probability within which all measurements together must lie of what was expected, and "
-        "the motion of its prior.",
-        low=0.5,
-        high=0.999999,
-    )
-    majority: float = parameter(
-        0.6,
-        "Share of the known fiducials in view that must agree, unless the others are seen to move "
-        "in a way that the motion prior excludes.",
-        low=0.0,
-        high=1.0,
-    )
-    ambiguity: float = parameter(
-        0.5,
-        "Size of a second group of fiducials that agree on another plausible motion, as a share "
-        "of the first, from which on the motion counts as ambiguous.",
-        low=0.05,
-        high=1.0,
-    )
-    overruling_share: float = parameter(
-        0.8,
-        "Share of the known fiducials in view that must agree to overrule the motion prior, as "
-        "when wheels slip.",
-        low=0.5,
-        high=1.0,
-    )
-    overruling_count: int = parameter(
-        8,
-        "Least number of them that were used in an earlier image.",
-        low=4,
-        high=1000,
-    )
-    overruling_sigmas: float = parameter(
-        30.0,
-        "A motion that is farther from its prior than so many standard deviations does not "
-        "overrule it.",
-        low=1.0,
-        high=1e4,
-    )
-    overruling_told: float = parameter(
-        0.9,
-        "Share of the motion's variance, enlarged so that the prior agrees, which an image that "
-        "overrules it must take away in every direction: few fiducials that leave one open do not.",
-        low=0.0,
-        high=1.0,
-    )
-    least_redundancy: float = parameter(
-        0.6,
-        "Share of a gross error of a fiducial's pixel that must show in the image however uncertain"
-        " the map is, else the fiducial does not count: of m that alone tell where a place is, "
-        "1 - 1/m shows.",
-        low=0.0,
-        high=0.99,
-    )
-    drift_memory: float = parameter(
-        0.9,
-        "Share of a fiducial's summed innovations that is left after one more image.",
-        low=0.0,
-        high=0.999,
-    )
-    drift_gate: float = parameter(
-        0.9999,
-        "Probability within which that sum must lie; beyond, the fiducial counts as moving.",
-        low=0.5,
-        high=0.9999999,
-    )
-    trials: int = parameter(
-        100, "Triples of fiducials tried to find a first pose.", low=10, high=10000
-    )
-    range_certainty: float = parameter(
-        6.0,
-        "Inverse depth over its standard deviation, below which a fiducial is not added.",
-        low=2.0,
-        high=100.0,
-    )
+    fiducial_gate: ClassVar[float] = 0.999
+    """Probability within which a fiducial's measurement must lie of what the others say."""
+    joint_gate: ClassVar[float] = 0.9999
+    """Probability within which all measurements together must lie of what was expected, and the
+    motion of its prior.
+    """
+    majority: ClassVar[float] = 0.6
+    """Share of the known fiducials in view that must agree, unless the others are seen to move in
+    a way that the motion prior excludes.
+    """
+    ambiguity: ClassVar[float] = 0.5
+    """Size of a second group of fiducials that agree on another plausible motion, as a share of
+    the first, from which on the motion counts as ambiguous.
+    """
+    overruling_share: ClassVar[float] = 0.8
+    """Share of the known fiducials in view that must agree to overrule the motion prior, as when
+    wheels slip.
+    """
+    overruling_count: ClassVar[int] = 8
+    """Least number of them that were used in an earlier image."""
+    overruling_sigmas: ClassVar[float] = 30.0
+    """A motion that is farther from its prior than so many standard deviations does not overrule
+    it.
+    """
+    overruling_told: ClassVar[float] = 0.9
+    """Share of the motion's variance, enlarged so that the prior agrees, which an image that
+    overrules it must take away in every direction: few fiducials that leave one open do not.
+    """
+    least_redundancy: ClassVar[float] = 0.6
+    """Share of a gross error of a fiducial's pixel that must show in the image however uncertain
+    the map is, else the fiducial does not count: of m that alone tell where a place is, 1 - 1/m
+    shows.
+    """
+    drift_memory: ClassVar[float] = 0.9
+    """Share of a fiducial's summed innovations that is left after one more image."""
+    drift_gate: ClassVar[float] = 0.9999
+    """Probability within which that sum must lie; beyond, the fiducial counts as moving."""
+    trials: ClassVar[int] = 100
+    """Triples of fiducials tried to find a first pose."""
+    range_certainty: ClassVar[float] = 6.0
+    """Inverse depth over its standard deviation, below which a fiducial is not added."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 
@@ -32,17 +32,17 @@ class FreeMotionConfig:
         ConfigError: a value is out of its range.
     """
 
-    speed: float = parameter(
+    speed: float = setting(
         0.7,
         "Standard deviation of the speed along each axis while nothing is known of it.",
         unit="m/s",
         low=1e-4,
         high=100.0,
     )
-    turn_rate: float = parameter(
+    turn_rate: float = setting(
         1.0, "Standard deviation of the turn rate about each axis.", unit="rad/s", low=1e-4, high=30
     )
-    longest: float = parameter(
+    longest: float = setting(
         3.0,
         "Longer gaps count as this long: a camera that is carried about stays in its room.",
         unit="s",

@@ -8,13 +8,13 @@ symmetric model do; refinement with the covariances of the points.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import transform_points
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.model_fit import ModelFitter
 from infomap_ros.localization.target.model_rivals import PoseComparison
@@ -45,52 +45,40 @@ class ModelTargetConfig:
 
     file: str = parameter("", "Mesh of the target: .obj, .stl, .ply, .dae and others.")
     scale: float = parameter(1.0, "Metres per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
-    tolerance: float = parameter(
+    tolerance: float = setting(
         0.015,
         "Difference of depth that agrees, beside 3 sigma, as a share of the model's diameter.",
         low=0.001,
         high=0.1,
     )
-    min_score: float = parameter(
-        0.82,
-        "Smallest share of the visible surface that must agree, less what is seen through.",
-        low=0.1,
-        high=1.0,
-    )
-    max_seen_through: float = parameter(
-        0.1, "Largest share of the visible surface with range behind it.", low=0.0, high=1.0
-    )
-    distinction: float = parameter(
+    min_score: ClassVar[float] = 0.82
+    """Smallest share of the visible surface that must agree, less what is seen through."""
+    max_seen_through: ClassVar[float] = 0.1
+    """Largest share of the visible surface with range behind it."""
+    distinction: float = setting(
         0.05,
         "By how much less any other pose must score; less is ambiguous, as for a symmetric model.",
         low=0.0,
         high=1.0,
     )
-    least_evidence: int = parameter(
-        40,
-        "Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose "
-        "from any other at the same place, as those of a handle do; fewer are ambiguous.",
-        low=0,
-        high=10000,
-    )
-    max_against: float = parameter(
-        0.25, "Largest share of them that may speak for the other pose.", low=0.0, high=1.0
-    )
-    max_flat: float = parameter(
+    least_evidence: ClassVar[int] = 40
+    """Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose from
+    any other at the same place, as those of a handle do; fewer are ambiguous.
+    """
+    max_against: ClassVar[float] = 0.25
+    """Largest share of them that may speak for the other pose."""
+    max_flat: float = setting(
         0.6,
         "Largest share of the visible surface that may lie on one plane, which could be anything.",
         low=0.1,
         high=1.0,
     )
-    surface_sigma: float = parameter(
-        0.001, "How far the real surface is from the mesh.", unit="m", low=0.0, high=0.1
-    )
-    max_position_sigma: float = parameter(
-        0.05, "A less certain position is refused.", unit="m", low=0.0001, high=10.0
-    )
-    max_rotation_sigma: float = parameter(
-        0.1, "A less certain rotation is refused.", unit="rad", low=0.001, high=3.0
-    )
+    surface_sigma: ClassVar[float] = 0.001
+    """How far the real surface is from the mesh [m]."""
+    max_position_sigma: ClassVar[float] = 0.05
+    """A less certain position is refused [m]."""
+    max_rotation_sigma: ClassVar[float] = 0.1
+    """A less certain rotation is refused [rad]."""
 
     def __post_init__(self) -> None:
         check_config(self)

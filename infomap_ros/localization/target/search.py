@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera, check_transform
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.model_shape import directions
 
@@ -30,27 +30,27 @@ class TargetSearchConfig:
         ConfigError: a value is out of its range, or the lowest elevation is above the highest.
     """
 
-    lowest: float = parameter(
+    lowest: float = setting(
         -0.8, "Lowest elevation at which the target may be.", unit="rad", low=-1.6, high=1.6
     )
-    highest: float = parameter(0.5, "Highest elevation.", unit="rad", low=-1.6, high=1.6)
-    margin: float = parameter(
+    highest: float = setting(0.5, "Highest elevation.", unit="rad", low=-1.6, high=1.6)
+    margin: float = setting(
         0.1,
         "Share of the field of view at each border in which the target would not be found.",
         low=0.0,
         high=0.45,
     )
-    look_cost: float = parameter(
-        0.5, "Cost of a look beside turning, as an angle.", unit="rad", low=0.0, high=10.0
-    )
-    directions: int = parameter(800, "Directions on the sphere.", low=50, high=20000)
-    worthwhile: float = parameter(
+    look_cost: ClassVar[float] = 0.5
+    """Cost of a look beside turning, as an angle [rad]."""
+    directions: ClassVar[int] = 800
+    """Directions on the sphere."""
+    worthwhile: float = setting(
         0.02,
         "Looks that cover a smaller share of what is left to see are not proposed.",
         low=0.0,
         high=1.0,
     )
-    enough: float = parameter(
+    enough: float = setting(
         0.97,
         "When this share of the directions has been looked at in vain, the target is given up.",
         low=0.01,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform, transform_points
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 FAMILIES = {
@@ -50,7 +50,7 @@ class TagBoardConfig:
     gap: float = parameter(
         0.04, "White between two tags; at least one cell of the tag.", unit="m", low=0.0, high=5.0
     )
-    margin: float = parameter(
+    margin: float = setting(
         0.04, "White around the tags; at least one cell of the tag.", unit="m", low=0.0, high=5.0
     )
     first_id: int = parameter(

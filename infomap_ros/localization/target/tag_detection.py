@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import cells, dictionary
 from infomap_ros.localization.target.tag_corners import refine_corners
@@ -25,19 +25,14 @@ class TagDetectionConfig:
         ConfigError: a value is out of its range.
     """
 
-    min_contrast: float = parameter(
+    min_contrast: float = setting(
         15.0, "Smallest difference of white and black [grey levels].", low=1.0, high=255.0
     )
-    min_side: float = parameter(
-        12.0, "Tags with a shorter edge are left out.", unit="px", low=5.0, high=1000.0
-    )
-    corrected_bits: float = parameter(
-        0.4,
-        "Share of the bits that a family can correct that are corrected. Fewer are safer.",
-        low=0.0,
-        high=1.0,
-    )
-    sigma_floor: float = parameter(
+    min_side: ClassVar[float] = 12.0
+    """Tags with a shorter edge are left out [px]."""
+    corrected_bits: ClassVar[float] = 0.4
+    """Share of the bits that a family can correct that are corrected. Fewer are safer."""
+    sigma_floor: float = setting(
         0.25,
         "Standard deviation of a corner from print, paper and lens, added to that of the image "
         "noise. About 0.3 for a sheet before a webcam, 0.03 for a rendered board.",

@@ -7,14 +7,14 @@ corners and inverse depths; the decision between the two poses of a plane; check
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, transform_points
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
@@ -47,39 +47,22 @@ class TagTargetConfig:
 
     board: TagBoardConfig = field(default_factory=TagBoardConfig)
     detection: TagDetectionConfig = field(default_factory=TagDetectionConfig)
-    min_tags: int = parameter(1, "Fewer tags of the board are not believed.", low=1, high=900)
-    use_range: bool = parameter(
-        True, "Whether the measured range takes part: it tells the two poses of a plane apart."
-    )
-    range_scale_sigma: float = parameter(
-        0.02,
-        "Standard deviation of the ratio between measured range and the range that the tags' size "
-        "tells: errors of baseline and print.",
-        low=0.0001,
-        high=0.5,
-    )
-    ambiguity_cost: float = parameter(
-        14.0,
-        "How much worse, in squared sigmas, the other pose of a plane must fit to be ruled out.",
-        low=0.0,
-        high=1000.0,
-    )
-    agreement: float = parameter(
-        5.0,
-        "A tag with a corner farther from the board's pose, in sigmas, is left out.",
-        low=1.0,
-        high=100.0,
-    )
-    agreement_pixels: float = parameter(
-        0.5, "Nor is a tag left out for less than this.", unit="px", low=0.0, high=10.0
-    )
-    max_rotation_sigma: float = parameter(
-        0.1,
-        "A pose that is less certain about any axis is refused.",
-        unit="rad",
-        low=0.001,
-        high=3.0,
-    )
+    min_tags: ClassVar[int] = 1
+    """Fewer tags of the board are not believed."""
+    use_range: ClassVar[bool] = True
+    """Whether the measured range takes part: it tells the two poses of a plane apart."""
+    range_scale_sigma: ClassVar[float] = 0.02
+    """Standard deviation of the ratio between measured range and the range that the tags' size
+    tells: errors of baseline and print.
+    """
+    ambiguity_cost: ClassVar[float] = 14.0
+    """How much worse, in squared sigmas, the other pose of a plane must fit to be ruled out."""
+    agreement: ClassVar[float] = 5.0
+    """A tag with a corner farther from the board's pose, in sigmas, is left out."""
+    agreement_pixels: ClassVar[float] = 0.5
+    """Nor is a tag left out for less than this [px]."""
+    max_rotation_sigma: ClassVar[float] = 0.1
+    """A pose that is less certain about any axis is refused [rad]."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.localization.target.map_alignment import (
     CONTRADICTION,
     Alignment,
@@ -45,14 +45,14 @@ class TeamTagsConfig:
         "For each tag six numbers: its middle [m] and its rotation vector [rad] in the base frame "
         "of its robot; a tag's own axes are x right and y up in the print, z out of it.",
     )
-    family: str = parameter("tag36h11", "Family of the tags.")
+    family: str = setting("tag36h11", "Family of the tags.")
     side: float = parameter(
         0.16, "Edge of the black square of one tag.", unit="m", low=0.005, high=5.0
     )
-    period: float = parameter(
+    period: float = setting(
         0.5, "Shortest time between two looks for teammates.", unit="s", low=0.0, high=60.0
     )
-    sightings: int = parameter(
+    sightings: int = setting(
         4, "So many sightings of a teammate must agree before a map is moved.", low=1, high=100
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import check_covariance, check_transforms
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.correction.scan_store import KeptScan, ScanStore, integrate_record
 from infomap_ros.mapping.scans.view_volume import ViewVolume, mark_blocks, touches_any, view_volume
@@ -40,7 +40,7 @@ class ReintegrationConfig:
         ConfigError: a value is out of its range.
     """
 
-    least_correction: float = parameter(
+    least_correction: float = setting(
         0.5,
         "Scans follow a corrected pose when their points move by more than this; 0: always.",
         unit="voxels",

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.voxel_map import VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import quanta_of
@@ -37,10 +37,10 @@ class ProjectionConfig:
     high: float = parameter(
         1.0, "Upper end of the height band, map frame.", unit="m", low=-1e4, high=1e4
     )
-    occupied_probability: float = parameter(
+    occupied_probability: float = setting(
         0.65, "A column is occupied if one of its voxels is at least so likely.", low=0.5, high=1.0
     )
-    free_probability: float = parameter(
+    free_probability: float = setting(
         0.25, "A column is free if none of its known voxels is more likely.", low=0.0, high=0.5
     )
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, PlacedSolid, Sphere
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.mapping.scans.body_kernels import (
     BOX,
     CYLINDER,
@@ -43,7 +43,7 @@ class BodyFilterConfig:
         ConfigError: a value is out of its range.
     """
 
-    margin: float = parameter(
+    margin: float = setting(
         0.02,
         "Growth of the body's solids, for what the robot description and the joint positions "
         "leave open.",
@@ -51,13 +51,13 @@ class BodyFilterConfig:
         low=0.0,
         high=1.0,
     )
-    sigmas: float = parameter(
+    sigmas: float = setting(
         3.0,
         "Further growth, in standard deviations of the point along the direction from the body.",
         low=0.0,
         high=6.0,
     )
-    default_sigma: float = parameter(
+    default_sigma: float = setting(
         0.02,
         "Standard deviation of a point, along each axis, whose covariance is unknown.",
         unit="m",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.terrain.cubes import drop_specks, gather_cubes, refine_heights
@@ -31,60 +32,45 @@ class TerrainConfig:
         ConfigError: a value is out of its range.
     """
 
-    resolution: float = parameter(
+    resolution: float = setting(
         0.05,
         "Edge of a cell; rounded to whole voxels, at least one.",
         unit="m",
         low=0.001,
         high=1.0,
     )
-    radius: float = parameter(
+    radius: float = setting(
         12.0, "Ground is looked for within this square about the robot.", unit="m", low=0.1,
         high=200.0,
     )  # fmt: skip
-    least_radius: float = parameter(
-        1.5,
-        "The grid reaches at least so far about the robot, seen or not: what stands on its edge "
-        "could not leave it.",
-        unit="m",
-        low=0.0,
-        high=200.0,
-    )
-    below: float = parameter(
-        3.0, "Ground is looked for down to this far below the robot.", unit="m", low=0.1, high=50.0
-    )
-    above: float = parameter(
-        4.0, "Ground and obstacles are looked for up to this far above the robot.", unit="m",
-        low=0.1, high=50.0,
-    )  # fmt: skip
-    occupied_probability: float = parameter(
-        0.75,
-        "A known voxel more likely occupied than this is solid. Right above a surface voxels get "
-        "some hits and as many misses; one of them would be a step in even ground.",
-        low=0.05,
-        high=0.999,
-    )
-    speck_cells: int = parameter(
+    least_radius: ClassVar[float] = 1.5
+    """The grid reaches at least so far about the robot, seen or not: what stands on its edge
+    could not leave it [m].
+    """
+    below: ClassVar[float] = 3.0
+    """Ground is looked for down to this far below the robot [m]."""
+    above: ClassVar[float] = 4.0
+    """Ground and obstacles are looked for up to this far above the robot [m]."""
+    occupied_probability: ClassVar[float] = 0.75
+    """A known voxel more likely occupied than this is solid. Right above a surface voxels get
+    some hits and as many misses; one of them would be a step in even ground.
+    """
+    speck_cells: int = setting(
         2, "Connected groups of at most so many solid cells are taken for noise.", low=0, high=8
     )
-    headroom: float = parameter(
-        0.1, "What is solid nearer than this above ground belongs to the ground.", unit="m",
-        low=0.0, high=2.0,
-    )  # fmt: skip
-    unknown_gap: float = parameter(
+    headroom: ClassVar[float] = 0.1
+    """What is solid nearer than this above ground belongs to the ground [m]."""
+    unknown_gap: float = setting(
         0.2, "Unknown stretches of a column up to this long, between known ones, count as seen.",
         unit="m", low=0.0, high=2.0,
     )  # fmt: skip
-    hole_cells: int = parameter(
+    hole_cells: int = setting(
         4, "Holes of at most so many cells are filled where all around agree.", low=0, high=64
     )
-    hole_tolerance: float = parameter(
-        0.02, "They agree when they lie within this of one plane.", unit="m", low=0.0, high=1.0
-    )
-    roughness_radius: float = parameter(
-        0.1, "Half the edge of the cube in which roughness is measured.", unit="m", low=0.0,
-        high=2.0,
-    )  # fmt: skip
+    hole_tolerance: ClassVar[float] = 0.02
+    """They agree when they lie within this of one plane [m]."""
+    roughness_radius: ClassVar[float] = 0.1
+    """Half the edge of the cube in which roughness is measured [m]."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_kernels import Trees, distance, grow
 from infomap_ros.motion.arm.trajectory import TrajectoryConfig, time_path
@@ -37,22 +38,20 @@ class ArmPathConfig:
         ConfigError: a value is out of its range.
     """
 
-    samples: int = parameter(
+    samples: int = setting(
         16000, "Random configurations after which the search for a way ends.", low=1, high=10**9
     )
-    max_nodes: int = parameter(
-        20000, "Largest number of configurations in each of the two trees.", low=10, high=10**7
-    )
-    step: float = parameter(
+    max_nodes: ClassVar[int] = 20000
+    """Largest number of configurations in each of the two trees."""
+    step: float = setting(
         0.25,
         "Length of a new branch, measured as the farthest that a point of the body may go.",
         unit="m",
         low=0.001,
         high=100.0,
     )
-    shortcuts: int = parameter(
-        100, "Number of attempts to shorten the way that was found.", low=0, high=100000
-    )
+    shortcuts: ClassVar[int] = 100
+    """Number of attempts to shorten the way that was found."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.corner_blends import FreeWay, StraightPieces, corner_speeds
 from infomap_ros.motion.robot.chain import KinematicChain
@@ -35,13 +36,8 @@ class TrajectoryConfig:
     velocity_share: float = parameter(
         0.5, "Share of the joints' largest speeds that is used.", low=0.01, high=1.0
     )
-    default_velocity: float = parameter(
-        0.5,
-        "Largest speed of a joint whose description gives none.",
-        unit="rad/s or m/s",
-        low=0.001,
-        high=100.0,
-    )
+    default_velocity: ClassVar[float] = 0.5
+    """Largest speed of a joint whose description gives none [rad/s or m/s]."""
     acceleration: float = parameter(
         1.0,
         "Largest acceleration of every joint; robot descriptions do not hold it.",
@@ -49,7 +45,7 @@ class TrajectoryConfig:
         low=0.001,
         high=1000.0,
     )
-    corner_deviation: float = parameter(
+    corner_deviation: float = setting(
         0.05,
         "How far a joint may pass beside a corner of a way so as not to stop there; the collision "
         "check decides whether it does. 0 stops at every corner.",
@@ -57,7 +53,7 @@ class TrajectoryConfig:
         low=0.0,
         high=1.0,
     )
-    period: float = parameter(
+    period: float = setting(
         0.05, "Longest time between two knots of a moving arm.", unit="s", low=0.001, high=10.0
     )
 

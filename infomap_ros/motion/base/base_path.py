@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -18,13 +18,13 @@ class BasePlannerConfig:
         ConfigError: a value is out of its range.
     """
 
-    samples: int = parameter(
+    samples: int = setting(
         2000,
         "Random places that OMPL tries for a path better than the lattice's; 0 to drive that.",
         low=0,
         high=10**9,
     )
-    reach: float = parameter(
+    reach: float = setting(
         1.0, "Longest motion by which OMPL's trees grow.", unit="m", low=0.05, high=100.0
     )
     reverse: bool = parameter(True, "Whether the robot may drive backwards.")
@@ -32,14 +32,14 @@ class BasePlannerConfig:
         0.0, "Smallest radius on which the robot turns; 0 if it turns in place.", unit="m", low=0.0,
         high=50.0,
     )  # fmt: skip
-    turn_cost: float = parameter(
+    turn_cost: float = setting(
         0.2, "Length that a turn by one radian counts as.", unit="m/rad", low=0.0, high=0.35
     )
-    escape: float = parameter(
+    escape: float = setting(
         0.25, "A robot that stands where it should not may leave over up to this distance.",
         unit="m", low=0.0, high=5.0,
     )  # fmt: skip
-    standing_reach: float = parameter(
+    standing_reach: float = setting(
         0.2, "Ground around the body that counts as known because the robot stands there.",
         unit="m", low=0.0, high=5.0,
     )  # fmt: skip

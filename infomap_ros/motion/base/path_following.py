@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 _SAME_PLACE = 1e-3  # [m]
@@ -23,24 +24,23 @@ _SAME_PLACE = 1e-3  # [m]
 class PathFollowingConfig:
     """Parameters of the drive."""
 
-    max_speed: float = parameter(0.25, "Largest speed.", unit="m/s", low=0.01, high=3.0)
-    max_turn_rate: float = parameter(0.6, "Largest turn rate.", unit="rad/s", low=0.05, high=5.0)
-    acceleration: float = parameter(0.4, "Largest acceleration.", unit="m/s^2", low=0.01, high=10.0)
-    turn_acceleration: float = parameter(
+    max_speed: float = setting(0.25, "Largest speed.", unit="m/s", low=0.01, high=3.0)
+    max_turn_rate: float = setting(0.6, "Largest turn rate.", unit="rad/s", low=0.05, high=5.0)
+    acceleration: float = setting(0.4, "Largest acceleration.", unit="m/s^2", low=0.01, high=10.0)
+    turn_acceleration: float = setting(
         1.5, "Largest acceleration of the turn rate.", unit="rad/s^2", low=0.05, high=50.0
     )
-    look_ahead: float = parameter(
+    look_ahead: float = setting(
         0.15, "Distance of the point that is steered to.", unit="m", low=0.02, high=3.0
     )
-    position_tolerance: float = parameter(
+    position_tolerance: float = setting(
         0.02, "Distance at which a point of the path is reached.", unit="m", low=0.002, high=1.0
     )
-    angle_tolerance: float = parameter(
+    angle_tolerance: float = setting(
         0.02, "Angle at which a heading is reached.", unit="rad", low=0.002, high=1.0
     )
-    turn_first: float = parameter(
-        0.5, "Heading error above which it turns on the spot.", unit="rad", low=0.05, high=3.0
-    )
+    turn_first: ClassVar[float] = 0.5
+    """Heading error above which it turns on the spot [rad]."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

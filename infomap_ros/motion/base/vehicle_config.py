@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 _STEP_SHARE = 0.75  # of a wheel's radius that it climbs
@@ -36,7 +37,7 @@ class VehicleConfig:
         0.0, "Height of the ground in the base frame, for a footprint.", unit="m", low=-10.0,
         high=10.0,
     )  # fmt: skip
-    suspension_travel: float = parameter(
+    suspension_travel: float = setting(
         0.03, "How far a wheel may be above or below the plane of all wheels.", unit="m", low=0.0,
         high=1.0,
     )  # fmt: skip
@@ -51,35 +52,34 @@ class VehicleConfig:
         low=0.0,
         high=1.0,
     )
-    max_roughness: float = parameter(
+    max_roughness: float = setting(
         0.03, "Largest roughness of the ground under a wheel.", unit="m", low=0.0, high=1.0
     )
-    min_tip_margin: float = parameter(
+    min_tip_margin: float = setting(
         0.25, "Smallest angle by which it must turn to fall over.", unit="rad", low=0.0, high=1.5
     )
-    margin: float = parameter(
+    margin: float = setting(
         0.02,
         "Growth of the body against ground and obstacles where its pose is known exactly.",
         unit="m",
         low=0.0,
         high=1.0,
     )
-    margin_sigmas: float = parameter(
+    margin_sigmas: float = setting(
         2.0,
         "So many standard deviations of where it is are added to the margin to the sides, in "
         "squares.",
         low=0.0,
         high=10.0,
     )
-    most_margin: float = parameter(
+    most_margin: float = setting(
         0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
     )
-    unseen_is_free: bool = parameter(
+    unseen_is_free: bool = setting(
         False, "Whether space over known ground that was never seen may be entered."
     )
-    column_spacing: float = parameter(
-        0.05, "Edge of the squares into which the body is divided.", unit="m", low=0.005, high=0.5
-    )
+    column_spacing: ClassVar[float] = 0.05
+    """Edge of the squares into which the body is divided [m]."""
 
     def __post_init__(self) -> None:
         check_config(self)

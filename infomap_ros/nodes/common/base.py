@@ -38,6 +38,7 @@ from infomap_ros.errors import (
     SensorFaultError,
     UpdateRefusedError,
 )
+from infomap_ros.geometry.config import all_parameters
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.health import Health
 from infomap_ros.nodes.common.interrupts import release_when_leaving
@@ -333,8 +334,9 @@ class MonitoredNode(Node):
     def _warn_of_unknown_parameters(self) -> None:
         """Name values that were given for parameters which this node does not have."""
         known = [name for name in self._parameters if not name.startswith("qos_overrides.")]
+        used = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
         for name in self._parameter_overrides:
-            if name not in self._parameters and not name.startswith("qos_overrides."):
+            if name not in used | set(known) and not name.startswith("qos_overrides."):
                 near = get_close_matches(name, known, n=1)
                 hint = f": is {near[0]} meant?" if near else ""
                 self.get_logger().warning(f"parameter {name} is not known and not used{hint}")

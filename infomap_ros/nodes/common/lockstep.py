@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.nodes.common import qos
 
 REPORTS = "lockstep_reports"
@@ -45,7 +45,7 @@ class LockstepConfig:
         ConfigError: a value is out of its range.
     """
 
-    lockstep: bool = parameter(
+    lockstep: bool = setting(
         False,
         "Report which messages have been used, for a simulator whose lockstep_nodes names this "
         "node: its time waits for that.",

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # of mallopt(3)
 _LARGEST_HEAP_BLOCK = 32 * 1024**2  # [bytes], the most that glibc accepts
@@ -35,7 +35,7 @@ class MemoryConfig:
         ConfigError: a value is out of its range.
     """
 
-    reserved_memory: float = parameter(
+    reserved_memory: float = setting(
         128.0,
         "Memory that is made ready at the start for messages that wait; 10 clouds of 640x480 "
         "points are 123 MB.",

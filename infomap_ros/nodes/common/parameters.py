@@ -28,7 +28,7 @@ _LARGEST_NUMBER = 1.7976931348623157e308
 def declare_config(
     node: Node, config_class: type[Config], prefix: str = "", settable: Sequence[str] = ()
 ) -> Config:
-    """Declare the fields of a configuration as parameters and read them.
+    """Declare the public fields of a configuration as parameters and read all of them.
 
     Args:
         node: the node; parameter overrides given to it apply.
@@ -47,6 +47,8 @@ def declare_config(
     values = {name: _given(node, prefix + name, default) for name, (default, _) in fields.items()}
     config = _build(config_class, prefix, values)
     for name, (default, info) in fields.items():
+        if not info.public:
+            continue
         value = list(values[name]) if isinstance(default, tuple) else values[name]
         descriptor = describe(default, info)
         descriptor.read_only = not is_settable(prefix + name, settable)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 
@@ -31,7 +31,7 @@ class RobotDriverConfig:
         "Controllers of the arm with all their joints, one each, as 'arm_controller: "
         "shoulder_joint, elbow_joint'.",
     )
-    goal_time: float = parameter(
+    goal_time: float = setting(
         5.0,
         "The arm has failed when it has not arrived so long after the end of its trajectory.",
         unit="s",
@@ -48,7 +48,7 @@ class RobotDriverConfig:
     goal_checker_id: str = parameter(
         "", "Goal checker of follow_path; empty where Nav2 has one only."
     )
-    behavior_tree: str = parameter(
+    behavior_tree: str = setting(
         "", "Behavior tree of navigate_through_poses; empty for Nav2's default."
     )
     max_speed: float = parameter(0.25, "Largest speed on cmd_vel.", unit="m/s", low=0.01, high=3.0)

@@ -11,7 +11,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.octomap_file import binary_tree, full_tree
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
@@ -35,7 +35,7 @@ class MapOutputsConfig:
         ConfigError: a value is out of its range.
     """
 
-    voxel_map_period: float = parameter(
+    voxel_map_period: float = setting(
         1.0,
         "Shortest time between two messages on voxel_map, projected_map, octomap_binary or "
         "octomap_full.",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,10 @@ class FiducialLocalizationConfig:
         "odometry where odom and robot_description are published.",
         choices=("auto", "odometry", "none"),
     )
-    start_tilt: float = parameter(
-        0.0,
-        "How far the camera looks down at the beginning, where neither odometry nor target say "
-        "what is up.",
-        unit="rad",
-        low=-1.6,
-        high=1.6,
-    )
+    start_tilt: ClassVar[float] = 0.0
+    """How far the camera looks down at the beginning, where neither odometry nor target say what
+    is up [rad].
+    """
     pairing_tolerance: float = parameter(
         0.0,
         "Largest difference between the stamps of a pair; 0 for cameras that share a trigger.",
@@ -50,7 +47,7 @@ class FiducialLocalizationConfig:
     queue_size: int = parameter(
         10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
-    least_correction: float = parameter(
+    least_correction: float = setting(
         0.002,
         "Keyframe poses are told again when one of them has moved by more than this, or turned by "
         "as many radians.",
@@ -63,7 +60,7 @@ class FiducialLocalizationConfig:
         "Choose fiducials by their certainty in the shared map, f(P) of eq. (19), once map_updates "
         "have arrived; otherwise by the range's own sigma.",
     )
-    fiducials_period: float = parameter(
+    fiducials_period: float = setting(
         1.0,
         "Shortest time between two publications of fiducials, by the stamps of the images.",
         unit="s",
@@ -80,7 +77,7 @@ class FiducialLocalizationConfig:
         "What is known of the map is written here, so that the node can go on in the same map "
         "after a restart, relative to the working directory; empty for no file.",
     )
-    save_period: float = parameter(
+    save_period: float = setting(
         5.0, "Time between two writings of state_file.", unit="s", low=0.1, high=3600.0
     )
     resume: bool = parameter(

@@ -15,7 +15,7 @@ from infomap_ros.exploration.mission import HOME, LAST_LOOK
 from infomap_ros.exploration.records.choice_text import choice_from_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.team.team_planner import WAITING
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.planning.route_status import RouteStatusListener
@@ -31,8 +31,8 @@ class RemotePlannerConfig:
         ConfigError: a value is out of its range.
     """
 
-    planner: str = parameter("next_best_view", "Name of the node that chooses the views.")
-    planner_patience: float = parameter(
+    planner: str = setting("next_best_view", "Name of the node that chooses the views.")
+    planner_patience: float = setting(
         120.0,
         "When next_best_view has given no plan for so long, the exploration has failed. It may "
         "be restarted meanwhile.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -24,7 +24,7 @@ from infomap_ros.geometry import (
     Record,
     TextRecord,
 )
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.messages import (
     encode,
     encode_camera_info,
@@ -58,10 +58,11 @@ class SimulatorOutputsConfig:
     """
 
     map_frame: str = parameter("map", "Name of the frame of the world.")
-    publish_clock: bool = parameter(
+    publish_clock: bool = setting(
         True, "Publish /clock. Of several robots in one world only one may."
     )
-    clock_rate: float = parameter(50.0, "Rate of /clock.", unit="Hz", low=1.0, high=1000.0)
+    clock_rate: ClassVar[float] = 50.0
+    """Rate of /clock [Hz]."""
     range_source: str = parameter(
         "stereo",
         "What the robot sees with: a raw stereo pair, or a depth camera on depth/image_rect.",

@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import JointState
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import decode_joint_state, decode_pose_with_covariance
 from infomap_ros.nodes.common import qos
@@ -43,7 +43,7 @@ class TeammatesConfig:
         "Namespaces of the other robots in this world, each with a simulator of its own; the same "
         "world, seed and start_time must be given to all.",
     )
-    time_window: float = parameter(
+    time_window: float = setting(
         0.1,
         "By how much simulated time may be ahead of that of another robot; at least two periods "
         "of state_rate.",
@@ -51,7 +51,7 @@ class TeammatesConfig:
         low=0.02,
         high=10.0,
     )
-    teammate_silence: float = parameter(
+    teammate_silence: float = setting(
         8.0,
         "A simulator that was not heard for so long is not waited for: its robot stays where it "
         "stood. When it is back, it goes on at the time of the others.",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ExplorationError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
@@ -40,7 +40,7 @@ class MapListenerConfig:
         low=0.001,
         high=1024.0,
     )
-    arrival_pause: float = parameter(
+    arrival_pause: float = setting(
         1.0,
         "After the start, plans are refused until the map has not grown by 1 % for so long: what "
         "was known before a restart arrives bit by bit.",

@@ -18,7 +18,7 @@ from infomap_ros.errors import UpdateRefusedError
 from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages import decode_text
 from infomap_ros.motion import RobotModel
@@ -44,7 +44,7 @@ class TeamBodyConfig:
         ConfigError: a value is out of its range.
     """
 
-    remove_teammates: bool = parameter(
+    remove_teammates: bool = setting(
         True,
         "Drop points on the bodies of teammates that are heard on team/agents.",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 
 _TEAM = "team/"
 
@@ -18,7 +18,7 @@ class TeamRadioConfig:
         ConfigError: a value is out of its range.
     """
 
-    simulated_loss: float = parameter(
+    simulated_loss: float = setting(
         0.0,
         "For tests: share of the messages on topics team/* that are dropped on arrival, as a bad "
         "radio would.",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.messages import header_stamp
 from infomap_ros.replay.bags.reader import BagMessage
 
@@ -29,10 +29,10 @@ class PlayerConfig:
         False,
         "Play as fast as the results of the paced topics come back, whatever the recorded times.",
     )
-    window: int = parameter(
+    window: int = setting(
         2, "Messages of each paced topic that may be on their way at once.", low=1, high=1000
     )
-    acknowledge_timeout: float = parameter(
+    acknowledge_timeout: float = setting(
         5.0, "After this long without its result a message counts as lost.", unit="s", low=0.01
     )
 

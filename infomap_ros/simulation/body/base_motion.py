@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig, wrap
 from infomap_ros.simulation.body.drive_train import DriveTrain, planar
@@ -18,20 +19,17 @@ _TILT_MARGIN = 0.1  # [rad]
 class BaseMotionConfig:
     """Parameters of the watch over the base."""
 
-    command_timeout: float = parameter(
-        0.5, "A velocity holds so long without being repeated.", unit="s", low=0.02, high=60.0
-    )
-    stuck_time: float = parameter(
-        4.0, "Without progress for so long it is stuck, and stops.", unit="s", low=0.2, high=60.0
-    )
-    stuck_distance: float = parameter(
-        0.02, "What counts as progress: such a way...", unit="m", low=0.001, high=1.0
-    )
-    stuck_angle: float = parameter(0.05, "...or such a turn.", unit="rad", low=0.001, high=1.0)
+    command_timeout: ClassVar[float] = 0.5
+    """A velocity holds so long without being repeated [s]."""
+    stuck_time: ClassVar[float] = 4.0
+    """Without progress for so long it is stuck, and stops [s]."""
+    stuck_distance: ClassVar[float] = 0.02
+    """What counts as progress: such a way... [m]"""
+    stuck_angle: ClassVar[float] = 0.05
+    """...or such a turn [rad]."""
 
-    max_tilt: float = parameter(
-        0.45, "Where it tilts more it stops.", unit="rad", low=0.05, high=1.5
-    )
+    max_tilt: ClassVar[float] = 0.45
+    """Where it tilts more it stops [rad]."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

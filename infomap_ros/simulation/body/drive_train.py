@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,9 +26,8 @@ class DriveTrainConfig:
         low=0.5,
         high=5.0,
     )
-    gyro_gain: float = parameter(
-        2.0, "Gain by which the measured turn rate corrects the wheels.", low=0.0, high=20.0
-    )
+    gyro_gain: ClassVar[float] = 2.0
+    """Gain by which the measured turn rate corrects the wheels."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

@@ -7,10 +7,11 @@ body, a servo that turns it, and friction with the ground. All other joints get 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.suspension import add_suspension
 from infomap_ros.simulation.body.trial import TrialModel, Wheel
@@ -26,13 +27,12 @@ _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 class DynamicsConfig:
     """Parameters of the simulation of forces."""
 
-    timestep: float = parameter(0.005, "Step of the integration.", unit="s", low=0.0002, high=0.01)
-    control_period: float = parameter(
-        0.02, "Time between two commands to the servos.", unit="s", low=0.001, high=0.2
-    )
-    arm_stiffness: float = parameter(
-        12.0, "Natural frequency of the joint servos.", unit="rad/s", low=1.0, high=200.0
-    )
+    timestep: ClassVar[float] = 0.005
+    """Step of the integration [s]."""
+    control_period: ClassVar[float] = 0.02
+    """Time between two commands to the servos [s]."""
+    arm_stiffness: ClassVar[float] = 12.0
+    """Natural frequency of the joint servos [rad/s]."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 
 
 @dataclass(frozen=True)
@@ -53,35 +54,24 @@ class RobotSetupConfig:
         low=0.0,
         high=2.0,
     )
-    suspension_sag: float = parameter(
+    suspension_sag: float = setting(
         0.008,
         "How far the wheels' springs give under the robot's weight; 0 for rigid wheels.",
         unit="m",
         low=0.0,
         high=0.2,
     )
-    suspension_travel: float = parameter(
-        0.04, "Way of a wheel up and down from rest.", unit="m", low=0.001, high=0.5
-    )
-    suspension_warp: float = parameter(
-        0.05,
-        "Stiffness against uneven ground, as share of that against a shift of the load.",
-        low=0.0,
-        high=0.95,
-    )
-    suspension_damping: float = parameter(
-        0.4, "Damping of the springs as share of the critical.", low=0.0, high=5.0
-    )
-    wheel_friction: float = parameter(
+    suspension_travel: ClassVar[float] = 0.04
+    """Way of a wheel up and down from rest [m]."""
+    suspension_warp: ClassVar[float] = 0.05
+    """Stiffness against uneven ground, as share of that against a shift of the load."""
+    suspension_damping: ClassVar[float] = 0.4
+    """Damping of the springs as share of the critical."""
+    wheel_friction: float = setting(
         1.0, "Friction coefficient of the wheels on the ground.", low=0.05, high=3.0
     )
-    wheel_effort: float = parameter(
-        8.0,
-        "Largest torque of a wheel whose joint has no effort limit.",
-        unit="Nm",
-        low=0.1,
-        high=1e4,
-    )
+    wheel_effort: ClassVar[float] = 8.0
+    """Largest torque of a wheel whose joint has no effort limit [Nm]."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

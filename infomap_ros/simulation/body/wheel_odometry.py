@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import make_transform, skew
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.odometry import OdometryEstimate
 
@@ -26,42 +27,23 @@ _COUNTED = ("scale", "gyro_scale", "position", "heading", "noise", "way", "turne
 class WheelOdometryConfig:
     """Parameters of the dead reckoning."""
 
-    scale_error: float = parameter(
+    scale_error: float = setting(
         0.01, "Standard deviation of the wheel radius' error, as share.", low=0.0, high=0.5
     )
-    encoder_noise: float = parameter(
-        0.004, "Noise of the way after 1 m, grows with its root.", unit="m", low=0.0, high=1.0
-    )
-    slip: float = parameter(
-        0.05, "Slip that is to be expected, as share of the way.", low=0.0, high=1.0
-    )
-    side_slip: float = parameter(
-        0.04,
-        "Slip in any direction after 1 m, grows with its root.",
-        unit="m",
-        low=0.0,
-        high=1.0,
-    )
-    turn_slip: float = parameter(
-        0.05,
-        "Slip in any direction after a turn of 1 rad, grows with its root.",
-        unit="m",
-        low=0.0,
-        high=1.0,
-    )
-    gyro_scale_error: float = parameter(
-        0.005, "Standard deviation of the gyroscope's scale, as share.", low=0.0, high=0.5
-    )
-    gyro_noise: float = parameter(
-        0.003,
-        "Noise of a turn after 1 rad or 1 m, grows with its root.",
-        unit="rad",
-        low=0.0,
-        high=1.0,
-    )
-    tilt_noise: float = parameter(
-        0.002, "Standard deviation of roll and pitch.", unit="rad", low=0.0, high=0.5
-    )
+    encoder_noise: ClassVar[float] = 0.004
+    """Noise of the way after 1 m, grows with its root [m]."""
+    slip: ClassVar[float] = 0.05
+    """Slip that is to be expected, as share of the way."""
+    side_slip: ClassVar[float] = 0.04
+    """Slip in any direction after 1 m, grows with its root [m]."""
+    turn_slip: ClassVar[float] = 0.05
+    """Slip in any direction after a turn of 1 rad, grows with its root [m]."""
+    gyro_scale_error: ClassVar[float] = 0.005
+    """Standard deviation of the gyroscope's scale, as share."""
+    gyro_noise: ClassVar[float] = 0.003
+    """Noise of a turn after 1 rad or 1 m, grows with its root [rad]."""
+    tilt_noise: ClassVar[float] = 0.002
+    """Standard deviation of roll and pitch [rad]."""
 
     def __post_init__(self) -> None:
         """Validate all fields."""

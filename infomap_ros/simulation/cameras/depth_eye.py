@@ -8,14 +8,14 @@ pixels. Across the ray, each pixel reads the depth of a place beside it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import CameraCalibration, PinholeCamera
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot_body import RobotBody
 from infomap_ros.simulation.cameras.rendering import Renderer
@@ -27,22 +27,20 @@ _PATCH = 2.5  # [px] standard deviation of what neighbouring pixels share
 class DepthEyeConfig:
     """Parameters of the depth camera."""
 
-    nearest: float = parameter(0.3, "Smallest depth.", unit="m", low=0.0, high=10.0)
-    farthest: float = parameter(6.0, "Largest depth.", unit="m", low=0.1, high=100.0)
-    sigma_base: float = parameter(0.0012, "Noise at sigma_depth.", unit="m", low=0.0, high=1.0)
-    sigma_quadratic: float = parameter(
+    nearest: float = setting(0.3, "Smallest depth.", unit="m", low=0.0, high=10.0)
+    farthest: float = setting(6.0, "Largest depth.", unit="m", low=0.1, high=100.0)
+    sigma_base: float = setting(0.0012, "Noise at sigma_depth.", unit="m", low=0.0, high=1.0)
+    sigma_quadratic: float = setting(
         0.0019, "Growth of the noise with (z - sigma_depth)^2.", unit="1/m", low=0.0, high=1.0
     )
-    sigma_depth: float = parameter(
-        0.4, "Depth at which the noise is smallest.", unit="m", low=0.0, high=10.0
-    )
-    shared: float = parameter(
-        0.3, "Share of the variance that neighbouring pixels have in common.", low=0.0, high=1.0
-    )
-    pixel_sigma: float = parameter(
+    sigma_depth: ClassVar[float] = 0.4
+    """Depth at which the noise is smallest [m]."""
+    shared: ClassVar[float] = 0.3
+    """Share of the variance that neighbouring pixels have in common."""
+    pixel_sigma: float = setting(
         0.5, "Standard deviation of the ray across the image.", unit="px", low=0.0, high=5.0
     )
-    quantisation: float = parameter(
+    quantisation: float = setting(
         0.001, "Step of the depth values; 0 for none.", unit="m", low=0.0, high=0.1
     )
 

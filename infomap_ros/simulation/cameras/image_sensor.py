@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -15,19 +15,19 @@ from infomap_ros.geometry.transforms import FloatArray
 class ImageSensorConfig:
     """Parameters of the image sensor."""
 
-    full_well: float = parameter(
+    full_well: float = setting(
         9000.0, "Electrons at grey value 255; fewer means more shot noise", low=50.0, high=1e6
     )
-    read_noise: float = parameter(
+    read_noise: float = setting(
         14.0, "Standard deviation of the read noise, in electrons", low=0.0, high=1000.0
     )
-    vignetting: float = parameter(
+    vignetting: float = setting(
         0.25, "Share of light that is lost in the corners", low=0.0, high=0.95
     )
-    target_level: float = parameter(
+    target_level: float = setting(
         115.0, "Median grey value that the exposure control aims at", low=1.0, high=254.0
     )
-    exposure_step: float = parameter(
+    exposure_step: float = setting(
         0.125, "Step of the exposure control, as power of two", low=0.001, high=2.0
     )
 

@@ -8,6 +8,7 @@ camera is turned against its frame by a small rotation, which its camera info te
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from infomap_ros.geometry import (
     make_transform,
     rig_from_calibrations,
 )
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.cameras.rendering import Renderer
 
@@ -39,25 +40,24 @@ class StereoCameraConfig:
     field_of_view: float = parameter(
         1.30, "Horizontal opening of the rectified image", unit="rad", low=0.1, high=2.2
     )
-    distortion: tuple[float, ...] = parameter(
+    distortion: tuple[float, ...] = setting(
         (-0.17, 0.045, 0.0006, -0.0004, -0.005),
         "plumb_bob coefficients k1 k2 p1 p2 k3 of the left lens; the right one differs slightly",
         low=-2.0,
         high=2.0,
     )
-    misalignment: float = parameter(
-        0.006, "Standard deviation of each raw camera's rotation", unit="rad", low=0.0, high=0.1
-    )
-    supersampling: int = parameter(
+    misalignment: ClassVar[float] = 0.006
+    """Standard deviation of each raw camera's rotation [rad]"""
+    supersampling: int = setting(
         2, "Samples per pixel and direction; more means cleaner edges", low=1, high=4
     )
-    multisampling: int = parameter(
+    multisampling: int = setting(
         4, "Samples of the renderer at edges; 0 draws faster, with jagged edges", low=0, high=16
     )
-    shadow_map: int = parameter(
+    shadow_map: int = setting(
         4096, "Edge length of the image of shadows; smaller is faster", unit="px", low=64, high=8192
     )
-    seed: int = parameter(3, "Seed of what differs from camera to camera", low=0)
+    seed: int = setting(3, "Seed of what differs from camera to camera", low=0)
 
     def __post_init__(self) -> None:
         """Validate all fields."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.scans.traversal import unpack_all
 from infomap_ros.views.ranking import look_ahead_kernels
@@ -27,29 +28,28 @@ class LookAheadConfig:
         ConfigError: a value is out of its range.
     """
 
-    depth: int = parameter(3, "Number of views of a sequence.", low=1, high=30)
-    views: int = parameter(
+    depth: int = setting(3, "Number of views of a sequence.", low=1, high=30)
+    views: int = setting(
         14, "The best so many views, unlike each other, may be part of one.", low=1, high=200
     )
-    beam: int = parameter(
+    beam: int = setting(
         6, "So many of the best sequences of each length are continued.", low=1, high=1000
     )
-    patience: float = parameter(
+    patience: float = setting(
         10.0,
         "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
         "once.",
         low=0.01,
         high=1e6,
     )
-    cost_of_view: float = parameter(
+    cost_of_view: float = setting(
         2.0, "A view costs as much as a way of this distance.", low=0.0, high=1e6
     )
-    unlike_distance: float = parameter(
+    unlike_distance: float = setting(
         0.7, "Views are alike that are nearer to each other than this, and", unit="m", low=0.0
     )
-    unlike_angle: float = parameter(
-        0.5, "whose optical axes differ by less than this.", unit="rad", low=0.0, high=3.15
-    )
+    unlike_angle: ClassVar[float] = 0.5
+    """whose optical axes differ by less than this [rad]."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.ranking.options import Options
@@ -54,36 +55,34 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
-    position_weights: tuple[float, ...] = parameter(
+    position_weights: tuple[float, ...] = setting(
         (1.0, 1.0, 1.0),
         "Weight of the way along x, y and z of the map in the distance of eq. (10).",
         unit="1/m",
         low=0.0,
         high=1e6,
     )
-    rotation_weights: tuple[float, ...] = parameter(
+    rotation_weights: tuple[float, ...] = setting(
         (0.2, 0.2, 0.2),
         "Weight of the turn about x, y and z of the map in the distance of eq. (10).",
         unit="1/rad",
         low=0.0,
         high=1e6,
     )
-    repetition_weight: float = parameter(
+    repetition_weight: float = setting(
         1.0,
         "Weight of what views like it have promised before and not told, against w_NI.",
         low=0.0,
         high=1e6,
     )
-    repetition_distance: float = parameter(
-        1.5, "Distance over which views become unlike.", unit="m", low=0.001, high=1000.0
-    )
-    repetition_azimuth: float = parameter(
-        0.6, "Turn over which views become unlike.", unit="rad", low=0.001, high=10.0
-    )
-    repetition_elevation: float = parameter(
+    repetition_distance: ClassVar[float] = 1.5
+    """Distance over which views become unlike [m]."""
+    repetition_azimuth: ClassVar[float] = 0.6
+    """Turn over which views become unlike [rad]."""
+    repetition_elevation: float = setting(
         0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
     )
-    trust_distance: float = parameter(
+    trust_distance: float = setting(
         4.0,
         "Distance over which the share that views of an elevation have told of what they could "
         "tell says less of other views.",
@@ -91,16 +90,15 @@ class RatingConfig:
         low=0.001,
         high=1000.0,
     )
-    trust_azimuth: float = parameter(
-        3.0, "Turn over which it says less.", unit="rad", low=0.001, high=10.0
-    )
-    trust_credit: float = parameter(
+    trust_azimuth: ClassVar[float] = 3.0
+    """Turn over which it says less [rad]."""
+    trust_credit: float = setting(
         0.3,
         "So many views count as if they had told all, before others have shown what comes of such.",
         low=0.001,
         high=1e6,
     )
-    teammate_sigma: float = parameter(
+    teammate_sigma: float = setting(
         0.5,
         "Width of the Gaussian by which the risk falls off around a teammate.",
         unit="m",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.ranking import tour_kernels
 from infomap_ros.views.ranking.look_ahead import LookAhead, distances_between, shared_voxels
@@ -26,26 +27,21 @@ class ViewTourConfig:
         ConfigError: a value is out of its range.
     """
 
-    views: int = parameter(20, "At most so many views are part of a tour.", low=1, high=60)
-    firsts: int = parameter(
-        6, "Tours are compared that begin with so many of the best views.", low=1, high=60
-    )
-    patience: float = parameter(
+    views: int = setting(20, "At most so many views are part of a tour.", low=1, high=60)
+    firsts: ClassVar[int] = 6
+    """Tours are compared that begin with so many of the best views."""
+    patience: float = setting(
         40.0,
         "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
         "once.",
         low=0.01,
         high=1e6,
     )
-    cost_of_view: float = parameter(
+    cost_of_view: float = setting(
         0.3, "A view costs as much as a way of this distance.", low=0.0, high=1e6
     )
-    least_share: float = parameter(
-        0.01,
-        "A view that adds less than this to the others is no part of a tour [full views].",
-        low=0.0,
-        high=1.0,
-    )
+    least_share: ClassVar[float] = 0.01
+    """A view that adds less than this to the others is no part of a tour [full views]."""
 
     def __post_init__(self) -> None:
         check_config(self)

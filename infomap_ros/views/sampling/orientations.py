@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.sampling import sight_kernels
 from infomap_ros.views.sampling.surroundings import BoolArray, Surroundings
@@ -26,24 +27,23 @@ class OrientationConfig:
         ConfigError: a value is out of its range, or the limits of the elevation cross.
     """
 
-    directed: int = parameter(
+    directed: int = setting(
         4,
         "Directions per position towards the periphery of the known and uncertain voxels in sight.",
         low=0,
         high=64,
     )
-    spread: int = parameter(
+    spread: int = setting(
         2, "Further directions per position, spread evenly around.", low=0, high=64
     )
-    lowest_elevation: float = parameter(
+    lowest_elevation: float = setting(
         -1.2, "Lowest elevation of the optical axis.", unit="rad", low=-1.571, high=1.571
     )
-    highest_elevation: float = parameter(
+    highest_elevation: float = setting(
         0.7, "Highest elevation of the optical axis.", unit="rad", low=-1.571, high=1.571
     )
-    targets_per_position: int = parameter(
-        300, "At most so many cells are looked for from one position.", low=1, high=1_000_000
-    )
+    targets_per_position: ClassVar[int] = 300
+    """At most so many cells are looked for from one position."""
 
     @property
     def bins(self) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from infomap_ros.geometry import PlacedSolid, points_inside
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelWindow
 from infomap_ros.views.sampling import space_kernels
@@ -36,13 +36,13 @@ class SurroundingsConfig:
         ConfigError: a value is out of its range.
     """
 
-    free_probability: float = parameter(
+    free_probability: float = setting(
         0.05,
         "A voxel less likely occupied than this is free (2 sigma; Sujan and Dubowsky 2005).",
         low=1e-6,
         high=0.5,
     )
-    surface_margin: int = parameter(
+    surface_margin: int = setting(
         2,
         "Unknown voxels with both an occupied and a free one within this many count as free: a "
         "scan leaves the voxels right before a surface unobserved. 0 for a sensor without noise.",
@@ -50,17 +50,17 @@ class SurroundingsConfig:
         low=0,
         high=10,
     )
-    camera_radius: float = parameter(
+    camera_radius: float = setting(
         0.1, "Radius of the ball around the camera that must be free.", unit="m", low=0.0, high=5.0
     )
-    start_radius: float = parameter(
+    start_radius: float = setting(
         0.5,
         "So near to where the camera is, it may pass through free space narrower than that ball.",
         unit="m",
         low=0.0,
         high=10.0,
     )
-    horizon: float = parameter(
+    horizon: float = setting(
         8.0,
         "Camera positions are sought so far from the present one, along each axis; twice and four "
         "times as far where nothing is found.",
@@ -68,13 +68,13 @@ class SurroundingsConfig:
         low=0.1,
         high=_FARTHEST,
     )
-    largest_window: int = parameter(
+    largest_window: int = setting(
         100_000_000,
         "The search does not widen to where it would look at more voxels than this.",
         low=1000,
         high=1_000_000_000,
     )
-    cell: float = parameter(
+    cell: float = setting(
         0.2,
         "Edge of the cells in which ways and things to look at are counted.",
         unit="m",

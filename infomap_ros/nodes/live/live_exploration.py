@@ -90,7 +90,9 @@ def robot_parameters(
     }
     if has_actions() and not lockstep:
         nodes["simulator"] |= driven_simulator()
-        nodes["robot_driver"] = {**simulated_driver(), **reliable("joint_states")}
+        # A motion is late by the time of the robot that carries it out.
+        driver = {"use_sim_time": True, **simulated_driver()}
+        nodes["robot_driver"] = {**driver, **reliable("joint_states")}
     if not localised:
         del nodes["fiducial_localization"]
     if lockstep:

@@ -27,7 +27,7 @@ class ViewPlannerConfig:
     metric: str = parameter(
         "expected_entropy_reduction", "What counts as information, by the name of a metric."
     )
-    predict_unknown: bool = setting(
+    predict_unknown: bool = parameter(
         False,
         "Whether unknown voxels near known ones have the average probability of their neighbors "
         "(the Markov chain of sec. 2.4 of the paper) instead of 0.5 when views are rated.",

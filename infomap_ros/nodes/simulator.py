@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConductor, LockstepConfig
@@ -70,7 +70,7 @@ class SimulatorNodeConfig:
     resume: bool = parameter(
         False, "Go on from where the robot of state_file stood, where there is one."
     )
-    lockstep_nodes: tuple[str, ...] = parameter(
+    lockstep_nodes: tuple[str, ...] = setting(
         (),
         "Nodes for which time waits: it goes on when each has used all that it was sent, so that "
         "a run does not depend on the machine. They and this node have lockstep set.",

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import build_config
+from infomap_ros.geometry.config import all_parameters, build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
@@ -108,14 +108,18 @@ def player_of_poses(launch_file: ModuleType, **given: str) -> list[str]:
 
 
 def check_settings(nodes: dict[str, Recorder]) -> None:
-    """Every parameter that is set exists, with that type."""
+    """Every parameter or setting that is set exists, with that type."""
     nodes = {name: node for name, node in nodes.items() if name != "rviz2"}
     assert set(nodes) <= set(NODES)
     for name, node in nodes.items():
-        known = node_parameters(NODES[name])
+        known = {
+            prefix + field: default
+            for config, prefix in NODES[name]
+            for field, (default, _) in all_parameters(config).items()
+        }
         for key, value in settings_of(node).items():
             if key != "use_sim_time" and not key.startswith("qos_overrides"):
-                kind = type(known[key][0])
+                kind = type(known[key])
                 assert isinstance(value, list if kind is tuple else kind), key
         assert node.parameters[0] == str(find_share(f"config/{name}.yaml"))
 

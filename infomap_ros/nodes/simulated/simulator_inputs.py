@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.geometry.config import check_config, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.messages import decode_pose_with_covariance
 from infomap_ros.messages.commands import (
     decode_arm_trajectory,
@@ -33,7 +33,7 @@ class SimulatorInputsConfig:
         ConfigError: a value is out of its range.
     """
 
-    commands: str = setting(
+    commands: str = parameter(
         "topics",
         "topics: base_path and arm_trajectory; actions: follow_path, and follow_joint_trajectory "
         "of arm_controller, for robot_driver.",

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.robot_body import RobotBody
@@ -19,7 +19,7 @@ _WINDUP = 0.3  # [rad] that a wheel may lag behind its target
 class DriveTrainConfig:
     """Parameters of the wheels' control."""
 
-    turn_gain: float = parameter(
+    turn_gain: float = setting(
         2.4,
         "How much faster the wheels turn in a curve than they would without slipping sideways: "
         "1 for two wheels, above for skid steer.",

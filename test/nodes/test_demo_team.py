@@ -25,7 +25,7 @@ def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> Non
     assert [robot["simulator"]["publish_clock"] for robot in nodes] == [True, False, False]
     assert nodes[1]["simulator"]["teammates"] == ["rover1", "rover3"]
     assert nodes[1]["simulator"]["world"] == "cave"
-    assert [robot["simulator"]["start"] for robot in nodes] == [each.place for each in starts]
+    assert [robot["simulator"]["start"] for robot in nodes] == [list(each.place) for each in starts]
     assert [robot["next_best_view"]["start_clearance"] for robot in nodes] == [0.6, 0.9, 0.7]
     assert len({str(robot["map_fusion"]["map_file"]) for robot in nodes}) == 3
     reliable = "qos_overrides./rover2/camera_pose.subscription.reliability"

@@ -30,9 +30,10 @@ from infomap_ros.nodes.common import qos
 REPORTS = "lockstep_reports"
 TIME = "lockstep_time"
 
-_USED, _SENT, _WAITED = "used ", "sent ", "waited until"
+_USED, _SENT, _FOUND, _WAITED = "used ", "sent ", "found by ", "waited until"
 _QUIET = 0.3  # [s] without a report, and
-_SETTLING = 1.0  # [s] with all, after which everybody has found everybody
+_SETTLING = 1.0  # [s] with all, and publishers that have found their listeners
+_UNFOUND = 30.0  # [s] after which a listener is not found any more: it asks for another quality
 _LOG_PERIOD = 10.0  # [s]
 _LOST = 60.0  # [s] without news after which a message that nobody has used counts as lost
 
@@ -66,6 +67,7 @@ class LockstepReporter:
     def __init__(self, node: Node, rests: Callable[[], bool]) -> None:
         self._name, self._rests = node.get_fully_qualified_name(), rests
         self._counts: Counter[str] = Counter()
+        self._publishers: list[Publisher] = []
         self._lock = threading.RLock()
         self._reported: Counter[str] | None = None
         self.waited_until: Callable[[], int | None] = lambda: None
@@ -86,6 +88,7 @@ class LockstepReporter:
     def count(self, publisher: Publisher) -> None:
         """Count what is sent by a publisher from now on."""
         topic, publish = publisher.topic_name, publisher.publish
+        self._publishers.append(publisher)
 
         def counted(message: Any) -> None:
             with self._lock:
@@ -99,6 +102,9 @@ class LockstepReporter:
         """Report, where something has changed and the node rests."""
         with self._lock:
             waited = self.waited_until()
+            for publisher in self._publishers:
+                found = publisher.get_subscription_count()
+                self._counts[_FOUND + publisher.topic_name] = found
             is_same = self._counts == self._reported and waited == self._waited
             if is_same or not self._rests():
                 return
@@ -171,7 +177,21 @@ class LockstepConductor:
 
     def _is_quiet(self) -> bool:
         now = time.monotonic()
-        return now - self._heard > _QUIET and now - self._complete > _SETTLING
+        passed = now - self._complete
+        is_found = passed > _UNFOUND or self._have_found_each_other()
+        return now - self._heard > _QUIET and passed > _SETTLING and is_found
+
+    def _have_found_each_other(self) -> bool:
+        """Whether each publisher has as many listeners as there are among the nodes."""
+        listeners: Counter[str] = Counter()
+        for report in self._reports.values():
+            listeners.update(key.removeprefix(_USED) for key in report if key.startswith(_USED))
+        return all(
+            count >= listeners[key.removeprefix(_FOUND)]
+            for report in self._reports.values()
+            for key, count in report.items()
+            if key.startswith(_FOUND)
+        )
 
     def _have_waited(self, stamp: int) -> bool:
         return all(report.get(_WAITED, stamp) >= stamp for report in self._reports.values())

@@ -13,12 +13,15 @@ from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, su
 def map_consistency(
     out: Out,
     scenes: Annotated[int, typer.Option(help="random scenes")] = ConsistencyConfig.scenes,
+    scans: Annotated[
+        int, typer.Option(help="scans of each sequence with shared errors")
+    ] = ConsistencyConfig.scans,
     seed: Annotated[int, typer.Option(help="of the first scene")] = ConsistencyConfig.seed,
 ) -> None:
     """Is the map as sure as it should be? Its errors against its own covariances."""
     start = time.monotonic()
     with refusals(), progress_bar("scenes", scenes) as advance:
-        results = run_study(ConsistencyConfig(scenes=scenes, seed=seed), advance)
+        results = run_study(ConsistencyConfig(scenes=scenes, scans=scans, seed=seed), advance)
     out.mkdir(parents=True, exist_ok=True)
     draw_histograms(results, out / "map_consistency.png")
     figures = summary(results, time.monotonic() - start)

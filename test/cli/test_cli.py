@@ -276,7 +276,9 @@ finally:
 
 
 def test_a_study_leaves_its_figure_and_summary(tmp_path, run):
-    status, out, _ = run("study", "map-consistency", "--scenes", 2, "--out", tmp_path)
+    status, out, _ = run(
+        "study", "map-consistency", "--scenes", 2, "--scans", 10, "--out", tmp_path
+    )
     summary = json.loads(out.splitlines()[-1])
     assert status in (0, 1), "two scenes decide nothing"
     assert summary == json.loads((tmp_path / "summary.json").read_text())

@@ -107,6 +107,12 @@ def _remarks(run: MapRun, recording: Recording) -> list[str]:
     remarks += [f"{count} messages skipped: {text}" for text, count in recording.skipped.items()]
     remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
     remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
+    if run.points_beyond > run.points:
+        share = run.points_beyond / (run.points_beyond + run.points)
+        remarks.append(
+            f"{share:.0%} of the points are beyond {run.map.config.max_range:g} m and tell only "
+            "what is free (--max-range; ranges are measured to stereo.max_depth)"
+        )
     if run.builder.assumed_poses:
         assumed = run.assumed
         remarks.append(

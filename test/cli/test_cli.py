@@ -70,6 +70,13 @@ def test_map_with_given_topics_and_settings(tmp_path, run):
     assert json.loads(out)["frames"] == 6
 
 
+def test_points_that_are_too_far_for_the_map_are_told(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    arguments = ("map", bag, "--out", tmp_path / "out")
+    assert "beyond" not in run(*arguments)[2]
+    assert "of the points are beyond 1.6 m" in run(*arguments, "--overwrite", "--max-range", 1.6)[2]
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -59,6 +59,7 @@ class MapRun:
         log: how the camera was located, empty where the bag tells its poses.
         frames: number of frames that are in the map.
         points: number of points that are in the map.
+        points_beyond: number of points that were too far for it.
         dropped: frames that are not, by reason.
         first: the first measurement in the map.
         camera_path: positions of the camera at the frames in the map, (x, y, z) each [m].
@@ -78,7 +79,7 @@ class MapRun:
         settings = options or MapOptions()
         self.inputs: MapInputs = find_inputs(bag, settings)
         self.log = LocalizationLog()
-        self.frames = self.points = 0
+        self.frames = self.points = self.points_beyond = 0
         self.dropped: Counter[str] = Counter()
         self.first: RangeMeasurement | None = None
         self.camera_path: list[FloatArray] = []
@@ -159,6 +160,7 @@ class MapRun:
         if isinstance(done, Fused):
             self.frames += 1
             self.points += done.report.points_used
+            self.points_beyond += done.report.points_out_of_range
             self.first = self.first or done.scan.cloud
             self.camera_path.append(done.scan.pose.transform[:3, 3])
 

@@ -33,9 +33,11 @@ from infomap_ros.geometry.solids import (
     points_inside,
 )
 from infomap_ros.geometry.transforms import (
+    carry_covariance,
     check_covariance,
     check_transform,
     check_transforms,
+    compose_poses,
     float_array,
     interpolate_transforms,
     invert_transform,
@@ -73,9 +75,11 @@ __all__ = [
     "TransformRecord",
     "WaitingQueue",
     "WaitingQueueConfig",
+    "carry_covariance",
     "check_covariance",
     "check_transform",
     "check_transforms",
+    "compose_poses",
     "float_array",
     "interpolate_transforms",
     "invert_transform",

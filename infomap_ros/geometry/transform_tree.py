@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.records import PoseRecord, TransformRecord
-from infomap_ros.geometry.transforms import FloatArray, skew
+from infomap_ros.geometry.transforms import FloatArray, compose_poses
 
 
 @dataclass(frozen=True)
@@ -123,11 +123,7 @@ def _compose(parent: PoseRecord, child: PoseRecord) -> PoseRecord:
     """
     covariance = None
     if parent.covariance is not None and child.covariance is not None:
-        rotation, lever = parent.transform[:3, :3], child.transform[:3, 3]
-        of_parent, of_child = np.eye(6), np.zeros((6, 6))
-        of_parent[:3, 3:] = -skew(rotation @ lever)
-        of_child[:3, :3] = of_child[3:, 3:] = rotation
-        covariance = of_parent @ parent.covariance @ of_parent.T
-        covariance += of_child @ child.covariance @ of_child.T
+        own = parent.transform, parent.covariance
+        _, covariance = compose_poses(*own, child.transform, child.covariance)
     transform = parent.transform @ child.transform
     return PoseRecord(child.stamp, parent.frame_id, transform, covariance, child.child_frame_id)

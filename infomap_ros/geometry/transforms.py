@@ -184,6 +184,40 @@ def skew(vector: ArrayLike) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def carry_covariance(covariance: FloatArray, lever: FloatArray) -> FloatArray:
+    """Covariance of a pose at the end of a lever that turns with another pose.
+
+    Args:
+        covariance: of the pose at its beginning, shape (6, 6).
+        lever: from there, shape (3,) [m], in the frame of the covariance.
+    """
+    over = np.eye(6)
+    over[:3, 3:] = -skew(lever)
+    return np.asarray(over @ covariance @ over.T)
+
+
+def compose_poses(
+    T_a_b: FloatArray,
+    covariance_ab: FloatArray,
+    T_b_c: FloatArray,
+    covariance_bc: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Compose two poses whose errors are independent.
+
+    Args:
+        T_a_b: shape (4, 4).
+        covariance_ab: in frame a, shape (6, 6).
+        T_b_c: shape (4, 4).
+        covariance_bc: in frame b, shape (6, 6).
+
+    Returns:
+        ``T_a_c`` and its covariance in frame a, to first order.
+    """
+    turn = np.kron(np.eye(2), T_a_b[:3, :3])
+    carried = carry_covariance(covariance_ab, T_a_b[:3, :3] @ T_b_c[:3, 3])
+    return T_a_b @ T_b_c, carried + turn @ covariance_bc @ turn.T
+
+
 def perturb_transform(transform: FloatArray, perturbation: ArrayLike) -> FloatArray:
     """Apply a pose error of the convention above.
 

@@ -5,24 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import OdometryRecord, PoseRecord, invert_transform, skew
+from infomap_ros.geometry import (
+    OdometryRecord,
+    PoseRecord,
+    carry_covariance,
+    invert_transform,
+)
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 
 _UNKNOWN_TWIST = 1e6 * np.eye(6)  # [m^2/s^2, rad^2/s^2]: zero would be a velocity known exactly
 _TILT = (2, 3, 4)  # z, roll and pitch among the rows of a pose's covariance
-
-
-def carried(covariance: FloatArray, lever: FloatArray) -> FloatArray:
-    """Covariance of a pose at the end of a lever that turns with it.
-
-    Args:
-        covariance: of the pose at its beginning, shape (6, 6).
-        lever: from there, shape (3,) [m], in the frame of the covariance.
-    """
-    over = np.eye(6)
-    over[:3, 3:] = -skew(lever)
-    return np.asarray(over @ covariance @ over.T)
 
 
 def base_in_map(
@@ -39,7 +32,7 @@ def base_in_map(
     transform = camera.transform @ invert_transform(T_base_camera)
     covariance = None
     if camera.covariance is not None:
-        covariance = carried(camera.covariance, transform[:3, 3] - camera.transform[:3, 3])
+        covariance = carry_covariance(camera.covariance, transform[:3, 3] - camera.transform[:3, 3])
         covariance = covariance + config.kinematics_covariance()
     return OdometryRecord(
         camera.stamp,
@@ -88,7 +81,7 @@ def told_camera(told: PoseRecord, T_map_base: FloatArray, T_base_camera: FloatAr
         raise InvalidInputError("initialpose", "has no covariance")
     base = told_base(told, T_map_base)
     lever = base[:3, :3] @ T_base_camera[:3, 3]
-    covariance = carried(told.covariance, lever)
+    covariance = carry_covariance(told.covariance, lever)
     return PoseRecord(told.stamp, told.frame_id, base @ T_base_camera, covariance)
 
 

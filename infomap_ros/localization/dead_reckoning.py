@@ -11,9 +11,9 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import (
     OdometryRecord,
     PoseRecord,
+    carry_covariance,
     check_transform,
     invert_transform,
-    skew,
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
@@ -147,10 +147,8 @@ class DeadReckoning:
             frame: name of the camera's frame.
         """
         lever = base.transform[:3, :3] @ T_base_camera[:3, 3]
-        over = np.eye(6)
-        over[:3, 3:] = -skew(lever)
         assert base.covariance is not None
-        covariance = over @ base.covariance @ over.T + self.config.kinematics_covariance()
+        covariance = carry_covariance(base.covariance, lever) + self.config.kinematics_covariance()
         return PoseRecord(
             base.stamp, base.frame_id, base.transform @ T_base_camera, covariance, frame
         )
@@ -160,6 +158,4 @@ class DeadReckoning:
         step = after[:3, 3] - before[:3, 3]
         way = float(np.linalg.norm(step))
         turned = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
-        over = np.eye(6)
-        over[:3, 3:] = -skew(step)
-        self._grown = over @ self._grown @ over.T + self.config.step_covariance(way, turned)
+        self._grown = carry_covariance(self._grown, step) + self.config.step_covariance(way, turned)

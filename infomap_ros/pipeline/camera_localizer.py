@@ -213,12 +213,10 @@ class CameraLocalizer:
 
     def _make(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
         """A localizer whose map is the target's frame, or odometry's, or level by assumption."""
-        start, sigmas = looking_along_x(self._config.start_tilt), [_LEAST_SIGMA] * 6
+        start, covariance = looking_along_x(self._config.start_tilt), _LEAST_SIGMA**2 * np.eye(6)
         if posture is not None:
-            start, kinematics = posture.T_odom_camera, self._config.motion.config
-            sigmas = [kinematics.kinematics_position_sigma] * 3
-            sigmas += [kinematics.kinematics_rotation_sigma] * 3
-        covariance = np.diag(np.square(sigmas))
+            start = posture.T_odom_camera
+            covariance = self._config.motion.config.kinematics_covariance()
         return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)
 
 

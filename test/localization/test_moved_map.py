@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import perturb_transform
+from infomap_ros.geometry import compose_poses, perturb_transform
 from infomap_ros.localization.localizer import Localizer
-from infomap_ros.localization.target.target import TargetRefusal, compose_poses
+from infomap_ros.localization.target.target import TargetRefusal
 
 from .room_views import CAMERA, STEP, looking, view
 

@@ -64,12 +64,7 @@ def free_motion(duration: float, config: FreeMotionConfig | None = None) -> Moti
     Raises:
         InvalidInputError: the duration is negative or not finite.
     """
-    if not (np.isfinite(duration) and duration >= 0.0):
-        raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
-    config = config or FreeMotionConfig()
-    time = min(duration, config.longest)
-    sigmas = np.repeat([config.speed * time, config.turn_rate * time], 3)
-    return MotionPrior(np.eye(4), np.diag(np.square(sigmas)))
+    return FreeMotion(config).expected(duration)
 
 
 class FreeMotion:
@@ -102,7 +97,16 @@ class FreeMotion:
         self._velocity = np.concatenate([motion[:3, 3], turn]) / max(duration, 1e-3)
 
     def expected(self, duration: float) -> MotionPrior:
-        """The motion that is expected within a duration [s]."""
+        """The motion that is expected.
+
+        Args:
+            duration: within which it is made [s].
+
+        Raises:
+            InvalidInputError: the duration is negative or not finite.
+        """
+        if not (np.isfinite(duration) and duration >= 0.0):
+            raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
         time = min(duration, self._config.longest)
         step = self._velocity * time
         motion = make_transform(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3])

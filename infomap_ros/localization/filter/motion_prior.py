@@ -7,7 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.geometry import check_covariance, check_transform, invert_transform, skew
+from infomap_ros.geometry import (
+    carry_covariance,
+    check_covariance,
+    check_transform,
+    compose_poses,
+    invert_transform,
+    skew,
+)
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 
@@ -36,12 +43,8 @@ class MotionPrior:
 
     def then(self, later: MotionPrior) -> MotionPrior:
         """This motion followed by another one, whose error is independent."""
-        rotation, way = self.T_before_after[:3, :3], later.T_before_after[:3, 3]
-        over = np.eye(6)
-        over[:3, 3:] = -skew(rotation @ way)
-        turn = np.kron(np.eye(2), rotation)
-        covariance = over @ self.covariance @ over.T + turn @ later.covariance @ turn.T
-        return MotionPrior(self.T_before_after @ later.T_before_after, covariance)
+        own = self.T_before_after, self.covariance
+        return MotionPrior(*compose_poses(*own, later.T_before_after, later.covariance))
 
 
 @dataclass(frozen=True)
@@ -114,9 +117,5 @@ class KinematicMotion:
 
     def _kinematics_covariance(self, motion: FloatArray) -> FloatArray:
         """What the kinematics add at the two ends, in the old camera's frame, shape (6, 6)."""
-        config = self.config
-        sigmas = np.repeat([config.kinematics_position_sigma, config.kinematics_rotation_sigma], 3)
-        end = np.diag(np.square(sigmas))
-        over = np.eye(6)
-        over[:3, 3:] = -skew(motion[:3, 3])
-        return np.asarray(end + over @ end @ over.T)
+        end = self.config.kinematics_covariance()
+        return np.asarray(end + carry_covariance(end, motion[:3, 3]))

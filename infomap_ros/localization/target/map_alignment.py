@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import check_covariance, check_transform
+from infomap_ros.geometry import check_covariance, check_transform, compose_poses
 from infomap_ros.geometry.transforms import FloatArray, perturb_transform
-from infomap_ros.localization.target.target import compose_poses, invert_pose
+from infomap_ros.localization.target.target import invert_pose
 
 CONTRADICTION = 22.5
 """Squared normalised distance of six numbers that one in a thousand honest pairs exceeds."""

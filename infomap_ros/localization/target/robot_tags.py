@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.geometry import check_covariance, check_transform
+from infomap_ros.geometry import check_covariance, check_transform, compose_poses
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoardConfig
 from infomap_ros.localization.target.tag_detection import TagFinder
@@ -24,7 +24,7 @@ from infomap_ros.localization.target.tag_detector import (
     TagTargetDetector,
     own_tags,
 )
-from infomap_ros.localization.target.target import TargetRefusal, compose_poses
+from infomap_ros.localization.target.target import TargetRefusal
 
 if TYPE_CHECKING:
     from infomap_ros.localization.fiducials.range_view import RangeView

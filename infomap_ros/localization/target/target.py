@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Literal, Protocol
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import check_covariance, check_transform, invert_transform, skew
+from infomap_ros.geometry import (
+    carry_covariance,
+    check_covariance,
+    check_transform,
+    invert_transform,
+    skew,
+)
 from infomap_ros.geometry.transforms import FloatArray
 
 if TYPE_CHECKING:
@@ -66,11 +72,9 @@ class TargetSighting:
             T_target_frame: where that frame is, shape (4, 4), known exactly.
         """
         lever = self.T_camera_target[:3, :3] @ T_target_frame[:3, 3]
-        over = np.eye(6)
-        over[:3, 3:] = -skew(lever)
         return TargetSighting(
             self.T_camera_target @ T_target_frame,
-            over @ self.covariance @ over.T,
+            carry_covariance(self.covariance, lever),
             self.score,
             self.detector,
         )
@@ -122,28 +126,3 @@ def invert_pose(T_a_b: FloatArray, covariance: FloatArray) -> tuple[FloatArray, 
     back[:3, 3:] = -inverse[:3, :3] @ skew(T_a_b[:3, 3])
     back[3:, 3:] = -inverse[:3, :3]
     return inverse, back @ covariance @ back.T
-
-
-def compose_poses(
-    T_a_b: FloatArray,
-    covariance_ab: FloatArray,
-    T_b_c: FloatArray,
-    covariance_bc: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Compose two poses whose errors are independent.
-
-    Args:
-        T_a_b: shape (4, 4).
-        covariance_ab: in frame a, shape (6, 6).
-        T_b_c: shape (4, 4).
-        covariance_bc: in frame b, shape (6, 6).
-
-    Returns:
-        ``T_a_c`` and its covariance in frame a, to first order.
-    """
-    rotation = T_a_b[:3, :3]
-    over = np.eye(6)
-    over[:3, 3:] = -skew(rotation @ T_b_c[:3, 3])
-    turn = np.kron(np.eye(2), rotation)
-    covariance = over @ covariance_ab @ over.T + turn @ covariance_bc @ turn.T
-    return T_a_b @ T_b_c, covariance

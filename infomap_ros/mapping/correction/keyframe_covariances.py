@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import check_covariance, check_transforms, skew
+from infomap_ros.geometry import carry_covariance, check_covariance, check_transforms
 from infomap_ros.geometry.pose_uncertainty import positive_part
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -74,7 +74,6 @@ class KeyframeCovariances:
         if before is None or not len(self._stamps):
             return None
         place = max(int(np.searchsorted(self._stamps, stamp, side="right")) - 1, 0)
-        over = np.eye(6)
-        over[:3, 3:] = -skew(transform[:3, 3] - self._places[place])
+        lever = transform[:3, 3] - self._places[place]
         now, then = self._now[place], self._first[int(self._stamps[place])]
-        return np.asarray(over @ now @ over.T + positive_part(before - over @ then @ over.T))
+        return carry_covariance(now, lever) + positive_part(before - carry_covariance(then, lever))

@@ -6,11 +6,13 @@ ros2 launch infomap_ros exploration.launch.py simulator:=false driver:=true para
 ros2 launch infomap_ros exploration.launch.py simulator:=false namespace:=robot1 robot_id:=1
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
-
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, numbers
+from infomap_ros.nodes.live.launching import (
+    ROBOT_ARGUMENTS,
+    RobotLaunch,
+    launch_description,
+    numbers,
+)
 from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
 from infomap_ros.nodes.simulated.simulated_localisation import (
     simulated_localisation,
@@ -61,15 +63,10 @@ STATE, MOTION = ["camera_pose", "joint_states"], ["odom", "joint_states"]
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
+    return launch_description(ARGUMENTS, _processes)
 
 
-def _processes(context) -> list:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _processes(given: dict[str, str]) -> list:
     simulated = given["simulator"] == "true"
     robot = RobotLaunch(given, simulated)
     inputs = {

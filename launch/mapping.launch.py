@@ -6,11 +6,8 @@ ros2 launch infomap_ros mapping.launch.py namespace:=robot1 rectify:=true map_fi
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
-
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch
+from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, launch_description
 from launch import LaunchDescription
 
 ARGUMENTS = {
@@ -35,15 +32,10 @@ MOTION = ["odom", "joint_states"]
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
+    return launch_description(ARGUMENTS, _processes)
 
 
-def _processes(context) -> list:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _processes(given: dict[str, str]) -> list:
     bag = given["bag"]
     if bag and not Path(bag).exists():
         bag = str(find_share(bag))

@@ -8,12 +8,9 @@ A team of real robots: exploration.launch.py on each, with namespace, robot_id a
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
-
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.demo_exploration import demo_world, task_parameters
-from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch
+from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, launch_description
 from infomap_ros.nodes.live.live_team import member_parameters, robot_names
 from infomap_ros.simulation.company.team_starts import team_starts
 from launch import LaunchDescription
@@ -33,15 +30,10 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_processes)])
+    return launch_description(ARGUMENTS, _processes)
 
 
-def _processes(context) -> list:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _processes(given: dict[str, str]) -> list:
     seed, size = int(given["seed"]), float(given["size"])
     world = demo_world(given["world"], seed, size)
     names, processes = robot_names(int(given["robots"])), []

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from infomap_ros.errors import ConfigError
@@ -66,6 +67,7 @@ def parameter(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] = (),
+    public: bool = True,
 ) -> Any:
     """Declare a dataclass field with its default, description, unit and range.
 
@@ -76,36 +78,19 @@ def parameter(
         low: smallest allowed number, inclusive.
         high: largest allowed number, inclusive.
         choices: allowed strings.
+        public: a ROS parameter of the nodes; else see `setting`.
     """
-    info = ParameterInfo(description, unit, low, high, choices)
+    info = ParameterInfo(description, unit, low, high, choices, public)
     return dataclasses.field(default=default, metadata={_METADATA_KEY: info})
 
 
-def setting(
-    default: Any,
-    description: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """Declare a field as `parameter` does that is no ROS parameter of a node.
+setting = partial(parameter, public=False)
+"""Declares a field as `parameter` does that is no ROS parameter of a node.
 
-    It is for what studies, the simulator and tests vary. It is validated in the same way. A node
-    takes a value that it is started with, and does not declare it; it stands in no parameter file
-    and in no table.
-
-    Args:
-        default: bool, int, float, str, or tuple of one of these.
-        description: one or two sentences.
-        unit: SI unit or empty.
-        low: smallest allowed number, inclusive.
-        high: largest allowed number, inclusive.
-        choices: allowed strings.
-    """
-    info = ParameterInfo(description, unit, low, high, choices, public=False)
-    return dataclasses.field(default=default, metadata={_METADATA_KEY: info})
+It is for what studies, the simulator and tests vary. It is validated in the same way. A node takes
+a value that it is started with, and does not declare it; it stands in no parameter file and in no
+table.
+"""
 
 
 def parameters_of(config: Any) -> Mapping[str, tuple[Any, ParameterInfo]]:

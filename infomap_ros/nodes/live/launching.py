@@ -5,7 +5,7 @@ ROS's launch is imported when it is needed, as the wheels have none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from infomap_ros.geometry.resources import find_share
@@ -61,6 +61,30 @@ _FRAMES = (
     "robot_driver",
 )
 _MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization", "explorer")
+
+
+def launch_description(
+    arguments: Mapping[str, tuple[str, str]], start: Callable[[dict[str, str]], list[Any]]
+) -> Any:
+    """What a launch file describes: its arguments, and what it starts with their values.
+
+    Args:
+        arguments: default and description by name.
+        start: given the values by name; returns the actions.
+    """
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+    from launch.substitutions import LaunchConfiguration
+
+    from launch import LaunchDescription
+
+    def begin(context: Any) -> list[Any]:
+        return start({name: LaunchConfiguration(name).perform(context) for name in arguments})
+
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in arguments.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=begin)])
 
 
 class RobotLaunch:

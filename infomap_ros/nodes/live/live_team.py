@@ -21,7 +21,7 @@ from infomap_ros.nodes.team.team_topics import SHARED
 from infomap_ros.simulation.company.team_starts import TeamStart
 
 _SHARING = ("map_fusion", "next_best_view")
-IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
+_IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
 _CLEARANCE = ViewPlannerConfig().start_clearance
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
@@ -51,7 +51,7 @@ def member_parameters(
         "publish_clock": number == 0,
     }
     member = {"robot_id": number + 1, "team": list(range(1, len(names) + 1))}
-    for node in IN_TEAM:
+    for node in _IN_TEAM:
         nodes[node] |= member
     nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
     return nodes
@@ -116,7 +116,7 @@ class LiveTeam(LiveGraph):
         """Start all nodes of a robot, the first time or again."""
         self._down.discard(name)
         for node, values in self._parameters[name].items():
-            remaps = SHARED if node in IN_TEAM else {}
+            remaps = SHARED if node in _IN_TEAM else {}
             self.pids[f"{name}/{node}"] = self._team[name].start(node, values, remaps)
 
     def kill_robot(self, name: str) -> None:

@@ -62,15 +62,13 @@ class RunTruth:
         """The figures as one line for people."""
         within = (self.within_1_sigma, self.within_2_sigma, self.within_3_sigma)
         shares = " / ".join("-" if share is None else f"{share:.0%}" for share in within)
-        parts = [
-            f"{self.true_coverage:.1%} of the visible surface mapped",
-            f"{shares} within 1 / 2 / 3 sigma",
-            f"{self.contacts} contacts",
-        ]
+        parts = [f"{self.true_coverage:.1%} of the visible surface mapped"]
         if self.map_error_median is not None:
-            parts.insert(1, f"error {1e3 * self.map_error_median:.1f} mm in the median")
+            parts.append(f"error {1e3 * self.map_error_median:.1f} mm in the median")
+        parts.append(f"{shares} within 1 / 2 / 3 sigma")
         if self.pose_nees is not None:
-            parts.insert(-1, f"pose NEES/6 {self.pose_nees:.2f}")
+            parts.append(f"pose NEES/6 {self.pose_nees:.2f}")
+        parts.append(f"{self.contacts} contacts")
         return "compared with the truth: " + ", ".join(parts)
 
     def __str__(self) -> str:

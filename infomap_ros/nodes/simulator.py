@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -107,7 +108,9 @@ class SimulatorNode(MonitoredNode):
         self._stopping, names = False, self._config.lockstep_nodes
         self._conductor = None
         if names:
-            self._conductor = LockstepConductor(self, names, lambda: self._stopping)
+            if self.lockstep is None:
+                raise ConfigError("lockstep_nodes are given, but lockstep is not set")
+            self._conductor = LockstepConductor(self, self.lockstep, names, lambda: self._stopping)
         self.start_worker(1).submit(self._run)
 
     def _build(self) -> tuple[Simulator, str]:

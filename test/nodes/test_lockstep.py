@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from infomap_ros.cli.settings import with_settings
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.nodes.common import qos
+from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.lockstep import TIME, LockstepConductor, LockstepConfig
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.live.live_exploration import robot_parameters
@@ -107,3 +114,70 @@ def test_the_nodes_choose_and_map_as_the_exploration_in_one_process(
     assert sum(entry["kind"] == "decision" for entry in first) == VIEWS
     assert second == first
     assert second_map == first_map
+
+
+class Listener(MonitoredNode):
+    """Takes part, and keeps what it is sent."""
+
+    CONFIGS: ClassVar = ((LockstepConfig, ""),)
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("listener", **node_arguments)
+        self.texts: list[str] = []
+        self.listen(String, "news", self._on_news, qos.latched())
+
+    def _on_news(self, message: String) -> None:
+        self.texts.append(message.data)
+
+
+class Speaker(MonitoredNode):
+    """Has time wait for the listener."""
+
+    CONFIGS: ClassVar = ((LockstepConfig, ""),)
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("speaker", **node_arguments)
+        self.publisher = self.advertise(String, "news", qos.latched())
+        assert self.lockstep is not None
+        self.conductor = LockstepConductor(self, self.lockstep, ["listener"], lambda: False)
+
+
+def in_thread(graph: Any, action: Any) -> None:
+    """Serve the graph while an action waits."""
+    thread = threading.Thread(target=action, daemon=True)
+    thread.start()
+    graph.spin_until(lambda: not thread.is_alive(), "the action")
+
+
+def test_no_moment_begins_before_all_that_was_sent_in_the_last_one_is_used(graph: Any) -> None:
+    listener = graph.add(Listener, lockstep=True)
+    speaker = graph.add(Speaker, lockstep=True)
+    moments = graph.collect(Clock, TIME)
+    in_thread(graph, speaker.conductor.begin)
+
+    wanted = [str(number) for number in range(20)]
+    for text in wanted:  # more than the queue of a latched topic would keep
+        speaker.publisher.publish(String(data=text))
+    thread = threading.Thread(target=speaker.conductor.settle, args=(1,), daemon=True)
+    thread.start()
+    time.sleep(0.3)  # nobody is served: a moment that began now would be on its way
+    assert thread.is_alive()
+    used_at_the_moment: list[int] = []
+
+    def has_begun() -> bool:
+        if moments and not used_at_the_moment:
+            used_at_the_moment.append(len(listener.texts))
+        return not thread.is_alive()
+
+    graph.spin_until(has_begun, "the moment")
+    assert listener.texts == wanted
+    assert used_at_the_moment == [len(wanted)]
+
+
+def test_what_is_latched_has_been_used_when_time_begins(graph: Any) -> None:
+    speaker = graph.add(Speaker, lockstep=True)
+    for text in ("one", "two"):
+        speaker.publisher.publish(String(data=text))
+    listener = graph.add(Listener, lockstep=True)
+    in_thread(graph, speaker.conductor.begin)
+    assert listener.texts == ["one", "two"]

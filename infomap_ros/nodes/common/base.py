@@ -163,11 +163,12 @@ class MonitoredNode(Node):
             from_peer: whether other robots publish it; then see `guard_peer`.
         """
         name = self.resolve_topic_name(topic)
+        profile = profile if self.lockstep is None else qos.complete(profile)
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
         self._listened[name] = _type_name(message_type), profile
         if self.lockstep is not None:
-            self.lockstep.listens(name)
+            self.lockstep.listens(name, latched)
         radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
         guard = self.guard_peer if from_peer else self.guard
 
@@ -206,6 +207,7 @@ class MonitoredNode(Node):
             if on_subscriber is not None and event.total_count_change > 0:
                 on_subscriber()
 
+        profile = profile if self.lockstep is None else qos.complete(profile)
         events = PublisherEventCallbacks(matched=on_matched) if on_subscriber else None
         publisher = self.create_publisher(
             message_type,

@@ -31,6 +31,7 @@ REPORTS = "lockstep_reports"
 TIME = "lockstep_time"
 
 _USED, _SENT, _FOUND, _WAITED = "used ", "sent ", "found by ", "waited until"
+_LATCHED = "latched "
 _QUIET = 0.3  # [s] without a report, and
 _SETTLING = 1.0  # [s] with all, and publishers that have found their listeners
 _UNFOUND = 30.0  # [s] after which a listener is not found any more: it asks for another quality
@@ -74,10 +75,11 @@ class LockstepReporter:
         self._waited: int | None = None
         self._publisher = node.create_publisher(DiagnosticStatus, REPORTS, qos.stream(depth=500))
 
-    def listens(self, topic: str) -> None:
-        """The node listens to a topic, full name."""
+    def listens(self, topic: str, latched: bool) -> None:
+        """The node listens to a topic, full name; where it is latched, to all that was sent."""
         with self._lock:
             self._counts[_USED + topic] += 0
+            self._counts[_LATCHED + topic] = int(latched)
 
     def used(self, topic: str) -> None:
         """A message was used, as far as its callback does so."""
@@ -98,13 +100,19 @@ class LockstepReporter:
 
         publisher.publish = counted
 
+    def counts(self) -> Counter[str]:
+        """What there is to report now."""
+        with self._lock:
+            for publisher in self._publishers:
+                found = publisher.get_subscription_count()
+                self._counts[_FOUND + publisher.topic_name] = found
+            return self._counts.copy()
+
     def report(self) -> None:
         """Report, where something has changed and the node rests."""
         with self._lock:
             waited = self.waited_until()
-            for publisher in self._publishers:
-                found = publisher.get_subscription_count()
-                self._counts[_FOUND + publisher.topic_name] = found
+            self._counts = self.counts()
             is_same = self._counts == self._reported and waited == self._waited
             if is_same or not self._rests():
                 return
@@ -118,19 +126,26 @@ class LockstepConductor:
     """Lets time pass when nothing is under way.
 
     Args:
-        node: the simulator; reports as the others do.
+        node: the simulator.
+        own: its counts; a report to itself would come after what it has just sent.
         names: of the other nodes that take part, in its namespace.
         stops: whether the node ends.
     """
 
-    def __init__(self, node: Node, names: Collection[str], stops: Callable[[], bool]) -> None:
-        self._node, self._stops = node, stops
+    def __init__(
+        self,
+        node: Node,
+        own: LockstepReporter,
+        names: Collection[str],
+        stops: Callable[[], bool],
+    ) -> None:
+        self._node, self._own, self._stops = node, own, stops
+        self._own_name = node.get_fully_qualified_name()
         base = node.get_namespace().rstrip("/")
-        self._names = {node.get_fully_qualified_name(), *(f"{base}/{name}" for name in names)}
+        self._names = {f"{base}/{name}" for name in names}
         self._news = threading.Condition()
-        self._reports: dict[str, Mapping[str, int]] = {}
+        self._reported: dict[str, Mapping[str, int]] = {}
         self._base: dict[tuple[str, str], int] = {}
-        self._listeners: set[tuple[str, str]] = set()
         self._heard, self._complete = time.monotonic(), 0.0
         node.create_subscription(DiagnosticStatus, REPORTS, self._on_report, qos.stream(depth=500))
         self._publisher = node.create_publisher(Clock, TIME, qos.stream(depth=10))
@@ -138,15 +153,13 @@ class LockstepConductor:
     def begin(self) -> None:
         """Wait until all are there and quiet.
 
-        What was sent before is not counted, and nobody waits for who begins to listen later.
+        What is latched has been used then. Of what is not, that which was sent before is not
+        counted, and nobody waits for who begins to listen later.
         """
-        self._wait(lambda: self._names <= self._reports.keys())
+        self._wait(lambda: self._names <= self._reported.keys())
         self._complete = time.monotonic()
         self._wait(self._is_quiet)
         with self._news:
-            self._listeners = {
-                (name, key) for name, report in self._reports.items() for key in report
-            }
             self._base = self._missing()
 
     def settle(self, stamp: int) -> None:
@@ -160,9 +173,13 @@ class LockstepConductor:
         self._publisher.publish(Clock(clock=now))
         self._wait(lambda: self._have_waited(stamp) and self._is_settled_or_lost())
 
+    @property
+    def _reports(self) -> dict[str, Mapping[str, int]]:
+        return {**self._reported, self._own_name: self._own.counts()}
+
     def _on_report(self, message: DiagnosticStatus) -> None:
         with self._news:
-            self._reports[message.name] = {pair.key: int(pair.value) for pair in message.values}
+            self._reported[message.name] = {pair.key: int(pair.value) for pair in message.values}
             self._heard = time.monotonic()
             self._news.notify_all()
 
@@ -178,26 +195,37 @@ class LockstepConductor:
     def _is_quiet(self) -> bool:
         now = time.monotonic()
         passed = now - self._complete
-        is_found = passed > _UNFOUND or self._have_found_each_other()
-        return now - self._heard > _QUIET and passed > _SETTLING and is_found
+        is_known = self._have_found_each_other() and self._have_used_what_is_latched()
+        is_ready = passed > _UNFOUND or is_known
+        return now - self._heard > _QUIET and passed > _SETTLING and is_ready
 
     def _have_found_each_other(self) -> bool:
         """Whether each publisher has as many listeners as there are among the nodes."""
         listeners: Counter[str] = Counter()
-        for report in self._reports.values():
+        reports = self._reports.values()
+        for report in reports:
             listeners.update(key.removeprefix(_USED) for key in report if key.startswith(_USED))
         return all(
             count >= listeners[key.removeprefix(_FOUND)]
-            for report in self._reports.values()
+            for report in reports
             for key, count in report.items()
             if key.startswith(_FOUND)
+        )
+
+    def _have_used_what_is_latched(self) -> bool:
+        reports = self._reports
+        return not any(
+            missing and reports[name].get(_LATCHED + topic)
+            for (name, topic), missing in self._missing().items()
         )
 
     def _have_waited(self, stamp: int) -> bool:
         return all(report.get(_WAITED, stamp) >= stamp for report in self._reports.values())
 
     def _is_settled(self) -> bool:
-        return all(count == self._base.get(key, 0) for key, count in self._missing().items())
+        missing = self._missing()
+        self._base = {key: min(count, missing[key]) for key, count in self._base.items()}
+        return all(missing[key] == count for key, count in self._base.items())
 
     def _is_settled_or_lost(self) -> bool:
         if self._is_settled():
@@ -211,25 +239,24 @@ class LockstepConductor:
     def _missing(self) -> dict[tuple[str, str], int]:
         """How many messages each node has not used yet of those sent, by node and topic."""
         sent: Counter[str] = Counter()
-        for report in self._reports.values():
+        reports = self._reports
+        for report in reports.values():
             for key, count in report.items():
                 if key.startswith(_SENT):
                     sent[key.removeprefix(_SENT)] += count
         return {
-            (name, topic): sent[topic] - count
-            for name, report in self._reports.items()
+            (name, key.removeprefix(_USED)): max(sent[key.removeprefix(_USED)] - count, 0)
+            for name, report in reports.items()
             for key, count in report.items()
             if key.startswith(_USED)
-            and (name, key) in self._listeners
-            and (topic := key.removeprefix(_USED)) in sent
         }
 
     def _waited_for(self) -> str:
-        absent = sorted(self._names - self._reports.keys())
+        absent = sorted(self._names - self._reported.keys())
         behind = [
             f"{name} ({topic})"
             for (name, topic), missing in self._missing().items()
-            if missing != self._base.get((name, topic), 0)
+            if missing > self._base.get((name, topic), missing)
         ]
         return ", ".join(absent + behind) or "what the explorer does next"
 

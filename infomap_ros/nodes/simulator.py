@@ -109,7 +109,7 @@ class SimulatorNode(MonitoredNode):
         self._conductor = None
         if names:
             if self.lockstep is None:
-                raise ConfigError("lockstep_nodes are given, but lockstep is not set")
+                raise ConfigError("lockstep_nodes", names, "none, as lockstep is not set")
             self._conductor = LockstepConductor(self, self.lockstep, names, lambda: self._stopping)
         self.start_worker(1).submit(self._run)
 

@@ -33,6 +33,7 @@ class MapProgress:
         mean_sigma: mean standard deviation of the surface along its normal [m]; NaN without one.
         surface_voxels: surface voxels in the region.
         known_voxels: voxels of the whole map that were ever observed.
+        precise_fraction: share of the reachable surface that is known precisely enough, 0 to 1.
     """
 
     known_fraction: float
@@ -40,9 +41,12 @@ class MapProgress:
     mean_sigma: float
     surface_voxels: int
     known_voxels: int
+    precise_fraction: float
 
 
-def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) -> MapProgress:
+def measure_progress(
+    voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike, surface_sigma: float
+) -> MapProgress:
     """Measure expanse and resolution of a map.
 
     The known fraction is ``K / (K + M)``. K counts the surface voxels that border on the free
@@ -55,6 +59,9 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
       must be near: a false match that floats in the air goes on nowhere. The border of free space
       elsewhere is air that was not seen.
 
+    Of what is known the share of surface voxels counts as precise whose standard deviation along
+    the normal is at most `surface_sigma`.
+
     A large hole in a known surface counts with its rim alone, so the fraction errs towards 1 where
     hidden faces stand upright. docs/results/exploration_worlds.md compares it with the truth.
 
@@ -63,6 +70,7 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
         region: box (low, high), shape (2, 3), map frame [m].
         inside: a point of the free space about the robot, such as the camera's position, shape (3,)
             [m].
+        surface_sigma: that is precise enough [m].
 
     Raises:
         InvalidInputError: the region is not a finite box.
@@ -78,12 +86,14 @@ def measure_progress(voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike) 
     centres = (indices + 0.5) * voxel_map.config.voxel_size
     chosen = ((centres >= box[0]) & (centres <= box[1])).all(axis=1)
     sigmas = surface_sigmas(covariances[chosen])
+    known_fraction = known / (known + missing) if known else 0.0
     return MapProgress(
-        known / (known + missing) if known else 0.0,
+        known_fraction,
         voxel_map.entropy_bits(box),
         float(sigmas.mean()) if len(sigmas) else float("nan"),
         int(chosen.sum()),
         voxel_map.known_voxels,
+        known_fraction * float((sigmas <= surface_sigma).mean()) if len(sigmas) else 0.0,
     )
 
 

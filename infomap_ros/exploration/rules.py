@@ -128,7 +128,7 @@ class TaskIsMet(StopRule):
         if choice is None:
             return None
         progress = choice.progress
-        if not self.task.is_met(progress.known_fraction, progress.mean_sigma):
+        if not self.task.is_met(progress.precise_fraction):
             return None
         return Ending(EndReason.DONE, _in_words(progress))
 
@@ -205,5 +205,6 @@ def _in_words(progress: MapProgress) -> str:
     """How much is known, and how well."""
     return (
         f"{100.0 * progress.known_fraction:.1f} % of the reachable surface is known, "
+        f"{100.0 * progress.precise_fraction:.1f} % precisely enough, "
         f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
     )

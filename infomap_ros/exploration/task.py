@@ -16,8 +16,8 @@ class TaskConfig:
     """A mapping task.
 
     It is done when expanse and resolution suffice (Fig. 3 of Sujan and Dubowsky 2005): the
-    `known_fraction` of the reachable surface is in the map, and the map's mean standard deviation
-    is at most `mean_sigma`.
+    `known_fraction` of the reachable surface is in the map, with a standard deviation of at most
+    `surface_sigma`.
 
     Raises:
         ConfigError: a value is out of its range, or the region is empty.
@@ -30,11 +30,15 @@ class TaskConfig:
         (3.0, 3.0, 1.4), "Upper corner of the box that is to be mapped, map frame.", unit="m"
     )
     known_fraction: float = parameter(
-        0.95, "Share of the reachable surface in the region that must be known.", low=0.0, high=1.0
+        0.95,
+        "Share of the reachable surface in the region that must be known, as precisely as "
+        "surface_sigma says.",
+        low=0.0,
+        high=1.0,
     )
-    mean_sigma: float = parameter(
+    surface_sigma: float = parameter(
         0.03,
-        "The map's mean standard deviation along the surface normal must not be larger.",
+        "Standard deviation along its normal with which a surface is known precisely enough.",
         unit="m",
         low=1e-5,
         high=10.0,
@@ -104,9 +108,9 @@ class TaskConfig:
         if not all(low < high for low, high in zip(self.region_low, self.region_high, strict=True)):
             raise ConfigError("region_high", self.region_high, f"above {self.region_low}")
 
-    def is_met(self, known_fraction: float, mean_sigma: float) -> bool:
-        """Whether expanse, 0 to 1, and resolution [m] suffice."""
-        return known_fraction >= self.known_fraction and mean_sigma <= self.mean_sigma
+    def is_met(self, precise_fraction: float) -> bool:
+        """Whether the share of the reachable surface that is known precisely suffices, 0 to 1."""
+        return precise_fraction >= self.known_fraction
 
     @property
     def region(self) -> FloatArray:

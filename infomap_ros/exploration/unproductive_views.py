@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from infomap_ros.exploration.progress import MapProgress
@@ -23,20 +22,18 @@ class UnproductiveViews(StopRule):
 
     def __init__(self, task: TaskConfig) -> None:
         self.task = task
-        self._views, self._known, self._sigma, self._surface = 0, 0.0, math.nan, 0
+        self._views, self._known, self._precise, self._surface = 0, 0.0, 0.0, 0
         self._gains: list[tuple[float, float]] = []  # shares, a pair per view
 
     def note(self, views: int, progress: MapProgress) -> None:
         """Take the state of the map after so many views."""
         if views > self._views:
-            gain = progress.known_fraction - self._known
-            finer = 1.0 - progress.mean_sigma / self._sigma  # NaN before there is a surface
-            if finer > gain and progress.mean_sigma > self.task.mean_sigma:
-                gain = finer
+            known = progress.known_fraction - self._known
+            gain = max(known, progress.precise_fraction - self._precise)
             growth = progress.surface_voxels / max(self._surface, 1) - 1.0
             self._gains.append((max(gain, 0.0), max(growth, 0.0)))
         self._views = views
-        self._known, self._sigma = progress.known_fraction, progress.mean_sigma
+        self._known, self._precise = progress.known_fraction, progress.precise_fraction
         self._surface = max(self._surface, progress.surface_voxels)
 
     @property

@@ -111,7 +111,7 @@ class ViewPlanner:
         self.config, self._task = config, task
         sensor = replace(
             InformationConfig.of_stereo(self._rig),
-            wanted_sigma=task.mean_sigma,
+            wanted_sigma=task.surface_sigma,
             predict_unknown=config.predict_unknown,
         )
         self._information = ExpectedInformation(config.metric, sensor, threads=config.threads)
@@ -216,7 +216,7 @@ class ViewPlanner:
 
     def is_done(self, progress: MapProgress) -> bool:
         """Whether the task is met."""
-        return self._task.is_met(progress.known_fraction, progress.mean_sigma)
+        return self._task.is_met(progress.precise_fraction)
 
     def withdraw(self) -> None:
         """Note that what was chosen last is not carried out."""
@@ -256,7 +256,9 @@ class ViewPlanner:
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
         region = self._task.region
-        self._measured = measure_progress(voxel_map, region, state.T_map_camera[:3, 3])
+        self._measured = measure_progress(
+            voxel_map, region, state.T_map_camera[:3, 3], self._task.surface_sigma
+        )
         return self._measured
 
     def _situation(

@@ -22,8 +22,10 @@ from infomap_ros.motion.route import ArmPath, Route
 JOINTS = ("pan", "tilt")
 
 
-def progress(known: float = 0.5, sigma: float = 0.01) -> MapProgress:
-    return MapProgress(known, 1000.0 * (1.0 - known), sigma, 100, 1000)
+def progress(known: float = 0.5, sigma: float = 0.01, precise: float | None = None) -> MapProgress:
+    """A share that is known; all of it precisely where not given."""
+    precise = known if precise is None else precise
+    return MapProgress(known, 1000.0 * (1.0 - known), sigma, 100, 1000, precise)
 
 
 def pose_at(x: float, y: float) -> np.ndarray:
@@ -106,8 +108,8 @@ class FakePlanner:
         self.failures.append(view.reason)
 
 
-def view(x: float, known: float = 0.5, sigma: float = 0.01) -> Choice:
-    return Choice(progress(known, sigma), pose_at(x, 0.0), route_to(x), f"view at {x}")
+def view(x: float, known: float = 0.5, precise: float | None = None) -> Choice:
+    return Choice(progress(known, precise=precise), pose_at(x, 0.0), route_to(x), f"view at {x}")
 
 
 def nothing(reason: str = "no candidate tells anything", known: float = 0.5) -> Choice:

@@ -141,7 +141,7 @@ def _start() -> dict[str, Any]:
         "region_high": [3.0, 3.0, 1.4],
         "known_fraction": 0.95,
     }
-    task |= {"mean_sigma": 0.007, "max_views": 80, "max_distance": 300.0}
+    task |= {"surface_sigma": 0.007, "max_views": 80, "max_distance": 300.0}
     camera = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     names = {"robot": "rover", "world": "stones", "strategy": "look_ahead"}
     return {
@@ -167,6 +167,7 @@ def _progress(view: int, distance: float, time: float, count: int) -> dict[str, 
         "mean_sigma": None if view == 0 else 0.006 + 0.009 * math.exp(-0.3 * view),
         "surface_voxels": int(18000 * share),
         "known_voxels": int(90000 * share),
+        "precise_fraction": 0.9 * share,
         "state": "choosing",
     }
 

@@ -40,10 +40,10 @@ class Run:
 
 
 def test_done_when_expanse_and_resolution_suffice() -> None:
-    run = Run(view(1.0), view(2.0, known=0.97, sigma=0.02))
+    run = Run(view(1.0), view(2.0, known=0.97))
     ending = run.exploration.run()
     assert ending.reason is EndReason.DONE
-    assert "97.0 %" in ending.detail and "20.0 mm" in ending.detail
+    assert "97.0 %" in ending.detail and "10.0 mm" in ending.detail
     assert run.robot.deeds == ["look", "arm", "drive", "arm", "look"]
     assert run.exploration.mission.views == 2
     assert run.exploration.mission.distance == pytest.approx(1.0)
@@ -108,8 +108,8 @@ def test_views_that_map_more_surface_are_not_in_vain() -> None:
 
 
 def test_views_that_make_the_map_as_fine_as_asked_are_not_in_vain() -> None:
-    script = [view(float(n), 0.96, sigma) for n, sigma in enumerate((0.09, 0.07, 0.05, 0.03))]
-    task = TaskConfig(known_fraction=0.95, mean_sigma=0.04, vain_views=2)
+    script = [view(float(n), 0.97, share) for n, share in enumerate((0.5, 0.7, 0.9, 0.96))]
+    task = TaskConfig(known_fraction=0.95, vain_views=2)
     assert Run(*script, task=task).exploration.run().reason is EndReason.DONE
 
 
@@ -128,9 +128,9 @@ def test_looks_and_chooses_again_where_the_pose_is_lost_on_the_way() -> None:
     assert any("too uncertain" in note["text"] for note in run.notes.of("message"))
 
 
-@pytest.mark.parametrize(("known", "sigma"), [(0.97, 0.05), (0.9, 0.01), (0.97, float("nan"))])
-def test_not_done_while_one_of_them_is_short(known: float, sigma: float) -> None:
-    ending = Run(view(1.0, known, sigma), nothing()).exploration.run()
+@pytest.mark.parametrize(("known", "precise"), [(0.97, 0.94), (0.9, 0.9)])
+def test_not_done_while_too_little_is_known_precisely(known: float, precise: float) -> None:
+    ending = Run(view(1.0, known, precise), nothing()).exploration.run()
     assert ending.reason is EndReason.NOTHING_LEFT
 
 

@@ -109,8 +109,8 @@ def seen_wall() -> VoxelMap:
 
 def test_sigma_and_voxels_are_those_of_the_region() -> None:
     voxel_map = seen_wall()
-    everything = measure_progress(voxel_map, ((-3, -3, -1), (3, 3, 3)), (0, 0, 0.5))
-    half = measure_progress(voxel_map, ((0, -3, -1), (3, 3, 3)), (0.5, 0, 0.5))
+    everything = measure_progress(voxel_map, ((-3, -3, -1), (3, 3, 3)), (0, 0, 0.5), 0.01)
+    half = measure_progress(voxel_map, ((0, -3, -1), (3, 3, 3)), (0.5, 0, 0.5), 0.01)
     assert everything.surface_voxels == voxel_map.surface_voxels
     assert 0 < half.surface_voxels < everything.surface_voxels
     assert everything.known_voxels == half.known_voxels == voxel_map.known_voxels
@@ -119,10 +119,26 @@ def test_sigma_and_voxels_are_those_of_the_region() -> None:
     assert 0.0 < everything.known_fraction < 1.0
 
 
+def test_as_much_of_the_surface_is_precise_as_of_its_voxels() -> None:
+    voxel_map, region = seen_wall(), ((-3, -3, -1), (3, 3, 3))
+    _, _, covariances = voxel_map.gaussians()
+    sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, 0])
+    limit = 1.001 * float(np.median(sigmas))
+    share = float((sigmas <= limit).mean())
+    every, some, none = (
+        measure_progress(voxel_map, region, (0, 0, 0.5), sigma) for sigma in (1.0, limit, 1e-6)
+    )
+    assert every.precise_fraction == every.known_fraction == some.known_fraction
+    assert some.precise_fraction == pytest.approx(share * some.known_fraction)
+    assert 0.3 < share < 0.9
+    assert none.precise_fraction == 0.0
+
+
 def test_empty_map_is_wholly_unknown() -> None:
-    progress = measure_progress(VoxelMap(), ((-1, -1, -1), (1, 1, 1)), (0, 0, 0))
+    progress = measure_progress(VoxelMap(), ((-1, -1, -1), (1, 1, 1)), (0, 0, 0), 0.01)
     assert progress.known_fraction == 0.0
     assert np.isnan(progress.mean_sigma)
+    assert progress.precise_fraction == 0.0
 
 
 @pytest.mark.parametrize(
@@ -130,4 +146,4 @@ def test_empty_map_is_wholly_unknown() -> None:
 )
 def test_impossible_region_is_named(region: object) -> None:
     with pytest.raises(InvalidInputError, match="region"):
-        measure_progress(VoxelMap(), region, (0, 0, 0))
+        measure_progress(VoxelMap(), region, (0, 0, 0), 0.01)

@@ -13,7 +13,7 @@ def turns_after(known: list[float], patience: int) -> list[bool]:
     """Whose turn it is after each view, by the share that is known then."""
     turns, found = StrategyAlternator(TaskConfig(vain_views=patience, least_gain=0.01)), []
     for views, share in enumerate(known, start=1):
-        turns.note(views, MapProgress(share, 0.0, 0.01, 100, 1000))
+        turns.note(views, MapProgress(share, 0.0, 0.01, 100, 1000, share))
         found.append(turns.is_other)
     return found
 
@@ -30,7 +30,7 @@ def test_views_that_bring_something_keep_their_turn() -> None:
 def test_no_view_between_two_choices_is_no_view_in_vain() -> None:
     turns = StrategyAlternator(TaskConfig(vain_views=6))
     for _ in range(10):
-        turns.note(4, MapProgress(0.5, 0.0, 0.01, 100, 1000))
+        turns.note(4, MapProgress(0.5, 0.0, 0.01, 100, 1000, 0.5))
     assert not turns.is_other
 
 

@@ -127,7 +127,7 @@ def test_views_that_were_not_reached_are_not_tried_again(robot, half_known, trie
 def test_looks_again_at_surfaces_that_are_not_precise_enough(robot, wanted, looks):
     """All is known, with the ground within 2 cm."""
     voxel_map = box_of_voxels(known_from=-30, sigma=0.02)
-    task = dataclasses.replace(TASK, mean_sigma=wanted)
+    task = dataclasses.replace(TASK, surface_sigma=wanted)
     choice = planner_of(robot, task).choose(voxel_map, standing(robot))
     assert (choice.pose is not None) == looks
 

@@ -52,7 +52,7 @@ class OneView:
         )
         still = ArmPath.staying(arm.joint_names, arm.positions[0])
         route = Route(still, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, np.eye(4))
-        progress = MapProgress(0.5, 10.0, 0.01, 100, 1000)
+        progress = MapProgress(0.5, 10.0, 0.01, 100, 1000, 0.5)
         choice = Choice(progress, np.eye(4), route, "")
         response.message, response.success = choice_to_text(choice), True
         return response
@@ -80,7 +80,7 @@ class OneView:
         known = 0.99 if self.left == 0 else 0.5
         self.left -= 1
         self.routes.append(route)
-        progress = MapProgress(known, 10.0, 0.01, 100, 1000)
+        progress = MapProgress(known, 10.0, 0.01, 100, 1000, known)
         response.message = choice_to_text(
             Choice(progress, self.seen_from(route), route, "on we go")
         )
@@ -185,7 +185,7 @@ class SearchStage(Stage):
         path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
         route = Route(still, path, np.stack([np.eye(4)] * 2), still, np.eye(4))
         self.rover.is_located = self.left == 0 and not self.gives_up
-        choice = Choice(MapProgress(0.0, 0.0, 0.0, 0, 0), np.eye(4), route, "turn")
+        choice = Choice(MapProgress(0.0, 0.0, 0.0, 0, 0, 0.0), np.eye(4), route, "turn")
         if self.gives_up and self.left == 0:
             choice = Choice(choice.progress, None, None, "the target was not found: 2 looks")
         response.message, response.success = choice_to_text(choice), True

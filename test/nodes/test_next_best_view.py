@@ -377,7 +377,7 @@ def test_unknown_voxels_are_predicted_where_that_is_asked_for(graph: Any, predic
     for predict in (False, True):
         config = replace(
             InformationConfig.of_stereo(StereoRig(CAMERA, CAMERA, BASELINE)),
-            wanted_sigma=task.mean_sigma,
+            wanted_sigma=task.surface_sigma,
             predict_unknown=predict,
         )
         told[predict] = expected_information(

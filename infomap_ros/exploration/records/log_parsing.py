@@ -68,6 +68,7 @@ def _progress(time: float, fields: Fields) -> Progress:
         _number(fields, "mean_sigma"),
         _count(fields, "surface_voxels"),
         _count(fields, "known_voxels"),
+        _number(fields, "precise_fraction"),
         _text(fields, "state", ""),
     )
 

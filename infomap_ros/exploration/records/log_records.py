@@ -54,6 +54,7 @@ class Progress:
         mean_sigma: of the surface along its normal [m].
         surface_voxels: with a surface.
         known_voxels: ever observed.
+        precise_fraction: as known_fraction, of what is known precisely enough.
         state: what the robot was doing.
     """
 
@@ -65,6 +66,7 @@ class Progress:
     mean_sigma: float
     surface_voxels: int
     known_voxels: int
+    precise_fraction: float
     state: str
 
 

@@ -21,7 +21,7 @@ TIMELINE = "run"
 """Time since the start of the run."""
 
 _BASE, _CAMERA, _REJECTED = (213, 94, 0), (0, 114, 178), (141, 149, 157)
-_SCALARS = ("known_fraction", "entropy_bits", "mean_sigma", "distance", "views")
+_SCALARS = ("known_fraction", "precise_fraction", "entropy_bits", "mean_sigma", "distance", "views")
 _LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 

@@ -25,7 +25,7 @@ from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import Route
 
-_NO_MAP = MapProgress(0.0, math.nan, math.nan, 0, 0)
+_NO_MAP = MapProgress(0.0, math.nan, math.nan, 0, 0, 0.0)
 _POSTURES = 3000
 _TRIES = 3  # postures for one look
 _MOST_FAILURES = 40  # looks that cannot be had, in one choice

@@ -55,7 +55,7 @@ class DemoConfig:
         seed: of the world.
         size: of the world [m]; 0 for its usual size.
         max_views: after which the exploration ends.
-        known_fraction: of the reachable surface, as the robot knows it, that is enough.
+        known_fraction: of the reachable surface that the robot must know precisely.
         voxel_size: [m].
         strategy: that chooses views.
         timeout: [s].

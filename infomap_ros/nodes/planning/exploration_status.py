@@ -62,6 +62,7 @@ def status_message(
         figures |= {
             "known fraction": round(progress.known_fraction, 4),
             "remaining entropy [bits]": round(progress.entropy_bits, 1),
+            "precise fraction": round(progress.precise_fraction, 4),
             "mean sigma [m]": round(progress.mean_sigma, 5),
             "surface voxels": progress.surface_voxels,
         }

@@ -215,7 +215,10 @@ class ExplorationRun:
     def summary(self, ending: Ending) -> dict[str, object]:
         """Figures of the run, flat."""
         mission, progress = self._exploration.mission, self._exploration.progress
-        known, sigma = (progress.known_fraction, progress.mean_sigma) if progress else (0.0, None)
+        known, precise, sigma = 0.0, 0.0, None
+        if progress is not None:
+            known, precise = progress.known_fraction, progress.precise_fraction
+            sigma = progress.mean_sigma
         return {
             "world": self.options.world.name,
             "seed": self.options.world.seed,
@@ -224,6 +227,7 @@ class ExplorationRun:
             "views": mission.views,
             "distance": round(mission.distance, 2),
             "known_fraction": round(known, 4),
+            "precise_fraction": round(precise, 4),
             "mean_sigma": sigma,
             "simulated_seconds": round(self.simulator.time, 1),
             "seconds": round(time.monotonic() - self._begin, 1),

@@ -49,11 +49,12 @@ class RunProgress:
 
 
 def progress_line(entry: Mapping[str, Any]) -> str:
-    """Views, share known, bits left and mean sigma of a progress entry, in words."""
+    """A progress entry in words."""
     sigma = entry["mean_sigma"]
     precision = "" if sigma is None else f", mean sigma {1e3 * sigma:.1f} mm"
     return (
         f"{entry['views']} views, {entry['distance']:.1f} m, "
         f"{100.0 * entry['known_fraction']:.1f} % known, "
+        f"{100.0 * entry['precise_fraction']:.1f} % precisely, "
         f"{entry['entropy_bits']:,.0f} bits left{precision}"
     )

@@ -79,6 +79,7 @@ def run_tiles(run: RecordedRun) -> str:
         figures[1:1] = [("driven", quantity(last.distance, "m"))]
         figures += [
             ("known", percent(last.known_fraction)),
+            ("precise", percent(last.precise_fraction)),
             ("entropy left", quantity(last.entropy_bits, "bit")),
             ("mean sigma", quantity(last.mean_sigma, "m")),
             ("surface voxels", f"{last.surface_voxels:,}".replace(",", "\u2009")),
@@ -126,15 +127,17 @@ def curves(run: RecordedRun) -> str:
 def _curves(
     progress: Sequence[Progress], xs: Sequence[float], label: str, task: Mapping[str, object]
 ) -> list[str]:
-    known, sigma = (_goal(task, name) for name in ("known_fraction", "mean_sigma"))
+    wanted = _goal(task, "known_fraction")
     share = [100.0 * record.known_fraction for record in progress]
+    precise = [100.0 * record.precise_fraction for record in progress]
     bits = [record.entropy_bits for record in progress]
     sigmas = [record.mean_sigma for record in progress]
-    goal = None if known is None else 100.0 * known
+    goal = None if wanted is None else 100.0 * wanted
     return [
-        line_chart(Curve("known", "%", xs, share, label, goal=goal, high=100.0)),
+        line_chart(Curve("known", "%", xs, share, label, high=100.0)),
+        line_chart(Curve("known precisely", "%", xs, precise, label, goal=goal, high=100.0)),
         line_chart(Curve("entropy left", "bit", xs, bits, label, scaled=True)),
-        line_chart(Curve("mean sigma", "m", xs, sigmas, label, scaled=True, goal=sigma)),
+        line_chart(Curve("mean sigma", "m", xs, sigmas, label, scaled=True)),
     ]
 
 

@@ -34,6 +34,7 @@ class MapProgress:
         surface_voxels: surface voxels in the region.
         known_voxels: voxels of the whole map that were ever observed.
         precise_fraction: share of the reachable surface that is known precisely enough, 0 to 1.
+        interest_fraction: the same of the place of interest where it is least; 1 without one.
     """
 
     known_fraction: float
@@ -42,6 +43,12 @@ class MapProgress:
     surface_voxels: int
     known_voxels: int
     precise_fraction: float
+    interest_fraction: float = 1.0
+
+    @property
+    def least_fraction(self) -> float:
+        """What of the region is known precisely enough, and of each place of interest, 0 to 1."""
+        return min(self.precise_fraction, self.interest_fraction)
 
 
 def measure_progress(

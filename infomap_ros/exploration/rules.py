@@ -128,7 +128,7 @@ class TaskIsMet(StopRule):
         if choice is None:
             return None
         progress = choice.progress
-        if not self.task.is_met(progress.precise_fraction):
+        if not self.task.is_met(progress):
             return None
         return Ending(EndReason.DONE, _in_words(progress))
 
@@ -203,8 +203,11 @@ class TooManyFailures(StopRule):
 
 def _in_words(progress: MapProgress) -> str:
     """How much is known, and how well."""
+    interest = ""
+    if progress.interest_fraction < 1.0:
+        interest = f"(places of interest: {100.0 * progress.interest_fraction:.1f} %), "
     return (
         f"{100.0 * progress.known_fraction:.1f} % of the reachable surface is known, "
-        f"{100.0 * progress.precise_fraction:.1f} % precisely enough, "
+        f"{100.0 * progress.precise_fraction:.1f} % precisely enough, {interest}"
         f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
     )

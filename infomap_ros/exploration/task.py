@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.errors import ConfigError
+from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.geometry import Box, PlacedSolid, make_transform
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.situation import Interest
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,20 @@ class TaskConfig:
         "Standard deviation along its normal with which a surface is known precisely enough.",
         unit="m",
         low=1e-5,
+        high=10.0,
+    )
+    interests: tuple[float, ...] = setting(
+        (),
+        "Places of interest: cubes, five numbers each: x, y, z of the middle in the map frame [m], "
+        "edge [m], and the weight of what there is to learn inside. One with a weight above 1 must "
+        "be known as the whole region.",
+    )
+    interest_sigma: float = setting(
+        0.0,
+        "As surface_sigma, for places of interest with a weight above 1, also those of the topic "
+        "interest; 0 for the same.",
+        unit="m",
+        low=0.0,
         high=10.0,
     )
     max_views: int = parameter(80, "Budget of views.", low=1, high=100000)
@@ -108,9 +125,34 @@ class TaskConfig:
         if not all(low < high for low, high in zip(self.region_low, self.region_high, strict=True)):
             raise ConfigError("region_high", self.region_high, f"above {self.region_low}")
 
-    def is_met(self, precise_fraction: float) -> bool:
-        """Whether the share of the reachable surface that is known precisely suffices, 0 to 1."""
-        return precise_fraction >= self.known_fraction
+        if self.interest_sigma > self.surface_sigma:
+            expected = f"at most surface_sigma {self.surface_sigma}"
+            raise ConfigError("interest_sigma", self.interest_sigma, expected)
+        rows = len(self.interests) // 5
+        cubes = np.reshape(self.interests[: 5 * rows], (rows, 5))
+        if len(self.interests) != 5 * rows or (cubes[:, 3] <= 0.0).any() or (cubes[:, 4] < 0).any():
+            expected = "five numbers a place: x, y, z, an edge above 0, a weight of at least 0"
+            raise ConfigError("interests", self.interests, expected)
+
+    @property
+    def places(self) -> tuple[Interest, ...]:
+        """The places of interest."""
+        cubes = np.reshape(self.interests, (-1, 5))
+        return tuple(
+            Interest(
+                PlacedSolid(Box((edge,) * 3), make_transform(np.eye(3), (x, y, z)), ""), weight
+            )
+            for x, y, z, edge, weight in cubes.tolist()
+        )
+
+    @property
+    def precise_sigma(self) -> float:
+        """Standard deviation that suffices in places of interest [m]."""
+        return self.interest_sigma or self.surface_sigma
+
+    def is_met(self, progress: MapProgress) -> bool:
+        """Whether enough of the reachable surface is known, and precisely enough."""
+        return progress.least_fraction >= self.known_fraction
 
     @property
     def region(self) -> FloatArray:

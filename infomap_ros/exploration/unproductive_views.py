@@ -29,11 +29,11 @@ class UnproductiveViews(StopRule):
         """Take the state of the map after so many views."""
         if views > self._views:
             known = progress.known_fraction - self._known
-            gain = max(known, progress.precise_fraction - self._precise)
+            gain = max(known, progress.least_fraction - self._precise)
             growth = progress.surface_voxels / max(self._surface, 1) - 1.0
             self._gains.append((max(gain, 0.0), max(growth, 0.0)))
         self._views = views
-        self._known, self._precise = progress.known_fraction, progress.precise_fraction
+        self._known, self._precise = progress.known_fraction, progress.least_fraction
         self._surface = max(self._surface, progress.surface_voxels)
 
     @property

@@ -17,7 +17,7 @@ from infomap_ros.exploration.unproductive_views import StrategyAlternator
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
-from infomap_ros.geometry import PlacedSolid, StereoRig
+from infomap_ros.geometry import Box, PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
@@ -90,6 +90,9 @@ class ViewPlanner:
         self._motion = ViewMotion(robot, settings, task)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
         self._vain, self._kept = VainLooks(settings.vain), KeptPromises()
+        self._fine: tuple[Interest, ...] = ()
+        self._places: tuple[Interest, ...] = ()
+        self._places_of: TaskConfig | None = None
         self._configure(task, settings)
         self._goal: FloatArray | None = None
         self._measured: MapProgress | None = None
@@ -102,16 +105,26 @@ class ViewPlanner:
 
         What past views have told, and which could not be reached, stays known.
         """
-        memory = self._choice.memory
+        self._choose_by(task, config, ())
+        self._motion.config, self._motion.task = config, task
+
+    def _choose_by(
+        self, task: TaskConfig, config: ViewPlannerConfig, fine: tuple[Interest, ...]
+    ) -> None:
+        """Choose by these from now on, with what is remembered."""
+        memory, self._fine = self._choice.memory, fine
         self._configure(task, config)
         self._choice.memory = memory
-        self._motion.config, self._motion.task = config, task
 
     def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         self.config, self._task = config, task
+        if self._places_of is not task:
+            self._places_of, self._places = task, task.places
         sensor = replace(
             InformationConfig.of_stereo(self._rig),
-            wanted_sigma=task.surface_sigma,
+            wanted_sigma=task.precise_sigma if self._fine else task.surface_sigma,
+            coarse_sigma=task.surface_sigma,
+            fine_places=tuple(each.place for each in self._fine),
             predict_unknown=config.predict_unknown,
         )
         self._information = ExpectedInformation(config.metric, sensor, threads=config.threads)
@@ -128,7 +141,7 @@ class ViewPlanner:
             state: where the robot is.
             around: interests and teammates.
         """
-        around = around or Surrounding()
+        around = self._with_places_of_task(around or Surrounding())
         self._take_note(voxel_map, state, around)
         progress = self._progress(voxel_map, state)
         self._turns.note(len(self._past), progress)
@@ -138,6 +151,14 @@ class ViewPlanner:
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
         return _choice_of(decision, route, progress, state)
+
+    def _with_places_of_task(self, around: Surrounding) -> Surrounding:
+        """Add the task's places of interest; those that matter more are mapped more precisely."""
+        interests = (*self._places, *around.interests)
+        fine = tuple(each for each in interests if each.weight > 1.0)
+        if [each.place for each in fine] != [each.place for each in self._fine]:
+            self._choose_by(self._task, self.config, fine)
+        return replace(around, interests=interests)
 
     def _select(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding, progress: MapProgress
@@ -216,7 +237,7 @@ class ViewPlanner:
 
     def is_done(self, progress: MapProgress) -> bool:
         """Whether the task is met."""
-        return self._task.is_met(progress.precise_fraction)
+        return self._task.is_met(progress)
 
     def withdraw(self) -> None:
         """Note that what was chosen last is not carried out."""
@@ -255,10 +276,14 @@ class ViewPlanner:
         self._failures.clear()
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
-        region = self._task.region
-        self._measured = measure_progress(
-            voxel_map, region, state.T_map_camera[:3, 3], self._task.surface_sigma
-        )
+        task, inside = self._task, state.T_map_camera[:3, 3]
+        progress = measure_progress(voxel_map, task.region, inside, task.surface_sigma)
+        shares = [
+            measure_progress(voxel_map, box, inside, task.precise_sigma).precise_fraction
+            for each in self._fine
+            if (box := _box_about(each, task.region)) is not None
+        ]
+        self._measured = replace(progress, interest_fraction=min(shares, default=1.0))
         return self._measured
 
     def _situation(
@@ -294,6 +319,18 @@ class ViewPlanner:
         """Camera poses of random postures of the arm, shape (A, 4, 4)."""
         postures = random_postures(self.robot, self.config.arm_views, self._rng)
         return np.asarray(T_map_base @ self.robot.arm.camera_pose(postures))
+
+
+def _box_about(interest: Interest, region: FloatArray) -> FloatArray | None:
+    """The part of a region about a place of interest, shape (2, 3) [m]; None where there is none."""
+    middle, reach = interest.place.transform[:3, 3], interest.place.solid.bounding_radius
+    if isinstance(interest.place.solid, Box):
+        turned = np.abs(interest.place.transform[:3, :3])
+        half = 0.5 * turned @ np.asarray(interest.place.solid.size)
+    else:
+        half = np.full(3, reach)
+    box = np.array([np.maximum(middle - half, region[0]), np.minimum(middle + half, region[1])])
+    return box if (box[1] > box[0]).all() else None
 
 
 def _choice_of(

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.exploration.robot import FailedView, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
@@ -130,6 +131,43 @@ def test_looks_again_at_surfaces_that_are_not_precise_enough(robot, wanted, look
     task = dataclasses.replace(TASK, surface_sigma=wanted)
     choice = planner_of(robot, task).choose(voxel_map, standing(robot))
     assert (choice.pose is not None) == looks
+
+
+@pytest.mark.parametrize(("weight", "looks"), [(1.0, False), (2.0, True)])
+def test_looks_again_where_a_place_of_interest_is_not_precise_enough(robot, weight, looks):
+    """All is known, with the ground within 2 cm, which suffices everywhere else."""
+    voxel_map = box_of_voxels(known_from=-30, sigma=0.02)
+    task = dataclasses.replace(
+        TASK,
+        surface_sigma=0.05,
+        interest_sigma=0.002,
+        interests=(0.9, 0.0, 0.0, 0.6, weight),
+        known_fraction=0.9,
+    )
+    planner = planner_of(robot, task)
+    choice = planner.choose(voxel_map, standing(robot))
+    assert (choice.pose is not None) == looks
+    assert choice.progress.precise_fraction > 0.9
+    assert choice.progress.interest_fraction == (0.0 if looks else 1.0)
+    assert planner.is_done(choice.progress) != looks
+    if looks:  # at what it looks
+        origin, direction = choice.pose[:3, 3], choice.pose[:3, 2]
+        ground = origin + direction * (origin[2] / -direction[2])
+        assert np.linalg.norm(ground[:2] - (0.9, 0.0)) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("interests", {"interests": (1.0, 0.0, 0.0, 0.5)}),
+        ("interests", {"interests": (1.0, 0.0, 0.0, -0.5, 2.0)}),
+        ("interests", {"interests": (1.0, 0.0, 0.0, 0.5, -1.0)}),
+        ("interest_sigma", {"surface_sigma": 0.01, "interest_sigma": 0.02}),
+    ],
+)
+def test_impossible_places_of_interest_are_named(name, values):
+    with pytest.raises(ConfigError, match=name):
+        TaskConfig(**values)
 
 
 @pytest.mark.parametrize(

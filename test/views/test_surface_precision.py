@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.views import InformationConfig, expected_information, view_gains
@@ -129,3 +130,36 @@ def test_codes_are_told_apart(certain: float) -> None:
 def test_too_many_codes_are_refused() -> None:
     with pytest.raises(ConfigError, match="certain_probability"):
         CodeBook(1e-6, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("middle_x", "coarse", "share"), [(3.0, 10.0, 1.0), (90.0, 10.0, 0.0), (90.0, 0.002, 1.0)]
+)
+def test_precision_is_asked_for_in_fine_places_alone(
+    room: VoxelMap, middle_x: float, coarse: float, share: float
+) -> None:
+    """All of it, nothing, and all of it as what is too coarse is so everywhere."""
+    everywhere = InformationConfig(ray_spacing=0.06, wanted_sigma=0.002)
+    place = PlacedSolid(Box((8.0, 8.0, 8.0)), make_transform(np.eye(3), (middle_x, 2.0, 1.0)), "")
+    there = dataclasses.replace(everywhere, fine_places=(place,), coarse_sigma=coarse)
+    pose = facing(0.4, (3.0, 2.0, 1.2))
+
+    assert gained(room, pose, there) == pytest.approx(share * gained(room, pose, everywhere))
+
+
+def test_a_fine_place_tells_what_its_own_surface_does(room: VoxelMap) -> None:
+    """The halves of the room add up to the whole."""
+    whole = InformationConfig(ray_spacing=0.06, wanted_sigma=0.002)
+    pose = facing(math.pi / 2.0, (3.0, 2.0, 1.2))  # at the wall y = 4, of which x = 3 is the middle
+    halves = [
+        dataclasses.replace(
+            whole,
+            fine_places=(PlacedSolid(Box((20.0,) * 3), make_transform(np.eye(3), (x, 0, 0)), ""),),
+            coarse_sigma=10.0,
+        )
+        for x in (-7.0, 13.0)
+    ]
+    left, right = (gained(room, pose, each) for each in halves)
+
+    assert left > 0.0 and right > 0.0
+    assert left + right == pytest.approx(gained(room, pose, whole), rel=1e-6)

@@ -4,7 +4,7 @@ Every line has ``t``, seconds since the start, and ``kind``:
 
 - ``start``: task, robot, world, strategy, voxel_size, camera, max_range
 - ``progress``: views, distance [m], known_fraction, entropy_bits, mean_sigma [m], surface_voxels,
-  known_voxels, precise_fraction, state
+  known_voxels, precise_fraction, interest_fraction, state
 - ``decision``: view (index), pose (16 numbers, row by row, ``T_map_camera``) or null, base (x, y,
   yaw), position_sigma [m], strategy, rating, terms, reason, seconds (by stage), candidates
 - ``motion``: action, outcome (empty when it succeeded), path (points [m])

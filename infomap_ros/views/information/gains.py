@@ -99,7 +99,7 @@ def field_around(
     field = visible_field(m, low, high, book, threads)
     if config.predict_unknown:
         field = with_predictions(field, m, book)
-    return with_surfaces(field, m, book) if config.wanted_sigma > 0.0 else field
+    return with_surfaces(field, m, book, config) if config.wanted_sigma > 0.0 else field
 
 
 def ray_arrays(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from infomap_ros.geometry import StereoRig
+from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMapConfig
 
@@ -103,6 +103,15 @@ class InformationConfig:
         low=0.0,
         high=10.0,
     )
+    coarse_sigma: float = parameter(
+        0.0,
+        "Standard deviation that suffices instead outside of `fine_places`, where that is larger.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    fine_places: tuple[PlacedSolid, ...] = ()
+    """Where `wanted_sigma` is asked for, map frame; everywhere where there are none."""
     planar: bool = parameter(
         False,
         "The map is one layer of voxels, along which the camera looks: a ray stands for a sector "

@@ -9,21 +9,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.geometry import points_inside
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index
 from infomap_ros.views.information.codes import SOLID, UNCERTAIN, CodeBook
 from infomap_ros.views.information.field import VisibleField
+from infomap_ros.views.information.information_config import InformationConfig
 
 
-def with_surfaces(field: VisibleField, m: VoxelMap, book: CodeBook) -> VisibleField:
+def with_surfaces(
+    field: VisibleField, m: VoxelMap, book: CodeBook, config: InformationConfig
+) -> VisibleField:
     """The field with codes for surfaces that are less precise than `wanted_sigma`.
 
     Args:
         field: of the map.
         m: the map.
         book: that the field was made with.
+        config: says where a coarser surface suffices.
     """
     indices, _, covariances = m.gaussians(relative=True)
     levels, count = book.sigma_levels, len(book.sigma_levels)
@@ -31,6 +36,7 @@ def with_surfaces(field: VisibleField, m: VoxelMap, book: CodeBook) -> VisibleFi
     sigmas = np.maximum(surface_sigmas(covariances), 1e-12)
     exact = np.log(sigmas / book.wanted_sigma) / ratio
     level = np.floor(exact + _fraction_of(indices)).astype(np.int64)
+    level[_are_precise(indices, sigmas, m.config.voxel_size, config)] = 0
     places = indices - field.first * BLOCK_SIDE
     blocks = places >> BLOCK_BITS
     inside = ((blocks >= 0) & (blocks < field.directory.shape)).all(axis=1) & (level > 0)
@@ -43,6 +49,18 @@ def with_surfaces(field: VisibleField, m: VoxelMap, book: CodeBook) -> VisibleFi
     level = np.minimum(level[inside], count)
     _enter(directory, places, level, book.limit, book.surface, count, codes)
     return replace(field, directory=directory, codes=codes)
+
+
+def _are_precise(
+    indices: NDArray[np.int32], sigmas: FloatArray, voxel_size: float, config: InformationConfig
+) -> NDArray[np.bool_]:
+    """Which surfaces lie outside of the fine places and suffice there, (K, 3), (K,) -> (K,)."""
+    suffices = sigmas <= config.coarse_sigma
+    if not config.fine_places or not suffices.any():
+        return np.zeros(len(indices), np.bool_)
+    outside = ~points_inside((indices[suffices] + 0.5) * voxel_size, config.fine_places)
+    suffices[suffices] = outside
+    return suffices
 
 
 def _fraction_of(indices: NDArray[np.int32]) -> FloatArray:

@@ -43,7 +43,8 @@ def with_settings(
                 raise ConfigError("--set", setting, "SECTION.NAME=VALUE")
             if name not in known:
                 raise ConfigError("--set", name, _suggestion(name, known))
-            values[name] = _parsed(name, text, known[name][0])
+            default, info = known[name]
+            values[name] = _parsed(name, text, default, info.element)
         return _replaced(options, values)
     except ConfigError as error:
         option = (shortcuts or {}).get(error.parameter)
@@ -109,10 +110,9 @@ def _typed(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _parsed(name: str, text: str, default: Any) -> Any:
+def _parsed(name: str, text: str, default: Any, element: Any = None) -> Any:
     if isinstance(default, tuple):
-        sample = default[0] if default else ""
-        return tuple(_parsed(name, part.strip(), sample) for part in text.split(",") if text)
+        return tuple(_parsed(name, part.strip(), element) for part in text.split(",") if text)
     if isinstance(default, bool):
         if text.lower() not in ("true", "false"):
             raise ConfigError(name, text, "true or false")

@@ -322,7 +322,7 @@ class ViewPlanner:
 
 
 def _box_about(interest: Interest, region: FloatArray) -> FloatArray | None:
-    """The part of a region about a place of interest, shape (2, 3) [m]; None where there is none."""
+    """What of a region is about a place of interest, shape (2, 3) [m]; None where nothing is."""
     middle, reach = interest.place.transform[:3, 3], interest.place.solid.bounding_radius
     if isinstance(interest.place.solid, Box):
         turned = np.abs(interest.place.transform[:3, :3])

@@ -18,6 +18,7 @@ from infomap_ros.errors import ConfigError
 Config = TypeVar("Config")
 
 _METADATA_KEY = "parameter"
+_SAMPLES: dict[str, bool | int | float | str] = {"bool": False, "int": 0, "float": 0.0, "str": ""}
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class ParameterInfo:
         high: largest allowed number, inclusive, or None.
         choices: allowed strings, empty for any.
         public: a ROS parameter of the nodes; else a setting of the library alone.
+        element: of a tuple, a value of the kind that its elements have.
     """
 
     description: str
@@ -39,6 +41,7 @@ class ParameterInfo:
     high: float | None = None
     choices: tuple[str, ...] = ()
     public: bool = True
+    element: bool | int | float | str = ""
 
     def accepted(self) -> str:
         """The choices or the range, briefly; empty where everything is accepted."""
@@ -96,10 +99,18 @@ table.
 def parameters_of(config: Any) -> Mapping[str, tuple[Any, ParameterInfo]]:
     """Fields of a configuration class or object: name -> (default, info), in order."""
     return {
-        field.name: (field.default, field.metadata[_METADATA_KEY])
+        field.name: (field.default, _info_of(field))
         for field in dataclasses.fields(config)
         if _METADATA_KEY in field.metadata
     }
+
+
+def _info_of(field: dataclasses.Field[Any]) -> ParameterInfo:
+    info: ParameterInfo = field.metadata[_METADATA_KEY]
+    if not isinstance(field.default, tuple):
+        return info
+    kind = str(field.type).removeprefix("tuple[").partition(",")[0]
+    return dataclasses.replace(info, element=_SAMPLES[kind])
 
 
 def nested_configs(config: Any) -> Mapping[str, Any]:
@@ -162,7 +173,7 @@ def check_config(config: Any) -> None:
             if not isinstance(value, tuple):
                 raise ConfigError(name, value, "a tuple")
             for element in value:
-                _check_value(name, element, default[0] if default else element, info)
+                _check_value(name, element, info.element, info)
         else:
             _check_value(name, value, default, info)
 

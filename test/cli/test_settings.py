@@ -17,6 +17,7 @@ class Arm:
 
     joints: tuple[str, ...] = parameter(("a", "b"), "Joints.")
     home: tuple[float, ...] = parameter((0.0, 1.0), "Angles.", unit="rad")
+    limits: tuple[float, ...] = parameter((), "Of the joints.", unit="rad")
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -54,9 +55,14 @@ def test_an_empty_value_is_an_empty_list() -> None:
     assert arm == Arm((), ())
 
 
+def test_elements_of_a_list_that_is_empty_by_default_are_numbers() -> None:
+    assert with_settings(Options(), ["robot.arm.limits=1.5,-2"]).robot.arm.limits == (1.5, -2.0)
+
+
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
+        ("robot.arm.limits=a", "--set robot.arm.limits is 'a', expected a number"),
         ("robot.arm.joints=x", r"--set robot.arm.home is \(0.0, 1.0\), expected 1 numbers"),
         ("robot.speed=3", r"--set robot.speed is 3.0, expected .* at most 2 m/s"),
         ("robot.sped=3", r"did you mean robot.speed\?"),

@@ -44,7 +44,7 @@ def declare_config(
         ConfigError: a value has the wrong type or is out of range; it names the parameter.
     """
     fields = all_parameters(config_class)
-    values = {name: _given(node, prefix + name, default) for name, (default, _) in fields.items()}
+    values = {name: _given(node, prefix + name, *field) for name, field in fields.items()}
     config = _build(config_class, prefix, values)
     for name, (default, info) in fields.items():
         if not info.public:
@@ -77,7 +77,7 @@ def changed_config(config: Config, prefix: str, values: Mapping[str, Any]) -> Co
     if not own:
         return config
     everything = {**parameter_values(config), **own}
-    kept = {name: _of_kind(fields[name][0], value) for name, value in everything.items()}
+    kept = {name: _of_kind(*fields[name], value) for name, value in everything.items()}
     return _build(type(config), prefix, kept)
 
 
@@ -106,7 +106,7 @@ def describe(default: Any, info: ParameterInfo) -> ParameterDescriptor:
         descriptor.additional_constraints = info.expectation()
     if info.low is None and info.high is None:
         return descriptor
-    sample = default[0] if isinstance(default, tuple) and default else default
+    sample = info.element if isinstance(default, tuple) else default
     if isinstance(sample, int):
         descriptor.integer_range = [
             IntegerRange(
@@ -124,7 +124,7 @@ def describe(default: Any, info: ParameterInfo) -> ParameterDescriptor:
     return descriptor
 
 
-def _given(node: Node, name: str, default: Any) -> Any:
+def _given(node: Node, name: str, default: Any, info: ParameterInfo) -> Any:
     """What the user gave for a parameter, else its default; whole numbers fit where reals do."""
     value = list(default) if isinstance(default, tuple) else default
     peek = ParameterDescriptor(dynamic_typing=True)
@@ -132,7 +132,7 @@ def _given(node: Node, name: str, default: Any) -> Any:
     node.undeclare_parameter(name)
     if given is None:  # an empty list in a parameter file has no type
         return default
-    return _of_kind(default, given)
+    return _of_kind(default, info, given)
 
 
 def _build(config_class: type[Config], prefix: str, values: Mapping[str, Any]) -> Config:
@@ -142,11 +142,11 @@ def _build(config_class: type[Config], prefix: str, values: Mapping[str, Any]) -
         raise ConfigError(prefix + error.parameter, error.value, error.expected) from error
 
 
-def _of_kind(default: Any, given: Any) -> Any:
+def _of_kind(default: Any, info: ParameterInfo, given: Any) -> Any:
     """A value as its configuration holds it."""
     if isinstance(default, tuple):
         elements = given if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
-        return tuple(_as_kind_of(default[0] if default else None, each) for each in elements)
+        return tuple(_as_kind_of(info.element, each) for each in elements)
     return _as_kind_of(default, given)
 
 

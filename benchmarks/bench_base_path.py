@@ -77,7 +77,7 @@ def queries_of(planner: BasePlanner, start: np.ndarray, count: int, seed: int) -
     cells = np.argwhere(planner.reachable_area(start))
     found: list[np.ndarray] = []
     while len(found) < count:
-        xy = planner.terrain.centres_of(cells[rng.integers(len(cells), size=2)])
+        xy = planner.terrain.centers_of(cells[rng.integers(len(cells), size=2)])
         ends = np.column_stack([xy, rng.uniform(-math.pi, math.pi, 2)])
         if (
             math.dist(*xy) >= LEAST_DISTANCE

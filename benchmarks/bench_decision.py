@@ -48,7 +48,7 @@ STRATEGIES = ("largest_information", "look_ahead")
 
 
 def hall(side: float, seed: int = 1) -> AnalyticScene:
-    """A hall of `side` x `side` x 3 m about the origin with a box per 7 square metres."""
+    """A hall of `side` x `side` x 3 m about the origin with a box per 7 square meters."""
     rng = np.random.default_rng(seed)
     half = 0.5 * side
     planes = [(1, 0, 0, -half), (-1, 0, 0, -half), (0, 1, 0, -half), (0, -1, 0, -half)]

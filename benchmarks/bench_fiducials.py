@@ -42,7 +42,7 @@ from infomap_ros.localization.fiducials.sparse_stereo import match_pixels
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.stereo.ground_truth import load_pairs
-from infomap_ros.stereo.images import grey
+from infomap_ros.stereo.images import gray
 
 COUNT = 100
 _LIGHT = ((1.0, 0.0), (0.5, 0.0), (1.3, 10.0), (0.7, 40.0))
@@ -84,9 +84,9 @@ class Figures:
     visible: int = 0
     lengths: Counter[int] = field(default_factory=Counter)
     pixel_errors: list[np.ndarray] = field(default_factory=list)
-    normalised: list[np.ndarray] = field(default_factory=list)
+    normalized: list[np.ndarray] = field(default_factory=list)
     disparity_errors: list[np.ndarray] = field(default_factory=list)
-    normalised_disparity: list[np.ndarray] = field(default_factory=list)
+    normalized_disparity: list[np.ndarray] = field(default_factory=list)
     track_times: list[float] = field(default_factory=list)
     select_times: list[float] = field(default_factory=list)
 
@@ -99,9 +99,9 @@ class Figures:
             f"| {name} | {100 * self.seen / self.visible:.0f} % "
             f"| {np.mean(list(self.lengths.values())):.1f} "
             f"| {np.quantile(pixels, 0.68):.2f} / {np.quantile(pixels, 0.99):.2f} "
-            f"| {_shares(np.concatenate(self.normalised))} "
+            f"| {_shares(np.concatenate(self.normalized))} "
             f"| {np.quantile(np.abs(disparities[ok]), 0.68):.3f} "
-            f"| {_shares(np.concatenate(self.normalised_disparity)[ok])} "
+            f"| {_shares(np.concatenate(self.normalized_disparity)[ok])} "
             f"| {1e3 * np.median(self.track_times):.1f} |"
         )
 
@@ -137,10 +137,10 @@ def _compare(figures: Figures, moment: Moment, points: np.ndarray, seen: object)
     errors = seen.pixels - moment.project(points[seen.ids])
     true = np.isfinite(errors).all(axis=1)
     figures.pixel_errors.append(np.linalg.norm(errors[true], axis=1))
-    figures.normalised.append((errors[true] / seen.pixel_sigmas[true, None]).ravel())
+    figures.normalized.append((errors[true] / seen.pixel_sigmas[true, None]).ravel())
     error = seen.inverse_depths - moment.inverse_depths(seen.pixels)
     figures.disparity_errors.append(error * FOCAL * BASELINE)
-    figures.normalised_disparity.append(error / seen.inverse_depth_sigmas)
+    figures.normalized_disparity.append(error / seen.inverse_depth_sigmas)
 
 
 def drawn(frames: int) -> None:
@@ -163,7 +163,7 @@ def pairs(data: Path) -> None:
     """Print the errors of sparse disparities at corners of pairs with true disparity."""
     loaded = [*load_pairs(data / "stereo_motorcycle"), *load_pairs(data / "stereo_opencv_samples")]
     for pair in [half for whole in loaded for half in (whole, whole.halved())]:
-        left, right = grey(pair.left), grey(pair.right)
+        left, right = gray(pair.left), gray(pair.right)
         corners = corner_candidates(left, np.zeros((0, 2)), FiducialSelectionConfig(candidates=999))
         lowest = -math.ceil(pair.rig.principal_offset) - 2
         search = (lowest, pair.disparities)

@@ -1,9 +1,9 @@
 """Integrating one scan, beside OctoMap on the same clouds in the same run; one JSON line.
 
-640x480 organised clouds of the room in `room.py`, 5 m range, everything included: occupancy, one
+640x480 organized clouds of the room in `room.py`, 5 m range, everything included: occupancy, one
 Gaussian per surface voxel, pose covariance. OctoMap (pyoctomap) gets the points in the map frame,
 so that turning them is not on its bill, and holds occupancy alone; `insert` is insertPointCloud
-ray by ray on one thread, `discretised` merges the rays of one end voxel and leaves the inner nodes
+ray by ray on one thread, `discretized` merges the rays of one end voxel and leaves the inner nodes
 alone. `bare` is the least that a map with Gaussians has to do with the same cloud, and no map: a
 loop that reads each point with its covariance, turns it, and adds both to a row of its voxel. What
 two threads bring to it, half of the points each, is what this machine gives to two threads at the
@@ -218,14 +218,14 @@ def compare(stereo: list[Frame], depth: list[Frame], size: float, peers: int) ->
         "bare_2_threads_ms": statistics.median(bare_two.wall),
         "bare_processor_ms": statistics.median(bare.processor),
         "octomap_insert_ms": statistics.median(ray_by_ray.wall),
-        "octomap_discretised_ms": statistics.median(merged.wall),
+        "octomap_discretized_ms": statistics.median(merged.wall),
         "ratio_to_insert": median_ratio(ray_by_ray.wall, one.wall),
-        "ratio_to_discretised": median_ratio(merged.wall, one.wall),
+        "ratio_to_discretized": median_ratio(merged.wall, one.wall),
         "ratio_2_threads": median_ratio(one.wall, two.wall),
         "bare_ratio_2_threads": median_ratio(bare.wall, bare_two.wall),
         "integrate_processor_ms": statistics.median(one.processor),
         "processor_ratio_to_insert": median_ratio(ray_by_ray.processor, one.processor),
-        "processor_ratio_to_discretised": median_ratio(merged.processor, one.processor),
+        "processor_ratio_to_discretized": median_ratio(merged.processor, one.processor),
         **memory_figures(voxel_map),
         **octomap_memory(tree, size),
     }

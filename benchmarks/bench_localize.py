@@ -1,4 +1,4 @@
-"""Cost of localising by 640x480 pairs beside the stereo matcher, in one run.
+"""Cost of localizing by 640x480 pairs beside the stereo matcher, in one run.
 
 Views of the room loop (10 Hz) go through the localizer, images alone; beside each, the dense
 matcher (SGBM with the settings of the sensor) works on the same pair. One thread; times are of the

@@ -109,7 +109,7 @@ def seconds(action: Callable[[], object], times: int) -> float:
 
 
 def draw(path: Path, maps: dict[str, VoxelMap]) -> None:
-    """Surface voxels of each map from above, coloured by height."""
+    """Surface voxels of each map from above, colored by height."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
 """Cost of stereo ranging besides the matcher, against the matcher, in one run.
 
-Raw 640x480 pairs, grey and RGB, 128 disparities. The matcher alone is OpenCV's SGBM in mode 3WAY
-with the sensor's settings; everything else is rectification, grey conversion, checks, refinement,
+Raw 640x480 pairs, gray and RGB, 128 disparities. The matcher alone is OpenCV's SGBM in mode 3WAY
+with the sensor's settings; everything else is rectification, gray conversion, checks, refinement,
 covariances and the bytes of the message. Both sides use the same number of threads and runs
 alternate; times are medians, the ratio is that of the shortest times, which other load on the
 machine disturbs least. The process runs under the environment of the nodes (the C library keeps
@@ -23,7 +23,7 @@ import numpy as np
 import infomap_ros.nodes  # noqa: F401  sets how memory is used, as for the nodes
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
-from infomap_ros.stereo.images import grey
+from infomap_ros.stereo.images import gray
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 525.0, 0.12
 NEAREST = 0.482  # [m]: disparities 4 to 131
@@ -41,7 +41,7 @@ def calibrations() -> tuple[CameraCalibration, CameraCalibration]:
 
 
 def textured_pair(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Grey images of a wavy textured surface, 20 to 80 px."""
+    """Gray images of a wavy textured surface, 20 to 80 px."""
     rng = np.random.default_rng(seed)
     texture = cv2.GaussianBlur(rng.standard_normal((HEIGHT, 2 * WIDTH)), (0, 0), 1.5)
     texture = (128.0 + 40.0 * texture / texture.std()).astype(np.float32)
@@ -60,16 +60,16 @@ def milliseconds(work: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-def measure(threads: int, colour: bool, runs: int) -> dict[str, float]:
+def measure(threads: int, color: bool, runs: int) -> dict[str, float]:
     cv2.setNumThreads(threads)
     rectifier = StereoRectifier(*calibrations())
     config = StereoConfig(min_depth=NEAREST, max_depth=15.0, threads=threads)
     sensor = StereoRangeSensor(rectifier.rig, config)
     raw = textured_pair(0)
-    if colour:
+    if color:
         raw = tuple(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) for image in raw)
     rectified = rectifier.rectify(*raw)
-    left, right = (grey(image) for image in rectified)
+    left, right = (gray(image) for image in rectified)
     disparity = sensor.match(left, right)
     plain = cv2.StereoSGBM.create(
         minDisparity=sensor.search.minimum,
@@ -81,15 +81,15 @@ def measure(threads: int, colour: bool, runs: int) -> dict[str, float]:
     )
 
     def rest() -> bytes:
-        pair = rectifier.rectify(*raw, grey_right=True)
-        greys = [grey(image) for image in pair]
-        return sensor.measure_matched(pair[0], *greys, disparity).packed.tobytes()
+        pair = rectifier.rectify(*raw, gray_right=True)
+        grays = [gray(image) for image in pair]
+        return sensor.measure_matched(pair[0], *grays, disparity).packed.tobytes()
 
     works = {
         "sgbm": lambda: plain.compute(left, right),
         "rest": rest,
-        "rectify": lambda: rectifier.rectify(*raw, grey_right=True),
-        "whole": lambda: sensor.measure(*rectifier.rectify(*raw, grey_right=True)).packed.tobytes(),
+        "rectify": lambda: rectifier.rectify(*raw, gray_right=True),
+        "whole": lambda: sensor.measure(*rectifier.rectify(*raw, gray_right=True)).packed.tobytes(),
     }
     rest()
     times = {name: [] for name in works}
@@ -107,8 +107,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=60)
     runs = parser.parse_args().runs
     results = {
-        f"{name}_threads_{threads}": measure(threads, colour, runs)
-        for name, colour in (("grey", False), ("rgb", True))
+        f"{name}_threads_{threads}": measure(threads, color, runs)
+        for name, color in (("gray", False), ("rgb", True))
         for threads in (1, 2)
     }
     size = {"width": WIDTH, "height": HEIGHT}

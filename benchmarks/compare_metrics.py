@@ -72,8 +72,8 @@ def true_room() -> Truth:
     for pose in random_views(rng, 150, None):
         scan(voxel_map, pose)
     indices, log_odds = voxel_map.voxels()
-    centres = (indices + 0.5) * GRID.voxel_size
-    return Truth(centres[log_odds > 1.0], centres[log_odds < -2.0])
+    centers = (indices + 0.5) * GRID.voxel_size
+    return Truth(centers[log_odds > 1.0], centers[log_odds < -2.0])
 
 
 def explored(

@@ -29,7 +29,7 @@ WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 420.0, 0.1016
 CAMERA = PinholeCamera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 SENSOR = StereoRangeSensor(StereoRig(CAMERA, CAMERA, BASELINE))
 _FINE = CAMERA.scaled(2.0)
-_ELECTRONS, _READ_NOISE = 9000.0 / 255.0, 14.0  # per grey level; electrons
+_ELECTRONS, _READ_NOISE = 9000.0 / 255.0, 14.0  # per gray level; electrons
 _EDGE = 0.08  # depth range about a point, as a share of the depth, that makes it a depth edge
 
 Disturbance = Callable[[np.ndarray, int], np.ndarray]

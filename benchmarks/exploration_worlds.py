@@ -1,10 +1,10 @@
 """How well the rover explores seeded worlds: coverage, contacts, errors, why it ended.
 
-The rover localises by its own images, odometry and joints; its map's frame is that of the board of
+The rover localizes by its own images, odometry and joints; its map's frame is that of the board of
 tags near the start. `--set robot.pose_source=simulator` gives it the true pose with a little noise.
 Coverage is measured against the true surface that can be seen from reachable views, errors of poses
 and map against the truth in the target's frame. One JSON line per world, then a table; `--le` adds
-what was predicted of the localisation error, and what came of it. Takes minutes per world; `--jobs`
+what was predicted of the localization error, and what came of it. Takes minutes per world; `--jobs`
 runs several at once. With `--out` what is there is not run again, so that a series can be broken
 off and go on, and a command with `--table` shows what there is.
 

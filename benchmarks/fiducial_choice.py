@@ -26,7 +26,8 @@ from trajectory_errors import trajectory_errors, truth_at
 
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
-from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.localization.localized_camera import LocalizedCamera
+from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.scans.body import body_mask
@@ -60,14 +61,14 @@ class MappingLocalizer:
         self.map = VoxelMap(VoxelMapConfig(max_range=MAX_RANGE))
         self.seconds = 0.0
 
-    def locate(self, view: Any, prior: Any, body: Any = ()) -> Localisation:
+    def locate(self, view: Any, prior: Any, body: Any = ()) -> LocalizedCamera:
         """As `Localizer.locate`; the dense cloud then goes into the map, without the body."""
         start = time.process_time()
         result = self._localizer.locate(view, prior, self.map, body=body)
         self.seconds += time.process_time() - start
         if result.state == "tracking" and result.T_map_camera is not None:
             cloud = view.cloud()
-            points = cloud.organised_points
+            points = cloud.organized_points
             on_body = body_mask(points, cloud.covariance_triangles, body)
             points = np.where(on_body[..., None], np.float32(np.nan), points)
             self.map.integrate(
@@ -107,13 +108,13 @@ def figures_of(bag_path: Path, choice: str) -> dict[str, Any]:
     estimate = trajectory.transforms[known]
     kept = [stamp for stamp, is_known in zip(stamps, known, strict=True) if is_known]
     errors = trajectory_errors(kept, truth, estimate, DELTA)
-    states = [one.state for one in run.localisations]
+    states = [one.state for one in run.localizations]
     row = {
         "ate_mm": round(1e3 * errors.ape, 2),
         "rpe_percent": round(errors.rpe_percent, 3),
         "not_tracked": round(1.0 - states.count("tracking") / len(states), 4),
         "views": len(states),
-        "fiducials": round(float(np.mean([one.tracked for one in run.localisations])), 1),
+        "fiducials": round(float(np.mean([one.tracked for one in run.localizations])), 1),
     }
     if isinstance(run, MappingRun):
         row["ms_per_view"] = round(1e3 * run._localizer.seconds / len(states), 1)

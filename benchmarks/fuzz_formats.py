@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.map_file import MAP_FILE_VERSION
 from infomap_ros.mapping.files.octomap_file import read_bt
@@ -107,7 +107,7 @@ def map_files() -> st.SearchStrategy[bytes]:
             **draw(st.dictionaries(st.sampled_from(sorted(header["config"])), JSON, max_size=2)),
         }
         if draw(st.booleans()):
-            config = draw(st.sampled_from([config, {"kind": "localisation"}, JSON]))
+            config = draw(st.sampled_from([config, {"kind": "localization"}, JSON]))
             config = draw(config) if isinstance(config, st.SearchStrategy) else config
         entries, payloads = [], []
         for entry, raw in arrays:
@@ -260,7 +260,7 @@ ROBOT = {
 
 FILES: dict[str, tuple[str, Callable[[], st.SearchStrategy[bytes]], Reader]] = {
     "map": ("a.infomap", map_files, VoxelMap.load),
-    "localization": ("a.state", map_files, SavedLocalisation.load),
+    "localization": ("a.state", map_files, SavedLocalization.load),
     "octree": ("a.bt", octrees, lambda path: read_bt(path).edges),
     "bag": ("a.mcap", bags, read_bag),
     "description": ("a.urdf", descriptions, RobotModel.from_urdf),

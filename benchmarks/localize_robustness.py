@@ -1,4 +1,4 @@
-"""What disturbances do to localisation: it must recover or say that it is lost, never be wrong.
+"""What disturbances do to localization: it must recover or say that it is lost, never be wrong.
 
 Each trial follows some undisturbed views of the room loop (10 Hz, exact truth, images alone), then
 disturbed ones, then undisturbed ones again. It ends as
@@ -30,7 +30,8 @@ from stereo_bag import write_stereo_bag
 from infomap_ros.geometry import ImageRecord, PoseRecord, invert_transform
 from infomap_ros.geometry.records import CameraInfoRecord
 from infomap_ros.localization.fiducials.range_view import StereoView
-from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.localization.localized_camera import LocalizedCamera
+from infomap_ros.localization.localizer import Localizer
 from infomap_ros.pipeline.image_synchronizer import ImageSet
 from infomap_ros.pipeline.range_estimator import PairRectifier
 from infomap_ros.replay.bags.reader import BagReader
@@ -160,7 +161,7 @@ def load(path: Path) -> Recording:
     return Recording(shots, sensor)
 
 
-def is_wrong(result: Localisation, truth: np.ndarray, T_map_world: np.ndarray) -> bool:
+def is_wrong(result: LocalizedCamera, truth: np.ndarray, T_map_world: np.ndarray) -> bool:
     """Whether a told pose is off by more than its covariance allows."""
     if result.T_map_camera is None or result.covariance is None:
         return False

@@ -1,4 +1,4 @@
-"""Trajectory errors of localisation on real and simulated sequences, against baselines.
+"""Trajectory errors of localization on real and simulated sequences, against baselines.
 
 Every sequence goes through `infomap_ros.replay.localizing.localize_run.LocalizeRun` with the
 default settings; the rover's bag with its odometry and from the images alone. The baselines
@@ -94,7 +94,7 @@ def bag_of(sequence: Sequence, data: Path, work: Path) -> Path | None:
 
 
 def views_of(bag: BagReader, options: LocalizeOptions) -> Iterator[RangeView]:
-    """The views that localisation sees."""
+    """The views that localization sees."""
     inputs = find_localize_inputs(bag, options)
     perception = inputs.perception
     for entry in perception.see(records_of(bag, perception.sources.names)):
@@ -103,7 +103,7 @@ def views_of(bag: BagReader, options: LocalizeOptions) -> Iterator[RangeView]:
 
 
 def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, dict[str, float]]:
-    """Figures of localisation and of each baseline, by name."""
+    """Figures of localization and of each baseline, by name."""
     options = with_settings(LocalizeOptions(), sequence.settings)
     with BagReader(path) as bag:
         records = [entry.record for entry in bag.records([sequence.truth])]
@@ -112,11 +112,11 @@ def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, d
         run = LocalizeRun(bag, options)
         run.run()
         seconds = time.perf_counter() - start
-    total = len(run.log.localisations)
+    total = len(run.log.localizations)
     results = {}
     for name, trajectory in (
-        ("localisation", run.log.trajectory),
-        ("localisation, corrected", run.log.corrected_trajectory),
+        ("localization", run.log.trajectory),
+        ("localization, corrected", run.log.corrected_trajectory),
     ):
         errors = errors_of(truth, trajectory.stamps.tolist(), trajectory.transforms, sequence.delta)
         located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}

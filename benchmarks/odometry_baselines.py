@@ -1,4 +1,4 @@
-"""Visual odometry that one writes in an afternoon: what localisation is compared with.
+"""Visual odometry that one writes in an afternoon: what localization is compared with.
 
 Each follows the camera from frame to frame with the functions of OpenCV, from the image and the
 dense range image of each view, without any odometry or map.
@@ -48,7 +48,7 @@ def _motion_of_matches(
     before: RangeView, first: np.ndarray, second: np.ndarray
 ) -> np.ndarray | None:
     columns, rows = np.rint(first).astype(int).T
-    points = before.cloud().organised_points[rows, columns].astype(np.float64)
+    points = before.cloud().organized_points[rows, columns].astype(np.float64)
     kept = np.isfinite(points).all(axis=1)
     if kept.sum() < _LEAST_INLIERS:
         return None

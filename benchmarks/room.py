@@ -15,11 +15,11 @@ CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
 def boxes(seed: int = 1) -> np.ndarray:
     """Boxes (low, high) on the floor, shape (n, 2, 3) [m]."""
     rng = np.random.default_rng(seed)
-    centres = rng.uniform(-4.5, 4.5, (14, 2))
-    centres = centres[np.linalg.norm(centres, axis=1) > 1.5]
-    sizes = rng.uniform(0.2, 1.2, (len(centres), 3))
-    low = np.c_[centres - sizes[:, :2] / 2, np.full(len(centres), -0.2)]
-    high = np.c_[centres + sizes[:, :2] / 2, sizes[:, 2]]
+    centers = rng.uniform(-4.5, 4.5, (14, 2))
+    centers = centers[np.linalg.norm(centers, axis=1) > 1.5]
+    sizes = rng.uniform(0.2, 1.2, (len(centers), 3))
+    low = np.c_[centers - sizes[:, :2] / 2, np.full(len(centers), -0.2)]
+    high = np.c_[centers + sizes[:, :2] / 2, sizes[:, 2]]
     return np.stack([low, high], axis=1)
 
 
@@ -48,7 +48,7 @@ def poses(count: int, seed: int = 2) -> list[np.ndarray]:
 
 
 def cloud(T_map_camera: np.ndarray, camera: PinholeCamera = CAMERA) -> np.ndarray:
-    """Organised points, shape (H, W, 3), float32, camera frame [m]."""
+    """Organized points, shape (H, W, 3), float32, camera frame [m]."""
     rays = camera.back_project(np.ones((camera.height, camera.width))).reshape(-1, 3)
     directions = rays.astype(np.float64) @ T_map_camera[:3, :3].T
     origin = T_map_camera[:3, 3]

@@ -1,8 +1,8 @@
 """How good the truth of rgbd_kitchen is: what its depth images say of it.
 
 The poses of that sequence were estimated from its depth images. Here pairs of depth images, some
-frames apart, are registered by generalised ICP (small_gicp), once from the motion that the truth
-tells and once from that of localisation. Both starts end at the same motion where the images
+frames apart, are registered by generalized ICP (small_gicp), once from the motion that the truth
+tells and once from that of localization. Both starts end at the same motion where the images
 determine it; how far each start is from it tells how good it was, and the distance of the points
 from the planes of the other image says so without any reference.
 
@@ -49,7 +49,7 @@ def plane_distance(first: small_gicp.PointCloud, second: small_gicp.PointCloud, 
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Degrees and millimetres between two motions."""
+    """Degrees and millimeters between two motions."""
     between = invert_transform(first) @ second
     turn = Rotation.from_matrix(between[:3, :3]).magnitude()
     return float(np.degrees(turn)), 1e3 * float(np.linalg.norm(between[:3, 3]))
@@ -77,7 +77,7 @@ def main() -> None:
         starts = range(0, len(stamps) - arguments.gap, EVERY)
         wanted = {stamps[i] for i in starts} | {stamps[i + arguments.gap] for i in starts}
         clouds = {
-            view.stamp: prepared(view.cloud().organised_points)
+            view.stamp: prepared(view.cloud().organized_points)
             for view in views_of(bag, LocalizeOptions())
             if view.stamp in wanted
         }
@@ -99,8 +99,8 @@ def main() -> None:
         row += [plane_distance(first, second, ends[0]), *difference(*ends)]
         rows.append([*row, 1e3 * float(np.linalg.norm(motion[:3, 3]))])
     names = (
-        "truth_deg", "truth_mm", "truth_plane_mm", "localisation_deg", "localisation_mm",
-        "localisation_plane_mm", "registered_plane_mm", "starts_deg", "starts_mm", "motion_mm",
+        "truth_deg", "truth_mm", "truth_plane_mm", "localization_deg", "localization_mm",
+        "localization_plane_mm", "registered_plane_mm", "starts_deg", "starts_mm", "motion_mm",
     )  # fmt: skip
     medians = dict(zip(names, np.median(rows, axis=0).round(3).tolist(), strict=True))
     print(

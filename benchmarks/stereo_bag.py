@@ -81,7 +81,7 @@ def calibration_of(offset: float) -> CameraCalibration:
 
 
 def render(T_map_camera: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What the camera sees, shape (480, 640), uint8, with noise of 2 grey levels."""
+    """What the camera sees, shape (480, 640), uint8, with noise of 2 gray levels."""
     points = room.cloud(T_map_camera).astype(np.float64)
     world = points @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]
     brightness = np.full(world.shape[:2], 110.0)

@@ -4,7 +4,7 @@
     python benchmarks/team_sharing.py link --seconds 20
     python benchmarks/team_sharing.py team --robots 2 4 8 16 32 --seconds 2 --voxel-size 0.1
 
-`wire` counts the bytes of serialised messages (CDR, before the headers of DDS) for the voxels that
+`wire` counts the bytes of serialized messages (CDR, before the headers of DDS) for the voxels that
 each view changes, and beside it OctoMap's file of the whole map. `link` lets two robots map and
 measures how far they are behind each other. `team` counts bytes and processor time of each robot.
 Robots drive through one simulated hall with 2 views a second, voxels of 5 cm where nothing else
@@ -31,7 +31,7 @@ from infomap_ros.team import MapUpdate, TeamConfig, decode_update, encode_update
 PERIOD = 0.5  # between two views [s]
 
 
-def serialised(rows: np.ndarray) -> int:
+def serialized(rows: np.ndarray) -> int:
     """Bytes of a message."""
     message = encode_rows(RosbagsMessageTypes(), 0, "map", rows)
     return len(
@@ -40,7 +40,7 @@ def serialised(rows: np.ndarray) -> int:
 
 
 def wire(views: int) -> None:
-    """Bytes for a changed voxel, and what quantisation does."""
+    """Bytes for a changed voxel, and what quantization does."""
     network = TeamNetwork(1, Radio())
     robot = network.robots[0]
     counts, sizes, worst, shifts = np.zeros(2), np.zeros(2), [], []
@@ -53,7 +53,7 @@ def wire(views: int) -> None:
             part = decode_update(rows)
             surface = int(part.has_gaussian.any())
             counts[surface] += len(part.indices)
-            sizes[surface] += serialised(rows)
+            sizes[surface] += serialized(rows)
         chosen = changes.has_gaussian
         whiten = np.linalg.inv(np.linalg.cholesky(changes.covariances[chosen]))
         ratios = np.linalg.eigvalsh(whiten @ update.covariances[chosen] @ whiten.transpose(0, 2, 1))

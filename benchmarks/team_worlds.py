@@ -1,9 +1,9 @@
-"""Does a team map faster than one robot? Views, metres and time to a coverage, world by world.
+"""Does a team map faster than one robot? Views, meters and time to a coverage, world by world.
 
 Each world is explored by one rover and by a team, until the map of a robot has the asked share of
 the true surface that reachable views can see. In the team, a share of all packets is lost, and the
 last robot's software is ended without warning midway and started again 20 s later from its files.
-Poses are the truth with a noise of 3 mm and 2.6 mrad; with `--localised`, each robot has its own
+Poses are the truth with a noise of 3 mm and 2.6 mrad; with `--localized`, each robot has its own
 from its images, odometry and joints, and what all share is the board of tags near the start. One
 JSON line for each run, then a table, then one JSON line for all. Runs that are in the output folder
 are not made again.
@@ -97,7 +97,7 @@ def main() -> int:
     parser.add_argument("--coverage", type=float, default=0.9, help="at which a run ends")
     parser.add_argument("--killed-at", type=float, default=0.45, help="coverage; 0: never")
     parser.add_argument("--loss", type=float, default=0.2, help="share of the packets")
-    parser.add_argument("--localised", action="store_true", help="no robot is told its pose")
+    parser.add_argument("--localized", action="store_true", help="no robot is told its pose")
     parser.add_argument("--out", type=Path, default=Path("out/team_worlds"))
     parser.add_argument("--set", action="append", default=[], dest="settings")
     options = parser.parse_args()
@@ -106,7 +106,7 @@ def main() -> int:
         f"team.coverage={options.coverage}",
         f"team.killed_at={options.killed_at}",
         f"team.loss={options.loss}",
-        f"robot.pose_source={'localization' if options.localised else 'simulator'}",
+        f"robot.pose_source={'localization' if options.localized else 'simulator'}",
         *options.settings,
     ]
     pairs = []

@@ -14,8 +14,8 @@ from infomap_ros.nodes.live.launching import (
     numbers,
 )
 from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
-from infomap_ros.nodes.simulated.simulated_localisation import (
-    simulated_localisation,
+from infomap_ros.nodes.simulated.simulated_localization import (
+    simulated_localization,
     simulated_motion_noise,
 )
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
@@ -26,7 +26,7 @@ ARGUMENTS = {
     "simulator": ("true", "A simulated rover; false for a real robot."),
     "world": ("mars", "World of the simulator: mars, office or cave."),
     "seed": ("1", "Seed of the world."),
-    "localisation": (
+    "localization": (
         "fiducials",
         "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
         "elsewhere, in simulation from the simulator.",
@@ -75,9 +75,9 @@ def _processes(given: dict[str, str]) -> list:
         "next_best_view": [*STATE, "left/camera_info"],
         "explorer": [*STATE, "left/camera_info"],
     }
-    if given["localisation"] == "odometry":
+    if given["localization"] == "odometry":
         inputs["dead_reckoning"] = [*MOTION, "left/camera_info"]
-    if given["localisation"] == "fiducials":
+    if given["localization"] == "fiducials":
         inputs["fiducial_localization"] = [*IMAGES, *MOTION]
     if given["driver"] == "true":
         inputs["robot_driver"] = [*STATE, "odom", "left/camera_info"]
@@ -112,7 +112,7 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
         "fiducial_localization": {
             "rectify": rectify,
             "motion": "odometry",
-            **(simulated_localisation() if truth["simulator"] else {}),
+            **(simulated_localization() if truth["simulator"] else {}),
             "target.kind": given["target"],
         },
         "next_best_view": {
@@ -132,7 +132,7 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
             "image_rate": IMAGE_RATE,
             "world": given["world"],
             "world_seed": int(given["seed"]),
-            "publish_camera_pose": given["localisation"] == "pose",
+            "publish_camera_pose": given["localization"] == "pose",
             **(driven_simulator() if driven else {}),
         },
         "robot_driver": simulated_driver() if driven else {},

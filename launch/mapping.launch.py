@@ -16,7 +16,7 @@ ARGUMENTS = {
     "acknowledged": ("false", "Play as fast as the nodes follow, whatever the rate."),
     "loop": ("false", "Play the bag again and again."),
     "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
-    "localisation": (
+    "localization": (
         "fiducials",
         "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
         "elsewhere, as from the bag.",
@@ -51,9 +51,9 @@ def _processes(given: dict[str, str]) -> list:
         robot.node("stereo_range", seeing, IMAGES),
         robot.node("map_fusion", fusion, ["points2", "camera_pose", "joint_states"]),
     ]
-    if given["localisation"] == "fiducials":
+    if given["localization"] == "fiducials":
         nodes.append(robot.node("fiducial_localization", seeing, [*IMAGES, *MOTION]))
-    if given["localisation"] == "odometry":
+    if given["localization"] == "odometry":
         nodes.append(robot.node("dead_reckoning", {}, [*MOTION, "left/camera_info"]))
     if bag:
         nodes.append(robot.node("bag_player", _player(bag, given, robot)))
@@ -64,8 +64,8 @@ def _player(bag: str, given: dict[str, str], robot: RobotLaunch) -> dict:
     """Parameters of bag_player. It waits for one of each node: the first start compiles."""
     left_image = "left/image_raw" if robot.rectify else "left/image_rect"
     image = "depth/image_rect" if robot.source == "depth" else left_image
-    watching = 1 + (given["localisation"] == "fiducials")  # nodes that listen to the images
-    located = given["localisation"] != "pose"
+    watching = 1 + (given["localization"] == "fiducials")  # nodes that listen to the images
+    located = given["localization"] != "pose"
     return {
         "bag": bag,
         "rate": float(given["rate"]),

@@ -93,7 +93,7 @@ def test_manifest_is_valid(manifest: Package) -> None:
     assert manifest.get_build_type() == "ament_python"
 
 
-def test_name_version_licence_and_maintainer_agree(manifest: Package, setup_script: Any) -> None:
+def test_name_version_license_and_maintainer_agree(manifest: Package, setup_script: Any) -> None:
     metadata = setup_script.metadata
     assert manifest.name == metadata.name == "infomap_ros"
     assert manifest.version == metadata.version
@@ -104,7 +104,7 @@ def test_name_version_licence_and_maintainer_agree(manifest: Package, setup_scri
     assert parseaddr(metadata.maintainer_email)[1] == metadata.maintainer_email
 
 
-def test_licence_text_is_the_one_named() -> None:
+def test_license_text_is_the_one_named() -> None:
     text = (REPOSITORY / "LICENSE").read_text("utf-8")
     assert "Apache License" in text
     assert "Version 2.0, January 2004" in text

@@ -91,7 +91,7 @@ def _remarks(run: LocalizeRun) -> list[str]:
     texts = [f"{n} images dropped: {why}" for why, n in run.inputs.perception.dropped.items()]
     texts += [f"{n} records refused: {why}" for why, n in run.refused.items()]
     texts += [f"{n} views without odometry: {why}" for why, n in run.without_motion.items()]
-    results = run.log.localisations
+    results = run.log.localizations
     lost = [one for one in results if one.T_map_camera is None]
     if lost:
         first = 1e-9 * (lost[0].stamp - results[0].stamp)

@@ -1,4 +1,4 @@
-"""The studies of localisation on the command line."""
+"""The studies of localization on the command line."""
 
 import time
 from typing import Annotated

@@ -155,16 +155,16 @@ class CommandedRobot:
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Send the path and wait for its result, or until the base rests at its end."""
         motion = self._link.send_base_path(poses, self.in_odometry)
-        travelled = [self.place()]
+        traveled = [self.place()]
 
         def arrived() -> bool:
-            travelled.append(self.place())
-            left, turn = _away(travelled[-1], poses[-1])
+            traveled.append(self.place())
+            left, turn = _away(traveled[-1], poses[-1])
             near = left <= self._config.position_tolerance
             return near and turn <= self._config.heading_tolerance
 
         end = self._finish(motion, arrived, interrupted)
-        path = [(x, y, 0.0) for x, y, _ in _thinned(travelled)]
+        path = [(x, y, 0.0) for x, y, _ in _thinned(traveled)]
         if end is not None:
             return Motion(end, path)
         here = self.place()

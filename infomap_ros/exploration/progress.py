@@ -90,8 +90,8 @@ def measure_progress(
     start = np.clip(window.positions_of(np.reshape(inside, (1, 3)))[0], 0, _last(states))
     known, missing = count_surface(states, start, voxel_map.config.voxel_size)
     indices, _, covariances = voxel_map.gaussians()
-    centres = (indices + 0.5) * voxel_map.config.voxel_size
-    chosen = ((centres >= box[0]) & (centres <= box[1])).all(axis=1)
+    centers = (indices + 0.5) * voxel_map.config.voxel_size
+    chosen = ((centers >= box[0]) & (centers <= box[1])).all(axis=1)
     sigmas = surface_sigmas(covariances[chosen])
     known_fraction = known / (known + missing) if known else 0.0
     return MapProgress(
@@ -120,7 +120,7 @@ def count_surface(
     known, detail = np.zeros_like(occupied), np.zeros_like(occupied)
     for axis in range(3):
         for step in (-1, 1):
-            faces_free = _neighbours(free, axis, step)
+            faces_free = _neighbors(free, axis, step)
             surface = occupied & faces_free
             known |= surface
             beside = [2 * _GOES_ON + 1] * 3
@@ -164,7 +164,7 @@ def _count_near(mask: _Mask, sizes: Sequence[int]) -> NDArray[np.int64]:
     return np.asarray(counts)
 
 
-def _neighbours(mask: _Mask, axis: int, step: int) -> _Mask:
+def _neighbors(mask: _Mask, axis: int, step: int) -> _Mask:
     """What `mask` holds one step, -1 or 1, along an axis; False beyond the edge."""
     shifted = np.zeros_like(mask)
     here, there = [slice(None)] * 3, [slice(None)] * 3

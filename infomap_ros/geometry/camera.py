@@ -1,7 +1,7 @@
 """Pinhole cameras, rectified stereo rigs, and the calibration of a raw camera.
 
 Camera coordinates are optical: x right, y down, z forward [m]. Pixel coordinates are (u, v) with
-the centre of the top left pixel at (0, 0).
+the center of the top left pixel at (0, 0).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class PinholeCamera:
         return np.stack([u, v], axis=-1)
 
     def back_project(self, depth: ArrayLike) -> NDArray[np.float32]:
-        """Turn a depth image into organised points in the camera frame.
+        """Turn a depth image into organized points in the camera frame.
 
         Args:
             depth: z of every pixel, shape (height, width) [m]; NaN where not measured.
@@ -119,7 +119,7 @@ class StereoRig:
     Attributes:
         left: left camera.
         right: right camera; shares fx, fy and cy with the left.
-        baseline: distance between the two optical centres [m].
+        baseline: distance between the two optical centers [m].
 
     Raises:
         CalibrationError: the baseline is not positive, or the cameras are not rectified to

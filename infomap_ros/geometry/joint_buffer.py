@@ -45,7 +45,7 @@ class JointBuffer:
     """Positions of joints in order of time, and those between two of them.
 
     Several publishers may each know some of the joints. Positions are interpolated linearly
-    between two neighbours at most `max_gap` apart, and never extrapolated. A joint state older
+    between two neighbors at most `max_gap` apart, and never extrapolated. A joint state older
     than the newest of its joint by more than `max_gap` says that the clock was set back: what was
     kept of that joint is forgotten.
     """

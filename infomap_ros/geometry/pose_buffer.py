@@ -36,7 +36,7 @@ class PoseBufferConfig:
 class PoseBuffer:
     """Stamped poses of one frame in another, in order of time, and the pose between two of them.
 
-    A pose is interpolated between two neighbours that are at most `max_gap` apart and never
+    A pose is interpolated between two neighbors that are at most `max_gap` apart and never
     extrapolated. The covariance of an interpolated pose is the same weighted mean of the two
     covariances as the pose itself: whatever the correlation of the two errors, the covariance of
     their weighted mean is not larger than that (convexity of the square). It is unknown where one
@@ -104,7 +104,7 @@ class PoseBuffer:
             stamp: [ns].
 
         Returns:
-            The pose with that stamp, or the one interpolated between its neighbours.
+            The pose with that stamp, or the one interpolated between its neighbors.
 
         Raises:
             PoseUnavailableError: the stamp is older than the oldest pose, newer than the newest,

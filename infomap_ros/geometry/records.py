@@ -116,7 +116,7 @@ class PointCloudRecord(Record):
     """Range points.
 
     Attributes:
-        points: shape (H, W, 3) when organised, else (N, 3), float32 [m]; NaN = no measurement.
+        points: shape (H, W, 3) when organized, else (N, 3), float32 [m]; NaN = no measurement.
         covariances: shape (..., 3, 3) like points, or (..., 6) as (xx, xy, xz, yy, yz, zz), float32
             [m^2]; None if unknown.
         colors: shape (..., 3), uint8 RGB, or None.

@@ -155,7 +155,7 @@ def transform_points(transform: FloatArray, points: ArrayLike) -> FloatArray:
 def transform_from_quaternion(quaternion: ArrayLike, translation: ArrayLike) -> FloatArray:
     """Build a transform from a quaternion (x, y, z, w) and a translation (3,) [m].
 
-    A quaternion within 1 % of unit length is normalised, as messages carry rounded numbers.
+    A quaternion within 1 % of unit length is normalized, as messages carry rounded numbers.
 
     Raises:
         InvalidInputError: the quaternion or the translation is not finite or has a wrong shape,

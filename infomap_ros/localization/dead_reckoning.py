@@ -27,9 +27,9 @@ class DeadReckoningConfig:
         ConfigError: a value is out of its range.
     """
 
-    position_per_metre: float = parameter(
+    position_per_meter: float = parameter(
         0.03,
-        "Position sigma after one metre, where odometry comes without covariance.",
+        "Position sigma after one meter, where odometry comes without covariance.",
         unit="m",
         low=0.0,
         high=10.0,
@@ -42,8 +42,8 @@ class DeadReckoningConfig:
         low=0.0,
         high=10.0,
     )
-    rotation_per_metre: float = parameter(
-        0.01, "Rotation sigma after one metre, likewise.", unit="rad", low=0.0, high=3.0
+    rotation_per_meter: float = parameter(
+        0.01, "Rotation sigma after one meter, likewise.", unit="rad", low=0.0, high=3.0
     )
     rotation_per_radian: float = parameter(
         0.02,
@@ -72,8 +72,8 @@ class DeadReckoningConfig:
 
     def step_covariance(self, way: float, turned: float) -> FloatArray:
         """What a step of odometry, [m] and [rad], adds to the pose's covariance, shape (6, 6)."""
-        position = self.position_per_metre**2 * way + self.position_per_radian**2 * turned
-        rotation = self.rotation_per_metre**2 * way + self.rotation_per_radian**2 * turned
+        position = self.position_per_meter**2 * way + self.position_per_radian**2 * turned
+        rotation = self.rotation_per_meter**2 * way + self.rotation_per_radian**2 * turned
         return np.diag([position] * 3 + [rotation] * 3)
 
     def kinematics_covariance(self) -> FloatArray:

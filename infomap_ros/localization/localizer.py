@@ -1,6 +1,6 @@
 """Where the camera is: Fig. 9 of Sujan and Dubowsky (2005), doi:10.1177/0278364905051774.
 
-Initialise against the target, or call the place where the camera begins the origin; then, for every
+Initialize against the target, or call the place where the camera begins the origin; then, for every
 view: expect the motion, track the fiducials, solve and filter, ask whether the pose is certain
 enough and whether new fiducials are needed.
 """
@@ -31,15 +31,13 @@ from infomap_ros.localization.filter.hypothesis_choice import CONTRADICTION
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import FilterUpdate
 from infomap_ros.localization.known_map import KnownMap
-from infomap_ros.localization.localisation import Choice, Localisation, State
+from infomap_ros.localization.localized_camera import Choice, LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.localization.target.watch import TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
-
-__all__ = ["Localisation", "Localizer"]
 
 _LEAST_VARIANCE = 1e-10  # of a told pose [m^2 and rad^2], as who points at a plan tells no height
 _ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]
@@ -77,7 +75,7 @@ class Localizer(KnownMap):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; the next view initialises anew."""
+        """Forget everything; the next view initializes anew."""
         self._filter.start(self._begin_at, self._begin_covariance)
         self._scene.clear()
         self._watch.clear()
@@ -180,7 +178,7 @@ class Localizer(KnownMap):
         keep: bool = False,
         body: Sequence[PlacedSolid] = (),
         others: Sequence[PlacedSolid] = (),
-    ) -> Localisation:
+    ) -> LocalizedCamera:
         """Tell where the camera was when a view was taken.
 
         Args:
@@ -199,33 +197,33 @@ class Localizer(KnownMap):
             raise InvalidInputError("view", f"{view.stamp} ns is not later than {self._stamp} ns")
         chosen = Choice(voxel_map, body, others)
         if self._state == "searching":
-            return self._initialise(view, chosen)
+            return self._initialize(view, chosen)
         self._wake(view, prior)
         before = None if self._state == "lost" else self._filter.pose[0]
         seen = self._follow(view, prior)
         tracked, reason = self._solve(view, seen, prior)
         sighted = self._watch.correct(view, self._filter, tracked > 0)
         if sighted == "contradicted":
-            return self._initialise(view, chosen)
+            return self._initialize(view, chosen)
         self._judge(view, seen, tracked > 0 or sighted == "corrected")
         self._note_step(view, before, tracked > 0)
         self._replace_fiducials(view, tracked, chosen)
         return self._conclude(view, reason or self._watch.reason, tracked, sighted != "", keep)
 
-    def _initialise(self, view: RangeView, chosen: Choice) -> Localisation:
+    def _initialize(self, view: RangeView, chosen: Choice) -> LocalizedCamera:
         """Against the target where there is one, else here is where the map begins."""
         self._stamp, self._state = view.stamp, "searching"
         pose, covariance = self._begin_at, self._begin_covariance
         if self._watch.exists:
             sighting = self._watch.sight(view)
             if sighting is None:
-                return Localisation(view.stamp, "searching", None, None, self._watch.reason)
+                return LocalizedCamera(view.stamp, "searching", None, None, self._watch.reason)
             pose, covariance = sighting.camera_pose()
         self._filter.start(pose, covariance)
         self._scene.clear()
         self._scene.replenish(view, self.config.wanted_fiducials, chosen)
         self._state, self._fixed = "tracking", view.stamp
-        return self._conclude(view, "initialised", 0, self._watch.exists, True)
+        return self._conclude(view, "initialized", 0, self._watch.exists, True)
 
     def _wake(self, view: RangeView, prior: MotionPrior | None) -> None:
         """After `resume`: without a prior the camera may have been carried anywhere."""
@@ -293,7 +291,7 @@ class Localizer(KnownMap):
         return update
 
     def _judge(self, view: RangeView, seen: FiducialObservations, is_fixed: bool) -> None:
-        """Is the localisation certain enough?"""
+        """Is the localization certain enough?"""
         if is_fixed:
             self._state, self._fixed = "tracking", view.stamp
             self._coasted, self._contradicted = 0, 0.0
@@ -342,9 +340,9 @@ class Localizer(KnownMap):
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool
-    ) -> Localisation:
+    ) -> LocalizedCamera:
         if self._state == "lost":
-            return Localisation(view.stamp, "lost", None, None, reason)
+            return LocalizedCamera(view.stamp, "lost", None, None, reason)
         pose, covariance = self._filter.pose
         is_keyframe = keep or moved(self._keyframe, pose, self.config)
         if is_keyframe:
@@ -352,4 +350,4 @@ class Localizer(KnownMap):
             self._keyframe = pose
         parts = self._filter.divide_covariance(is_keyframe=is_keyframe)
         told = pose, covariance, reason, tracked, is_keyframe, target_seen
-        return Localisation(view.stamp, self._state, *told, self._contradicted > 0.0, parts)
+        return LocalizedCamera(view.stamp, self._state, *told, self._contradicted > 0.0, parts)

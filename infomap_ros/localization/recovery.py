@@ -47,7 +47,7 @@ class Recovery:
         self._camera, self._config = camera, config
         self._filter, self._scene = pose_filter, scene
         self._reckoned: MotionPrior | None = None  # from map to camera, since it was lost
-        self._agreed = False  # whether what was recognised last agreed, though it was too little
+        self._agreed = False  # whether what was recognized last agreed, though it was too little
 
     def lose(self) -> None:
         """The camera may be anywhere from now on; before the filter is told so."""
@@ -60,7 +60,7 @@ class Recovery:
         is_lost: bool,
         prior: MotionPrior | None = None,
     ) -> tuple[int, str]:
-        """Find the pose again by all fiducials that can be recognised in a view.
+        """Find the pose again by all fiducials that can be recognized in a view.
 
         Args:
             view: that was tracked last, in vain.
@@ -76,7 +76,7 @@ class Recovery:
             self._reckoned = None if prior is None else self._reckoned.then(prior)
         pose, covariance = self._expected(is_lost)
         radius = self._search_radius(pose, covariance)
-        reason = "no known fiducial recognised"
+        reason = "no known fiducial recognized"
         for is_near in (True, False):
             if is_near and radius > _ANYWHERE * self._camera.width:
                 continue
@@ -95,7 +95,7 @@ class Recovery:
 
     def _update(self, every: FiducialObservations, is_lost: bool) -> tuple[int, str]:
         if is_lost and not self._enough_agree(every):
-            return 0, f"{len(every)} known fiducials recognised, not enough agree"
+            return 0, f"{len(every)} known fiducials recognized, not enough agree"
         update = self._filter.update(every)
         if not update.is_consistent:
             return 0, update.reason
@@ -162,7 +162,7 @@ class Recovery:
         """Whether so many fiducials agree on one pose that a lost camera is there.
 
         On a pose where odometry says that the camera cannot be, twice as many, and nearly all of
-        those that were recognised: walls repeat themselves.
+        those that were recognized: walls repeat themselves.
         """
         known = self._filter.fiducials()
         chosen = observations.select(np.isin(observations.ids, known.ids))

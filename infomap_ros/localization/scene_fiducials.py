@@ -29,7 +29,7 @@ from infomap_ros.localization.fiducials.viewpoints import (
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
-from infomap_ros.localization.localisation import Choice
+from infomap_ros.localization.localized_camera import Choice
 from infomap_ros.localization.localizer_config import LocalizerConfig
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up

@@ -68,7 +68,7 @@ class VoxelMapConfig:
         high=10.0,
     )
     error_correlation: float = StereoConfig.error_correlation
-    """Correlation of the range errors of neighbouring points of a scan that does not say it: the
+    """Correlation of the range errors of neighboring points of a scan that does not say it: the
     variance of a voxel's mean of n points is sigma^2 (c + (1 - c) / n). No parameter: clouds say
     it. 0 is for a sensor whose points are independent."""
     default_sigma: float = setting(

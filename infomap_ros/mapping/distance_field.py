@@ -1,12 +1,12 @@
 """Distance to the nearest obstacle, for every voxel of a box of the map.
 
-The distance is exact and Euclidean: from the centre of a voxel to the nearest point of the nearest
+The distance is exact and Euclidean: from the center of a voxel to the nearest point of the nearest
 blocked voxel, a cube. Coordinates separate, so three passes of one-dimensional lower envelopes of
 parabolas compute it in time linear in the number of voxels (Felzenszwalb and Huttenlocher 2012,
 doi:10.4086/toc.2012.v008a019). In one dimension the cube of voxel j is nearest at one of its faces,
-j - 1/2 or j + 1/2, so that the parabolas stand on the faces between voxels in place of the centres.
+j - 1/2 or j + 1/2, so that the parabolas stand on the faces between voxels in place of the centers.
 
-Two voxels that are blocked or not decide nothing about the space between their centres; distances
+Two voxels that are blocked or not decide nothing about the space between their centers; distances
 between cubes do, which is why `spheres_clear` is right for every sphere and not only on the grid.
 """
 
@@ -42,7 +42,7 @@ class DistanceField:
     """Distance to the nearest blocked voxel, for the voxels of a box.
 
     Attributes:
-        distances: from each voxel's centre to the nearest blocked voxel, 0 for a blocked voxel,
+        distances: from each voxel's center to the nearest blocked voxel, 0 for a blocked voxel,
             infinite where nothing is blocked, float32, shape (nx, ny, nz) [m].
         first: voxel index of ``distances[0, 0, 0]``, shape (3,).
         voxel_size: edge of a voxel [m].
@@ -79,20 +79,20 @@ class DistanceField:
         fill_clearances(*self.arrays, rows, float(limit), found)
         return found
 
-    def spheres_clear(self, centres: ArrayLike, radii: ArrayLike) -> NDArray[np.bool_]:
+    def spheres_clear(self, centers: ArrayLike, radii: ArrayLike) -> NDArray[np.bool_]:
         """Which spheres touch no blocked voxel.
 
         Args:
-            centres: shape (N, 3) [m, map].
+            centers: shape (N, 3) [m, map].
             radii: one for all, or shape (N,) [m].
 
         Returns:
             Shape (N,); False for a sphere that leaves the box where outside is not free.
 
         Raises:
-            InvalidInputError: `centres` has another shape.
+            InvalidInputError: `centers` has another shape.
         """
-        rows = _points(centres)
+        rows = _points(centers)
         sizes = np.broadcast_to(float_array(radii, "radii"), len(rows))
         clear = np.empty(len(rows), np.bool_)
         fill_clear(*self.arrays, rows, np.ascontiguousarray(sizes), clear)
@@ -118,7 +118,7 @@ def distance_field(
         thresholds: when a voxel counts as free.
         unknown_is_free: voxels never observed, and all outside the window, are not in the way.
         known_free: space that is known to be free although it was never seen, such as that which
-            the robot's body fills [map]. Voxels whose centres lie in it are free unless the map
+            the robot's body fills [map]. Voxels whose centers lie in it are free unless the map
             says that they are occupied.
         own_points: points within the robot, shape (K, 3) [m, map]: the voxels that hold them are
             free whatever was observed there, as nothing else can be in that place.
@@ -180,7 +180,7 @@ def _points(points: ArrayLike) -> NDArray[np.float64]:
 def _mark(
     voxels: NDArray[np.bool_], window: VoxelWindow, solids: Sequence[PlacedSolid], value: bool
 ) -> None:
-    """Set the voxels whose centres lie in solids, and are not set so, to a value."""
+    """Set the voxels whose centers lie in solids, and are not set so, to a value."""
     for solid in solids:
         middle, reach = solid.transform[:3, 3], solid.solid.bounding_radius
         low, high = window.positions_of([middle - reach, middle + reach])
@@ -188,5 +188,5 @@ def _mark(
         box = voxels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
         places = np.argwhere(box != value)
         if len(places):
-            inside = points_inside(window.centres_of(places + low), [solid])
+            inside = points_inside(window.centers_of(places + low), [solid])
             box[tuple(places[inside].T)] = value

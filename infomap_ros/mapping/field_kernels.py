@@ -35,7 +35,7 @@ class FieldArrays(NamedTuple):
 def transform(squares: Any, edge: Any) -> None:
     """Turn 0 where blocked and far elsewhere into squared distances [voxels], axis by axis.
 
-    Lines along the first two axes are gathered for 16 neighbours along z at once, since a
+    Lines along the first two axes are gathered for 16 neighbors along z at once, since a
     line of its own would use one number of every cache line that it touches.
     """
     nx, ny, nz = squares.shape
@@ -128,7 +128,7 @@ def clearance_bounds(
 ) -> tuple[float, float]:
     """Bounds between which the distance from a point to the nearest blocked voxel lies [m].
 
-    The distance changes by no more than the way between two points, so its value at the centre of
+    The distance changes by no more than the way between two points, so its value at the center of
     the voxel that holds the point gives both. The first four arguments are those of `FieldArrays`.
     """
     nx, ny, nz = distances.shape
@@ -231,14 +231,14 @@ def fill_clear(
     first: Any,
     size: float,
     outside_is_free: bool,
-    centres: Any,
+    centers: Any,
     radii: Any,
     clear: Any,
 ) -> None:
     """`sphere_clear` for many spheres, shapes (N, 3) and (N,)."""
     field = distances, first, size, outside_is_free
-    for n in range(len(centres)):
-        x, y, z = centres[n, 0], centres[n, 1], centres[n, 2]
+    for n in range(len(centers)):
+        x, y, z = centers[n, 0], centers[n, 1], centers[n, 2]
         clear[n] = sphere_clear(*field, x, y, z, radii[n])
 
 

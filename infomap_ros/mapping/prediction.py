@@ -1,7 +1,7 @@
-"""What unknown voxels are probably like: the average of their neighbours.
+"""What unknown voxels are probably like: the average of their neighbors.
 
 Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) give a voxel that was never observed the
-average of its neighbours' probabilities, those of known voxels fixed, so that unknown regions take
+average of its neighbors' probabilities, those of known voxels fixed, so that unknown regions take
 after the closest known ones. That is a discrete Laplace equation over the unknown voxels. Far from
 everything known it says little and costs much, so it is solved within a bounded distance of the
 known, as if nothing were beyond; farther unknown voxels keep probability 0.5.
@@ -65,7 +65,7 @@ def predict_unknown(
 
     Returns:
         Shape of ``window.quanta``, float32: a known voxel's own probability; of an unknown one the
-        average of its up to six neighbours, 0.5 where no known one is near.
+        average of its up to six neighbors, 0.5 where no known one is near.
     """
     limits = config or PredictionConfig()
     nx, ny, nz = window.quanta.shape
@@ -117,8 +117,8 @@ def _spread(
         values: flat, with p of known voxels; receives a first guess of the others.
         depth: flat, 1 for known voxels, `_OUTSIDE` beyond the window; receives 1 + layer.
         shape: of the padded window.
-        row: flat distance of neighbours along x.
-        column: flat distance of neighbours along y.
+        row: flat distance of neighbors along x.
+        column: flat distance of neighbors along y.
         distance: number of layers.
         queue: room for every unknown voxel.
 
@@ -149,7 +149,7 @@ def _spread(
 
 @njit(cache=True, nogil=True)
 def _adopt(at: int, layer: int, row: int, column: int, values: Any, depth: Any) -> bool:
-    """Give a voxel the mean of its neighbours in the layer before, if there are any."""
+    """Give a voxel the mean of its neighbors in the layer before, if there are any."""
     total, count = 0.0, 0
     for step in (-row, row, -column, column, -1, 1):
         if depth[at + step] == layer:
@@ -164,7 +164,7 @@ def _adopt(at: int, layer: int, row: int, column: int, values: Any, depth: Any) 
 def _unknown_cells(
     depth: NDArray[np.uint8],
 ) -> tuple[NDArray[np.int64], NDArray[np.float32], int]:
-    """Flat positions of the unknown voxels to predict and 1 / their neighbours, reds first."""
+    """Flat positions of the unknown voxels to predict and 1 / their neighbors, reds first."""
     count = int(np.count_nonzero(depth > 1))
     cells, shares = np.empty(count, np.int64), np.empty(count, np.float32)
     reds = _list_cells(depth, 0, cells, shares, 0)
@@ -173,11 +173,11 @@ def _unknown_cells(
 
 
 @njit(cache=True, nogil=True)
-def _list_cells(depth: Any, colour: int, cells: Any, shares: Any, found: int) -> int:
+def _list_cells(depth: Any, color: int, cells: Any, shares: Any, found: int) -> int:
     nx, ny, nz = depth.shape
     for i in range(1, nx - 1):
         for j in range(1, ny - 1):
-            for k in range(1 + (i + j + 1 + colour) % 2, nz - 1, 2):
+            for k in range(1 + (i + j + 1 + color) % 2, nz - 1, 2):
                 if depth[i, j, k] > 1:
                     near = 0
                     near += depth[i - 1, j, k] > 0
@@ -194,7 +194,7 @@ def _list_cells(depth: Any, colour: int, cells: Any, shares: Any, found: int) ->
 
 @njit(cache=True, nogil=True)
 def _relax(values: Any, cells: Any, shares: Any, row: int, column: int, factor: float) -> Any:
-    """One sweep over the cells of one colour; what is not to be averaged holds 0."""
+    """One sweep over the cells of one color; what is not to be averaged holds 0."""
     largest, omega = np.float32(0.0), np.float32(factor)
     for n in range(len(cells)):
         at = cells[n]

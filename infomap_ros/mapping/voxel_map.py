@@ -62,14 +62,14 @@ class VoxelMap:
         """Add one scan.
 
         Args:
-            points: shape (N, 3), or organised (H, W, 3), sensor frame [m]; NaN = no measurement.
+            points: shape (N, 3), or organized (H, W, 3), sensor frame [m]; NaN = no measurement.
             T_map_sensor: pose of the sensor (with a camera: of its optical frame), shape (4, 4).
             covariances: shape (..., 3, 3), or (..., 6) as (xx, xy, xz, yy, yz, zz), of the points
                 in the sensor frame [m^2]. Without it every point has ``default_sigma``.
             pose_covariance: of the pose in its parts, see `pose_uncertainty`.
             camera: the camera whose pixels the points are. Free space is then found by projecting
                 voxels into the image; without it by traversing the rays.
-            error_correlation: of the range errors of neighbouring points, in [0, 1]; replaces the
+            error_correlation: of the range errors of neighboring points, in [0, 1]; replaces the
                 configuration's value.
 
         Returns:
@@ -188,7 +188,7 @@ class VoxelMap:
         """Sum of the voxels' entropies [bits] (eq. 5 of Sujan and Dubowsky 2005, per voxel).
 
         Args:
-            region: box (low, high), shape (2, 3), map frame [m]: the voxels with their centre in
+            region: box (low, high), shape (2, 3), map frame [m]: the voxels with their center in
                 it, an unknown one counting 1 bit. Without it all known voxels.
 
         Raises:

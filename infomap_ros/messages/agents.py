@@ -25,8 +25,8 @@ _LINE_LIST, _CYLINDER, _TEXT = 5, 3, 9
 _ADD, _DELETE = 0, 2
 _SHOWN_RANGE = 0.6  # of the goal's opening [m]
 _LINE, _LETTERS = 0.02, 0.25  # [m]
-# Of robots by their ids, one after the other: the first colours of Tableau.
-_COLOURS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.58, 0.4, 0.74))
+# Of robots by their ids, one after the other: the first colors of Tableau.
+_COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.58, 0.4, 0.74))
 
 
 def encode_agent(
@@ -102,7 +102,7 @@ def _marker(
     whole, rest = divmod(round(lifetime * 1e9), 1_000_000_000)
     none = np.zeros(0, np.uint8)
     is_shown = points is None or len(points) > 0
-    r, g, b = _COLOURS[agent.robot % len(_COLOURS)]
+    r, g, b = _COLORS[agent.robot % len(_COLORS)]
     header = make_header(types, agent.stamp, frame_id)
     return types.make(
         "visualization_msgs/msg/Marker",

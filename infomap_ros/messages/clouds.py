@@ -43,7 +43,7 @@ class _Cells:
         return np.ndarray(self.shape, dtype, self.data, offset, self.strides)
 
     def block(self, names: tuple[str, ...]) -> NDArray[np.float32] | None:
-        """Neighbouring float32 fields at once, shape (height, width, n); None if they are not."""
+        """Neighboring float32 fields at once, shape (height, width, n); None if they are not."""
         first = self.layout[names[0]][0]
         wanted = [(first + 4 * index, "f4") for index in range(len(names))]
         if [self.layout[name] for name in names] != wanted:
@@ -67,7 +67,7 @@ def decode_point_cloud(message: object) -> PointCloudRecord:
     """Read a ``sensor_msgs/PointCloud2`` of any layout.
 
     Points with a coordinate that is not finite become NaN in all three. A cloud of height 1 gives
-    points (N, 3), any other (H, W, 3). Colours come from ``rgb`` or ``rgba``, or from ``r``, ``g``
+    points (N, 3), any other (H, W, 3). Colors come from ``rgb`` or ``rgba``, or from ``r``, ``g``
     and ``b``; covariances from ``cov_xx`` to ``cov_zz``, where all zero stands for unknown. The
     correlation of errors comes from the first point's ``error_correlation``, a share, or hundredths
     where it is of an integer type.
@@ -242,11 +242,11 @@ def _is_covariance(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:
 def encode_point_cloud(types: MessageTypes, record: PointCloudRecord) -> Any:
     """Build a ``sensor_msgs/PointCloud2`` of float32 fields.
 
-    Fields x y z, then rgb (packed) where there are colours, then cov_xx cov_xy cov_xz cov_yy
+    Fields x y z, then rgb (packed) where there are colors, then cov_xx cov_xy cov_xz cov_yy
     cov_yz cov_zz where there are covariances, then error_correlation where it is known.
 
     Raises:
-        InvalidInputError: points, covariances and colours do not fit each other.
+        InvalidInputError: points, covariances and colors do not fit each other.
     """
     points = np.asarray(record.points)
     if points.ndim not in (2, 3) or points.shape[-1] != 3:

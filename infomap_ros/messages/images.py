@@ -134,7 +134,7 @@ def decode_compressed_image(message: object) -> ImageRecord:
     if "compressedDepth" in form:
         if not form.startswith(("16UC1", "mono16")) or "rvl" in form:
             fields.fail(f"format '{form}' is not supported")
-        data = data[12:]  # the transport's own header: format and two quantisation parameters
+        data = data[12:]  # the transport's own header: format and two quantization parameters
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     except cv2.error as error:

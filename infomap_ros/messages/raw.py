@@ -1,4 +1,4 @@
-"""What can be read of a serialised message without its type."""
+"""What can be read of a serialized message without its type."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class MessageTypes(Protocol):
 
 
 class RosbagsMessageTypes:
-    """Messages as rosbags serialises them (ROS 2 Jazzy)."""
+    """Messages as rosbags serializes them (ROS 2 Jazzy)."""
 
     def __init__(self, store: Typestore | None = None) -> None:
         self._store = store or get_typestore(Stores.ROS2_JAZZY)

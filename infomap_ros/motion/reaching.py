@@ -259,7 +259,7 @@ class WholeBodyReach:
         area = self.planner.reachable_area(self._xyyaw)
         away = distance_transform_edt(~area) * terrain.resolution
         cells = np.clip(terrain.cells_of(views[:, :3, 3]), 0, np.array(area.shape) - 1)
-        beside = np.linalg.norm(terrain.centres_of(cells) - views[:, :2, 3], axis=1)
+        beside = np.linalg.norm(terrain.centers_of(cells) - views[:, :2, 3], axis=1)
         grounds = np.where(area, terrain.heights, np.nan)
         steepness = np.arcsin(np.clip(views[:, 2, 2], -1.0, 1.0))
         nearest = distance_transform_edt(~area, return_distances=False, return_indices=True)

@@ -30,7 +30,7 @@ def traversability(terrain: Terrain, vehicle: Vehicle) -> ProjectedGrid:
     grid = np.full(terrain.heights.shape, UNKNOWN, np.int8)
     if len(cells):
         places = np.empty((len(cells), len(_HEADINGS), 3))
-        places[:, :, :2] = terrain.centres_of(cells)[:, None]
+        places[:, :, :2] = terrain.centers_of(cells)[:, None]
         places[:, :, 2] = _HEADINGS
         outcomes = vehicle.stances(terrain, places.reshape(-1, 3)).outcomes
         grid[cells[:, 0], cells[:, 1]] = _values(outcomes.reshape(len(cells), -1))

@@ -1,6 +1,6 @@
 """Node ``dead_reckoning``: camera_pose from odometry, joint states and the robot's description.
 
-For robots that have no better localisation. There is one pose for every message on
+For robots that have no better localization. There is one pose for every message on
 left/camera_info, with its stamp; the map is where odometry began. The pose drifts, and its
 covariance grows with it.
 """

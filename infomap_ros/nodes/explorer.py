@@ -201,7 +201,7 @@ class ExplorerNode(MonitoredNode):
         self.get_logger().info(f"exploration ended: {ending.reason.value}: {ending.detail}")
 
     def _find_target(self, exploration: Exploration) -> Ending | None:
-        """Wait until all is there; where localisation has to see its target first, look for it."""
+        """Wait until all is there; where localization has to see its target first, look for it."""
         while not self._stopped():
             exploration.control.answered(Request.HOME, Request.PAUSE)  # home is not known yet
             exploration.control.wait_while_paused()

@@ -31,7 +31,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -138,7 +138,7 @@ class FiducialLocalizationNode(MonitoredNode):
         config, tilt = self.config(LocalizerConfig), self._config.start_tilt
         localizer = CameraLocalizer(CameraLocalizerConfig(config, motion, detector, tilt))
         if self._path is not None and self._config.resume and self._path.exists():
-            localizer.resume(SavedLocalisation.load(self._path))
+            localizer.resume(SavedLocalization.load(self._path))
             self.get_logger().info(f"going on in the map of {self._path}")
         return localizer
 
@@ -218,7 +218,7 @@ class FiducialLocalizationNode(MonitoredNode):
         if not self._writer.waiting:
             self._worker.submit_always(copy)
 
-    def _save(self, saved: SavedLocalisation) -> None:
+    def _save(self, saved: SavedLocalization) -> None:
         if self._path is not None:
             self.guard("state_file", partial(saved.save, self._path))
 

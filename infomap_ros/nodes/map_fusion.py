@@ -4,7 +4,7 @@ Callbacks only receive: a cloud waits until the pose at its stamp is known and t
 worker thread, which owns the map: it integrates, publishes, saves, loads and resets, in the order
 in which it is told. So no lock is needed and no callback blocks.
 
-Localisation corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
+Localization corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
 corrected (`infomap_ros.nodes.fusion.map_corrections`).
 
 When the clock jumps back (a bag that loops), the map is kept, or reset where

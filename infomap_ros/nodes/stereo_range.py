@@ -47,7 +47,7 @@ class StereoRangeNodeConfig:
         False, "Listen to image_raw and rectify, instead of listening to image_rect."
     )
     color: bool = parameter(
-        False, "With source depth: take the colours of the points from rgb/image_rect."
+        False, "With source depth: take the colors of the points from rgb/image_rect."
     )
     pairing_tolerance: float = parameter(
         0.0,

@@ -23,9 +23,10 @@ from infomap_ros.localization.base_pose import told_base, told_camera
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
-from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.localization.localized_camera import LocalizedCamera
+from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.mapping import VoxelMap
 
@@ -64,7 +65,7 @@ class CameraLocalizer:
         self._localizer: Localizer | None = None
         self._camera: PinholeCamera | None = None
         self._posture: RobotPosture | None = None
-        self._saved: SavedLocalisation | None = None
+        self._saved: SavedLocalization | None = None
         self._is_tracking = True
         self._origin = 0
         self._still: tuple[NDArray[np.uint8], RobotPosture] | None = None
@@ -76,7 +77,7 @@ class CameraLocalizer:
         body: Sequence[PlacedSolid] = (),
         others: Sequence[PlacedSolid] = (),
         voxel_map: VoxelMap | None = None,
-    ) -> Localisation:
+    ) -> LocalizedCamera:
         """Locate the camera.
 
         Args:
@@ -178,13 +179,13 @@ class CameraLocalizer:
         self.reset()
         self._saved = saved.without_pose() if saved is not None else None
 
-    def saved(self) -> SavedLocalisation | None:
+    def saved(self) -> SavedLocalization | None:
         """What is known, for a file; None before the first view."""
         if self._localizer is None:
             return self._saved
-        return SavedLocalisation(self._localizer.state(), self._posture, self._origin)
+        return SavedLocalization(self._localizer.state(), self._posture, self._origin)
 
-    def resume(self, saved: SavedLocalisation) -> None:
+    def resume(self, saved: SavedLocalization) -> None:
         """Go on from what was saved, with the next view."""
         self.reset()
         self._saved = saved

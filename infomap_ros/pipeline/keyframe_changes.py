@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.localization.filter.records import KeptPoses
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 
 LEAST_CORRECTION = 0.002  # [m], and as many radians
 
@@ -21,7 +21,7 @@ class KeyframeChanges:
         self._least_correction = least_correction
         self._last: KeptPoses | None = None
 
-    def after(self, result: Localisation, kept: KeptPoses | None) -> KeptPoses | None:
+    def after(self, result: LocalizedCamera, kept: KeptPoses | None) -> KeptPoses | None:
         """The keyframes after a view, where they have changed since they were given out last."""
         if kept is None or not len(kept):
             return None

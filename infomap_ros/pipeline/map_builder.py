@@ -19,7 +19,7 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
-from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig, ReintegrationReport

@@ -19,7 +19,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.records import KeptPoses
-from infomap_ros.localization.localizer import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
@@ -47,7 +47,7 @@ class Located:
     """
 
     view: PosturedView[FramedView]
-    result: Localisation
+    result: LocalizedCamera
     kept: KeptPoses
 
 

@@ -1,4 +1,4 @@
-"""Pixels of image records as the stereo sensor wants them: grey or RGB of 8 bit."""
+"""Pixels of image records as the stereo sensor wants them: gray or RGB of 8 bit."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _SIXTEEN_BIT = {"rgb16": "rgb8", "bgr16": "bgr8", "rgba16": "rgba8", "bgra16": "
 
 
 def intensity_pixels(image: ImageRecord) -> NDArray[np.uint8]:
-    """Grey or RGB pixels of 8 bit, shape (H, W) or (H, W, 3).
+    """Gray or RGB pixels of 8 bit, shape (H, W) or (H, W, 3).
 
     Images of 16 bit lose their lower byte, whatever their content, so that the same brightness is
     the same number in both images of a pair and in every frame.
 
     Raises:
-        InvalidInputError: the encoding is not that of a brightness or colour image.
+        InvalidInputError: the encoding is not that of a brightness or color image.
     """
     encoding = _SAME_LAYOUT.get(image.encoding, image.encoding)
     pixels: NDArray[Any] = image.pixels
@@ -38,6 +38,6 @@ def intensity_pixels(image: ImageRecord) -> NDArray[np.uint8]:
     if encoding == "mono8":
         return pixels
     if encoding not in _TO_RGB:
-        raise InvalidInputError("image", f"encoding '{image.encoding}' is not grey or colour")
+        raise InvalidInputError("image", f"encoding '{image.encoding}' is not gray or color")
     conversion = _TO_RGB[encoding]
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)

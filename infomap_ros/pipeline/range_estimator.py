@@ -57,7 +57,7 @@ class RangeMeasurement:
     def record(self) -> PointCloudRecord:
         """The cloud as a message would carry it; its numbers are not copied."""
         cloud = self.cloud
-        points, covariances = cloud.organised_points, cloud.covariance_triangles
+        points, covariances = cloud.organized_points, cloud.covariance_triangles
         correlation = round_correlation(cloud.error_correlation)
         return PointCloudRecord(
             self.stamp, self.frame_id, points, covariances, error_correlation=correlation
@@ -112,7 +112,7 @@ class PairRectifier:
         tools = self._tools_for(images.calibrations)
         left, right = raw = tuple(intensity_pixels(image) for image in images.images)
         if tools.rectifier is not None:
-            left, right = tools.rectifier.rectify(left, right, grey_right=True)
+            left, right = tools.rectifier.rectify(left, right, gray_right=True)
         rig = tools.sensor.rig
         for image, camera, name in ((left, rig.left, "left"), (right, rig.right, "right")):
             check_size(image.shape, camera, f"{name} image")
@@ -167,7 +167,7 @@ class StereoRangeEstimator:
 
 
 class DepthRangeEstimator:
-    """Measures by a depth camera, with a registered colour image if there is one.
+    """Measures by a depth camera, with a registered color image if there is one.
 
     See `RangeEstimator`.
 

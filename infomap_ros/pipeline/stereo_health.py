@@ -18,7 +18,7 @@ from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 
-Grey = NDArray[np.uint8]
+Gray = NDArray[np.uint8]
 
 COVERED = "{} camera shows nothing: is its lens covered?"
 FROZEN = "{} image is frozen"
@@ -40,11 +40,11 @@ _ALIKE, _UNIQUE = 0.9, 0.05  # least correlation of a match, and its lead over t
 _LEAST_SIGNAL = 4.0
 """Standard deviation of a patch, in those of the noise. Two images, each with noise of its own,
 correlate by 1 - 1 / r^2 where a patch varies r times as much as the noise: `_ALIKE` at r = 3.2."""
-_LEAST_NOISE = 1.0  # grey levels; what is clipped or drawn has none
+_LEAST_NOISE = 1.0  # gray levels; what is clipped or drawn has none
 _MOST_ROWS_OFF = 1.0  # median of corners [px]; a rectified pair has 0.2
 _MOST_LEFT = 1.0  # parallax to the wrong side [px], median of corners; at infinity it is 0
 _SAME_SHARE = 0.95  # of pixels that are equal to the last bit; noise of two cameras leaves 0.3
-_LEAST_CONTRAST = 4.0  # standard deviation of the grey levels of an image that shows something
+_LEAST_CONTRAST = 4.0  # standard deviation of the gray levels of an image that shows something
 _FLICKER, _TURNS = 0.2, 4  # changes of the log of brightness to and fro, and how many make a fault
 _LATE_HISTORY, _LATE_MOTION = 12, 1.5  # pairs, and rms difference of motion [px] that tells
 _LATE_RATIO = 0.3  # of the differences with and without one image's delay
@@ -64,13 +64,13 @@ class StereoHealth:
 
     def __init__(self) -> None:
         self._recent: deque[list[str]] = deque(maxlen=_WINDOW)
-        self._last: tuple[Grey, Grey] | None = None
+        self._last: tuple[Gray, Gray] | None = None
         self._brightness: deque[float] = deque(maxlen=_WINDOW * 2)
         self._motion: deque[FloatArray] = deque(maxlen=_LATE_HISTORY)
         self.fault = ""
 
     def check(
-        self, left: Grey, right: Grey, rig: StereoRig, raw: tuple[Grey, ...] | None = None
+        self, left: Gray, right: Gray, rig: StereoRig, raw: tuple[Gray, ...] | None = None
     ) -> None:
         """Look at the next pair.
 
@@ -97,7 +97,7 @@ class StereoHealth:
             raise SensorFaultError(self.fault)
 
     def _faults_of(
-        self, left: Grey, right: Grey, rig: StereoRig, scale: float, *, same: bool
+        self, left: Gray, right: Gray, rig: StereoRig, scale: float, *, same: bool
     ) -> list[str]:
         """What is wrong with a pair; the first is the reason for the others."""
         contrast = [_contrast(image) for image in (left, right)]
@@ -122,7 +122,7 @@ class StereoHealth:
             return [*faults, SWAPPED]
         return faults
 
-    def _frozen(self, left: Grey, right: Grey) -> str:
+    def _frozen(self, left: Gray, right: Gray) -> str:
         """The side that shows what it did before, while the other one does not."""
         if self._last is None:
             return ""
@@ -132,7 +132,7 @@ class StereoHealth:
         ]
         return FROZEN.format(("right", "left")[same[0]]) if same[0] != same[1] else ""
 
-    def _flicker(self, left: Grey, right: Grey) -> list[str]:
+    def _flicker(self, left: Gray, right: Gray) -> list[str]:
         """Whether the images become brighter and darker by turns."""
         mean = 0.5 * (cv2.mean(left)[0] + cv2.mean(right)[0])
         self._brightness.append(float(np.log(mean + 1.0)))
@@ -142,7 +142,7 @@ class StereoHealth:
         )
         return [FLICKER] if turns.sum() >= _TURNS else []
 
-    def _late(self, left: Grey, right: Grey, scale: float) -> list[str]:
+    def _late(self, left: Gray, right: Gray, scale: float) -> list[str]:
         """Whether one camera moves as the other one did a pair ago."""
         if self._last is None:
             return []
@@ -161,15 +161,15 @@ class StereoHealth:
         return []
 
 
-def _reduced(image: Grey, scale: float) -> Grey:
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+def _reduced(image: Gray, scale: float) -> Gray:
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     if scale == 1.0:
-        return np.asarray(grey, np.uint8)
-    size = round(grey.shape[1] * scale), round(grey.shape[0] * scale)
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return np.asarray(gray, np.uint8)
+    size = round(gray.shape[1] * scale), round(gray.shape[0] * scale)
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _shift(before: Grey, now: Grey) -> FloatArray:
+def _shift(before: Gray, now: Gray) -> FloatArray:
     """How far the image as a whole has moved, (x, y) [px]; of a quarter of it, to be quick."""
     small = [
         cv2.resize(image, (80, 60), interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -182,7 +182,7 @@ def _shift(before: Grey, now: Grey) -> FloatArray:
 _HANNING = cv2.createHanningWindow((80, 60), cv2.CV_32F)
 
 
-def _match(left: Grey, right: Grey) -> _Matches:
+def _match(left: Gray, right: Gray) -> _Matches:
     """Corners of the left image, wherever near they are in the right one.
 
     What sticks out of the noise of its image counts alone: noise has corners, too, on a plain wall.
@@ -219,12 +219,12 @@ def _match(left: Grey, right: Grey) -> _Matches:
     return _Matches(count, alike, np.array(disparity), np.array(rows))
 
 
-def _contrast(image: Grey) -> float:
-    """Standard deviation of the grey levels."""
+def _contrast(image: Gray) -> float:
+    """Standard deviation of the gray levels."""
     return float(cv2.meanStdDev(image)[1][0, 0])
 
 
-def _noise(image: Grey) -> float:
+def _noise(image: Gray) -> float:
     """Standard deviation of the noise of an image (Immerkaer 1996), from its calmest quarter."""
     rough = np.abs(cv2.filter2D(image, cv2.CV_16S, _ROUGHNESS)[::3, ::3])
     return float(np.quantile(rough, 0.25)) / (0.319 * 6.0)  # of a Gaussian; norm of the kernel

@@ -44,7 +44,7 @@ def osmesa_works() -> bool:
 
 
 def egl_works() -> bool:
-    """Whether EGL has a device (graphics card or Mesa's software renderer) that initialises."""
+    """Whether EGL has a device (graphics card or Mesa's software renderer) that initializes."""
     library = _load("libEGL.so.1")
     if library is None:
         return False

@@ -36,7 +36,7 @@ class SensorScheduleConfig:
     publish_camera_pose: bool = parameter(
         True,
         "Publish camera_pose: the true pose with the noise of position_noise and rotation_noise, "
-        "in place of a localisation. Off where another node localises.",
+        "in place of a localization. Off where another node localizes.",
     )
 
     def __post_init__(self) -> None:

@@ -157,7 +157,7 @@ class Simulator(RobotSensors):
         Args:
             poses: x, y [m], yaw [rad], shape (K, 3).
             T_odom_path: frame of the poses in the odom frame, shape (4, 4): ``T_odom_map`` as
-                localisation has it. None for poses in odom.
+                localization has it. None for poses in odom.
 
         Raises:
             InvalidInputError: wrong shape, no pose, or not finite.
@@ -166,7 +166,7 @@ class Simulator(RobotSensors):
         self._still = self._idle = 0.0
 
     def correct_path(self, T_odom_path: FloatArray) -> None:
-        """Tell the robot on its way where localisation now has the frame of its path in odom.
+        """Tell the robot on its way where localization now has the frame of its path in odom.
 
         Without it, a long way ends beside its goal by as much as the odometry has drifted.
         """

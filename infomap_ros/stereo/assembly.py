@@ -31,7 +31,7 @@ def assemble(
         depth: z, shape (H, W) [m]; NaN where invalid.
         variance: of depth, shape (H, W) [m^2].
         pixel_sigma: standard deviation of the ray across the image [px].
-        image: colours, shape (H, W, 3) RGB, or grey, shape (H, W).
+        image: colors, shape (H, W, 3) RGB, or gray, shape (H, W).
         bands: threads to work in.
 
     Returns:
@@ -41,10 +41,10 @@ def assemble(
     x_per_z, y_per_z = _rays(camera)
     across = np.array([pixel_sigma / camera.fx, pixel_sigma / camera.fy], np.float32) ** 2
     packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
-    colours = image if image.ndim == 3 else image[..., None]
+    colors = image if image.ndim == 3 else image[..., None]
 
     def work(first: int, end: int) -> None:
-        planes = (array[first:end] for array in (y_per_z, depth, variance, colours, packed))
+        planes = (array[first:end] for array in (y_per_z, depth, variance, colors, packed))
         _assemble_rays(x_per_z, across, *planes)
 
     bands.run(work)
@@ -83,10 +83,10 @@ def assemble_printed(
     unit = (rho * np.outer(per_axis, per_axis))[np.triu_indices(3)].astype(np.float32)
     x_per_z, y_per_z = _rays(camera)
     packed = np.empty((*depth.shape, len(PACKED_FIELDS)), np.float32)
-    colours = image if image.ndim == 3 else image[..., None]
+    colors = image if image.ndim == 3 else image[..., None]
 
     def work(first: int, end: int) -> None:
-        planes = (array[first:end] for array in (y_per_z, depth, colours, packed))
+        planes = (array[first:end] for array in (y_per_z, depth, colors, packed))
         _assemble_printed(x_per_z, unit, np.float32(config.printed_n), *planes)
 
     bands.run(work)
@@ -101,7 +101,7 @@ def _rays(camera: PinholeCamera) -> tuple[NDArray[np.float32], NDArray[np.float3
 
 @kernel
 def _assemble_rays(  # type: ignore[no-untyped-def]
-    x_per_z, across, y_per_z, depth, variance, colours, packed
+    x_per_z, across, y_per_z, depth, variance, colors, packed
 ):
     height, width = depth.shape
     bits = packed.view(np.uint32)
@@ -114,7 +114,7 @@ def _assemble_rays(  # type: ignore[no-untyped-def]
             packed[v, u, 0] = a * z
             packed[v, u, 1] = b * z
             packed[v, u, 2] = z
-            bits[v, u, 3] = _colour(colours, v, u)
+            bits[v, u, 3] = _color(colors, v, u)
             packed[v, u, 4] = a * a * along + across[0] * square
             packed[v, u, 5] = a * b * along
             packed[v, u, 6] = a * along
@@ -125,7 +125,7 @@ def _assemble_rays(  # type: ignore[no-untyped-def]
 
 @kernel
 def _assemble_printed(  # type: ignore[no-untyped-def]
-    x_per_z, unit, exponent, y_per_z, depth, colours, packed
+    x_per_z, unit, exponent, y_per_z, depth, colors, packed
 ):
     height, width = depth.shape
     bits = packed.view(np.uint32)
@@ -136,7 +136,7 @@ def _assemble_printed(  # type: ignore[no-untyped-def]
             packed[v, u, 0] = a * z
             packed[v, u, 1] = b * z
             packed[v, u, 2] = z
-            bits[v, u, 3] = _colour(colours, v, u)
+            bits[v, u, 3] = _color(colors, v, u)
             distance = z * np.sqrt(a * a + b * b + np.float32(1.0))
             scale = distance ** (np.float32(2.0) * exponent)
             for i in range(6):
@@ -144,9 +144,9 @@ def _assemble_printed(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, inline="always", error_model="numpy")
-def _colour(colours, v, u):  # type: ignore[no-untyped-def]
-    """Colour of a pixel as 0x00RRGGBB; a grey image has one channel."""
-    green, blue = (1, 2) if colours.shape[2] == 3 else (0, 0)
-    red_bits = np.uint32(colours[v, u, 0]) << np.uint32(16)
-    green_bits = np.uint32(colours[v, u, green]) << np.uint32(8)
-    return red_bits | green_bits | np.uint32(colours[v, u, blue])
+def _color(colors, v, u):  # type: ignore[no-untyped-def]
+    """Color of a pixel as 0x00RRGGBB; a gray image has one channel."""
+    green, blue = (1, 2) if colors.shape[2] == 3 else (0, 0)
+    red_bits = np.uint32(colors[v, u, 0]) << np.uint32(16)
+    green_bits = np.uint32(colors[v, u, green]) << np.uint32(8)
+    return red_bits | green_bits | np.uint32(colors[v, u, blue])

@@ -4,7 +4,7 @@ The power law of `noise.sigma_from_quality` is fitted by maximum likelihood of a
 distribution with 4 degrees of freedom (matching errors have heavier tails than a Gaussian and
 must not blow up sigma), all pairs with equal weight, the variance of the truth itself added.
 From there the worst misfit of any pair's shares of errors within 1, 2 and 3 sigma to a Gaussian's
-is minimised together with the loss of log-likelihood. Each scene is also predicted by a fit
+is minimized together with the loss of log-likelihood. Each scene is also predicted by a fit
 without it.
 """
 

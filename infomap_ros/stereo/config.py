@@ -50,7 +50,7 @@ class StereoConfig:
         32, "Penalty of a larger disparity step, per pixel of the block (P2).", low=2, high=1000
     )
     prefilter_cap: ClassVar[int] = 0
-    """Cap of the horizontal derivative before matching; 0 for OpenCV's default [grey levels]."""
+    """Cap of the horizontal derivative before matching; 0 for OpenCV's default [gray levels]."""
     uniqueness: int = setting(
         10,
         "The best match must beat the second best by this margin.",
@@ -74,7 +74,7 @@ class StereoConfig:
         high=100000,
     )
     speckle_range: ClassVar[float] = 1.0
-    """Neighbours that differ by less belong to one patch [px]."""
+    """Neighbors that differ by less belong to one patch [px]."""
     edge_window: int = setting(
         5,
         "Pixels with a disparity jump or a hole within this window are dropped (foreground "
@@ -107,8 +107,8 @@ class StereoConfig:
     )
     min_texture: float = setting(
         0.3,
-        "Pixels whose neighbourhood has a smaller horizontal gradient (rms) are dropped.",
-        unit="grey levels/px",
+        "Pixels whose neighborhood has a smaller horizontal gradient (rms) are dropped.",
+        unit="gray levels/px",
         low=0.0,
         high=100.0,
     )
@@ -149,7 +149,7 @@ class StereoConfig:
     )
     sigma_scale: float = parameter(
         0.136,
-        "Disparity model: matching sigma at a residual of 1 grey level and texture 1 px wide.",
+        "Disparity model: matching sigma at a residual of 1 gray level and texture 1 px wide.",
         unit="px",
         low=0.001,
         high=100.0,

@@ -27,7 +27,7 @@ from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.images import check_image, check_size
 from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
 
-_MILLIMETRE = np.float32(1e-3)
+_MILLIMETER = np.float32(1e-3)
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class DepthCameraConfig:
         low=0.0,
         high=1.0,
     )
-    quantisation: float = setting(
+    quantization: float = setting(
         0.001,
         "Step of the depth values; its rounding error is added.",
         unit="m",
@@ -128,18 +128,18 @@ class DepthCameraSensor:
             color: image registered to the depth image, shape (H, W) or (H, W, 3) RGB, uint8.
 
         Returns:
-            Organised cloud in the camera's optical frame; `disparity` is None.
+            Organized cloud in the camera's optical frame; `disparity` is None.
 
         Raises:
             InvalidInputError: wrong type or shape.
             CalibrationError: an image does not have the camera's size.
         """
-        metres = self._metres(depth)
+        meters = self._meters(depth)
         if color is None:
-            image = np.full(metres.shape, 255, np.uint8)
+            image = np.full(meters.shape, 255, np.uint8)
         else:
-            image = check_image(color, self.camera, "colour image")
-        kept, variance = self._noise(metres)
+            image = check_image(color, self.camera, "color image")
+        kept, variance = self._noise(meters)
         packed = assemble(self.camera, kept, variance, self.config.pixel_sigma, image, self._bands)
         return RangeCloud(
             camera=self.camera,
@@ -149,22 +149,22 @@ class DepthCameraSensor:
             colors=image if image.ndim == 3 else None,
         )
 
-    def _metres(self, depth: ArrayLike) -> NDArray[np.float32]:
+    def _meters(self, depth: ArrayLike) -> NDArray[np.float32]:
         """Depth in m, shape (H, W), 0 where there is none or it is out of range."""
         values = np.asarray(depth)
         if values.ndim != 2:
             raise InvalidInputError("depth image", f"shape {values.shape}, expected (H, W)")
         check_size(values.shape, self.camera, "depth image")
         if values.dtype == np.uint16:
-            metres = values * _MILLIMETRE
+            meters = values * _MILLIMETER
         elif values.dtype in (np.float32, np.float64):
-            metres = values.astype(np.float32)
+            meters = values.astype(np.float32)
         else:
             raise InvalidInputError(
                 "depth image", f"dtype {values.dtype}, expected float32 [m] or uint16 [mm]"
             )
-        good = (metres >= self.config.min_depth) & (metres <= self.config.max_depth)
-        return np.where(good, metres, np.float32(0.0)).astype(np.float32)
+        good = (meters >= self.config.min_depth) & (meters <= self.config.max_depth)
+        return np.where(good, meters, np.float32(0.0)).astype(np.float32)
 
     def _noise(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth with edges dropped (NaN) and its variance [m^2], both shape (H, W)."""
@@ -179,7 +179,7 @@ class DepthCameraSensor:
             (low > 0.0) & (high - low < config.edge_threshold * depth),
             (camera.fx, camera.fy, camera.cx, camera.cy),
             (config.sigma_base, config.sigma_linear, config.sigma_quadratic, config.sigma_depth),
-            (config.sigma_grazing, config.max_grazing_angle, config.quantisation**2 / 12.0),
+            (config.sigma_grazing, config.max_grazing_angle, config.quantization**2 / 12.0),
             kept,
             variance,
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.ground_truth import StereoPair
-from infomap_ros.stereo.images import grey
+from infomap_ros.stereo.images import gray
 from infomap_ros.stereo.matching import SUBPIXELS, DisparityMatcher, disparity_range
 from infomap_ros.stereo.noise import MatchTerms, match_terms
 from infomap_ros.stereo.sensor import StereoRangeSensor
@@ -69,7 +69,7 @@ class PairErrors:
     def error_correlation(self) -> float:
         """Mean correlation of the errors of two inliers 5 to 15 px apart.
 
-        Not centred: an offset that neighbours share is correlation. The variance of the truth is
+        Not centered: an offset that neighbors share is correlation. The variance of the truth is
         taken out of the denominator, as it is hardly shared.
         """
         error = np.where(self.inliers, self.error, np.nan).astype(np.float64)
@@ -104,7 +104,7 @@ def measure_errors(pair: StereoPair, config: StereoConfig) -> PairErrors:
     """
     config = pair.search(config)
     sensor = StereoRangeSensor(pair.rig, config)
-    left, right = grey(pair.left), grey(pair.right)
+    left, right = gray(pair.left), gray(pair.right)
     cloud = sensor.measure(pair.left, pair.right)
     _, quality = sensor.assess(left, right, sensor.match(left, right))
     assert cloud.disparity is not None and cloud.disparity_sigma is not None
@@ -131,7 +131,7 @@ def _plain(pair: StereoPair, config: StereoConfig) -> tuple[float, float]:
     """
     plain = replace(config, uniqueness=0, left_right_tolerance=1)
     matcher = DisparityMatcher(disparity_range(pair.rig, plain), plain)
-    disparity = matcher.match(grey(pair.left), grey(pair.right))
+    disparity = matcher.match(gray(pair.left), gray(pair.right))
     known = np.isfinite(pair.truth)
     found = known & (disparity > matcher.invalid)
     error = disparity[found] / SUBPIXELS - pair.truth[found]

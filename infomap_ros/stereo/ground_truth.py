@@ -133,8 +133,8 @@ def _named(path: Path, ending: str, left: str, right: str) -> StereoPair:
     name = path.name.removesuffix(ending)
     whole = ending == "GT.png"
     if whole:
-        grey = _read(path, cv2.IMREAD_GRAYSCALE).astype(np.float32)
-        truth = np.where(grey > 0.0, grey, np.nan)
+        gray = _read(path, cv2.IMREAD_GRAYSCALE).astype(np.float32)
+        truth = np.where(gray > 0.0, gray, np.nan)
     else:
         with np.load(path) as arrays:
             truth = arrays[arrays.files[0]]

@@ -49,8 +49,8 @@ def check_size(shape: tuple[int, ...], camera: PinholeCamera, name: str) -> None
         )
 
 
-def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Luminance of an RGB image, shape (H, W); a grey image as it is."""
+def gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Luminance of an RGB image, shape (H, W); a gray image as it is."""
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

@@ -86,7 +86,7 @@ class DisparityMatcher:
         return (self.search.minimum - 1) * SUBPIXELS
 
     def match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.int16]:
-        """Match a rectified grey pair.
+        """Match a rectified gray pair.
 
         Args:
             left: shape (H, W).

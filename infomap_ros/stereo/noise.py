@@ -34,7 +34,7 @@ from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.quality import MatchQuality
 
 # Added to the squared residual, gradient and curvature so that the power law stays finite:
-# quantisation and read noise of an 8-bit image [grey levels^2].
+# quantization and read noise of an 8-bit image [gray levels^2].
 _RESIDUAL_NOISE = 0.1
 _GRADIENT_NOISE = 0.1
 _CURVATURE_NOISE = 0.5
@@ -51,7 +51,7 @@ class MatchTerms(NamedTuple):
     """What the variance of a disparity is made of; planes of equal shape.
 
     Attributes:
-        residual: natural logarithm of the rms photometric residual [grey levels].
+        residual: natural logarithm of the rms photometric residual [gray levels].
         width: natural logarithm of the width of the texture [px]: rms first over rms second
             derivative. Wider texture, as in a blurred or enlarged image, locates a match less.
         photometric: Cramer-Rao bound of the disparity from image noise [px^2]: the residual over

@@ -35,16 +35,16 @@ def draw_noise_fit(fit: NoiseFit, path: Path | str) -> None:
 
 
 def _styles() -> Any:
-    """Colour and marker of each pair, after M. Okabe and K. Ito told apart by the colour-blind."""
-    colours = "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"
-    return cycle(zip(colours, "os^Dv*", strict=True))
+    """Color and marker of each pair, after M. Okabe and K. Ito told apart by the color-blind."""
+    colors = "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"
+    return cycle(zip(colors, "os^Dv*", strict=True))
 
 
 def _draw_prediction(axes: Any, fit: NoiseFit) -> None:
     """Found against predicted sigma, in bins of equal number; on the diagonal is right."""
-    for report, (colour, marker) in zip(fit.reports, _styles(), strict=False):
+    for report, (color, marker) in zip(fit.reports, _styles(), strict=False):
         predicted, found = _binned(report.errors)
-        axes.loglog(predicted, found, f"{marker}-", color=colour, label=report.errors.pair.name)
+        axes.loglog(predicted, found, f"{marker}-", color=color, label=report.errors.pair.name)
     ends = np.array([0.05, 1.0])
     axes.loglog(ends, ends, "k:", label="prediction = truth")
     axes.set(
@@ -65,21 +65,21 @@ def _binned(errors: PairErrors) -> tuple[list[float], list[float]]:
 
 
 def _draw_shares(axes: Any, fit: NoiseFit) -> None:
-    """Distribution of the normalised errors over a Gaussian's."""
+    """Distribution of the normalized errors over a Gaussian's."""
     multiples = np.linspace(0.0, 4.0, 81)
-    for report, (colour, _) in zip(fit.reports, _styles(), strict=False):
+    for report, (color, _) in zip(fit.reports, _styles(), strict=False):
         errors = report.errors
         inliers = errors.inliers
         sigma = np.hypot(errors.sigma[inliers], errors.pair.truth_sigma)
         ratio = np.sort(np.abs(errors.error[inliers]) / sigma)
         shares = np.searchsorted(ratio, multiples) / ratio.size
-        axes.plot(multiples, 100.0 * shares, color=colour, label=errors.pair.name)
+        axes.plot(multiples, 100.0 * shares, color=color, label=errors.pair.name)
     for multiple, share in enumerate(GAUSSIAN_SHARES, start=1):
         axes.errorbar(multiple, 100.0 * share, 5.0, fmt="k_", capsize=4)
     axes.set(
         xlabel="multiple of the predicted sigma",
         ylabel="share of inliers within [%]",
-        title="normalised errors; bars: Gaussian, 5 points",
+        title="normalized errors; bars: Gaussian, 5 points",
     )
     axes.legend(loc="lower right")
 
@@ -88,8 +88,8 @@ def _draw_printed(axes: Any, fit: NoiseFit) -> None:
     """Depth errors over distance and the fitted eq. (1), both times f B."""
     printed = fit.printed
     drawn = zip(printed.names, printed.distances, printed.sigmas, strict=True)
-    for (name, distances, sigmas), (colour, marker) in zip(drawn, _styles(), strict=False):
-        axes.loglog(distances, sigmas, marker, color=colour, label=name)
+    for (name, distances, sigmas), (color, marker) in zip(drawn, _styles(), strict=False):
+        axes.loglog(distances, sigmas, marker, color=color, label=name)
     span = np.geomspace(printed.distances.min(), printed.distances.max(), 50)
     label = f"S T_z L^n, S = {printed.s:g} px / (f B), n = {printed.n:g}"
     axes.loglog(span, printed.s * span**printed.n, "k-", label=label)

@@ -22,7 +22,7 @@ class PrintedFit:
         t: T_x, T_y, T_z, with T_z = 1.
         n: exponent of the distance.
         names: of the pairs.
-        distances: centres of the distance bins of every pair, shape (pairs, bins) [m].
+        distances: centers of the distance bins of every pair, shape (pairs, bins) [m].
         sigmas: 68 % quantile of the depth error in every bin times f B, shape (pairs, bins).
     """
 
@@ -48,8 +48,8 @@ def fit_printed(errors: Sequence[PairErrors]) -> PrintedFit:
     distances = np.array([one[0] for one in binned])
     sigmas = np.array([one[1] for one in binned])
     x, y = np.log(distances), np.log(sigmas)
-    centred_x, centred_y = (a - a.mean(axis=1, keepdims=True) for a in (x, y))
-    n = float(np.clip((centred_x * centred_y).sum() / (centred_x**2).sum(), 0.5, 4.0))
+    centered_x, centered_y = (a - a.mean(axis=1, keepdims=True) for a in (x, y))
+    n = float(np.clip((centered_x * centered_y).sum() / (centered_x**2).sum(), 0.5, 4.0))
     s = float(np.exp((y - n * x).mean()))
     lateral = np.median(
         [[_sigma68(error[:, i]) / _sigma68(error[:, 2]) for i in (0, 1)] for _, error in points],
@@ -81,8 +81,8 @@ def _bins(distance: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArr
     edges = np.quantile(distance, np.linspace(0.0, 1.0, _BINS + 1))
     index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BINS - 1)
     groups = [(distance[index == i], error[index == i]) for i in range(_BINS)]
-    centres = np.array([np.median(d) for d, _ in groups])
-    return centres, np.array([max(_sigma68(e), 1e-12) for _, e in groups])
+    centers = np.array([np.median(d) for d, _ in groups])
+    return centers, np.array([max(_sigma68(e), 1e-12) for _, e in groups])
 
 
 def _sigma68(error: FloatArray) -> float:

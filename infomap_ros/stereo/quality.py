@@ -20,7 +20,7 @@ from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.matching import SUBPIXELS
 
-# Keeps the step small where the gradient is at the level of image noise [grey levels^2].
+# Keeps the step small where the gradient is at the level of image noise [gray levels^2].
 _GRADIENT_NOISE = 5.0
 # Largest correction of a disparity [px]; the matcher is right to the whole pixel or wrong.
 _LARGEST_STEP = 0.5
@@ -34,9 +34,9 @@ class MatchQuality(NamedTuple):
     Attributes:
         disparity: refined disparity [px]; meaningless where there was no match.
         residual: variance of the photometric difference in the window that the refinement does
-            not explain [grey levels^2].
-        gradient: mean squared horizontal gradient in the window [(grey levels/px)^2].
-        curvature: mean squared second horizontal derivative [(grey levels/px^2)^2].
+            not explain [gray levels^2].
+        gradient: mean squared horizontal gradient in the window [(gray levels/px)^2].
+        curvature: mean squared second horizontal derivative [(gray levels/px^2)^2].
     """
 
     disparity: NDArray[np.float32]
@@ -57,8 +57,8 @@ def refine(
     """Refine a disparity image and measure the quality of its matches.
 
     Args:
-        left: grey image, shape (H, W).
-        right: grey image, shape (H, W).
+        left: gray image, shape (H, W).
+        right: gray image, shape (H, W).
         disparity: of the left pixels, shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
         window: side of the photometric window, odd [px].
@@ -184,7 +184,7 @@ def _slide(total, oldest, newest):  # type: ignore[no-untyped-def]
 
 @kernel
 def _sum_columns(columns, reach, padded, sums):  # type: ignore[no-untyped-def]
-    """Sum ``2 reach + 1`` neighbouring columns."""
+    """Sum ``2 reach + 1`` neighboring columns."""
     channels, width = columns.shape
     for c in range(channels):
         for u in range(width):
@@ -192,19 +192,19 @@ def _sum_columns(columns, reach, padded, sums):  # type: ignore[no-untyped-def]
         if reach == 3:
             _sum_seven(padded, sums[c])
         else:
-            _sum_neighbours(padded, 2 * reach + 1, sums[c])
+            _sum_neighbors(padded, 2 * reach + 1, sums[c])
 
 
 @kernel
 def _sum_seven(padded, total):  # type: ignore[no-untyped-def]
-    """`_sum_neighbours` for the default window, in one pass."""
+    """`_sum_neighbors` for the default window, in one pass."""
     for u in range(total.size):
         first = (padded[u] + padded[u + 1]) + (padded[u + 2] + padded[u + 3])
         total[u] = first + ((padded[u + 4] + padded[u + 5]) + padded[u + 6])
 
 
 @kernel
-def _sum_neighbours(padded, number, total):  # type: ignore[no-untyped-def]
+def _sum_neighbors(padded, number, total):  # type: ignore[no-untyped-def]
     width = total.size
     for u in range(width):
         total[u] = padded[u]

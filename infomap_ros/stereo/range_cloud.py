@@ -30,14 +30,14 @@ _FULL_FROM_TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 @dataclass(frozen=True, eq=False)
 class RangeCloud:
-    """An organised cloud in the optical frame of the (left) camera.
+    """An organized cloud in the optical frame of the (left) camera.
 
     The numbers live once, in `packed`, which is what the message carries; everything else is a
     view, or a copy that is made when it is asked for.
 
     Attributes:
-        camera: the camera whose pixels the cloud is organised by.
-        packed: shape (H, W, 10), float32, channels `PACKED_FIELDS`: point [m], colour (bytes
+        camera: the camera whose pixels the cloud is organized by.
+        packed: shape (H, W, 10), float32, channels `PACKED_FIELDS`: point [m], color (bytes
             B, G, R of a little-endian float as in PCL, and `CORRELATION_FIELD` as the fourth),
             upper triangle of the covariance [m^2]. Point and covariance are NaN where nothing was
             measured.
@@ -48,7 +48,7 @@ class RangeCloud:
         disparity: shape (H, W), float32 [px], NaN invalid; None for a depth camera.
         disparity_sigma: predicted standard deviation of `disparity`, shape (H, W), float32
             [px], NaN invalid; None for a depth camera.
-        colors: shape (H, W, 3), uint8 RGB, or None where no colour image was given.
+        colors: shape (H, W, 3), uint8 RGB, or None where no color image was given.
     """
 
     camera: PinholeCamera
@@ -76,11 +76,11 @@ class RangeCloud:
 
     @property
     def point_colors(self) -> NDArray[np.uint8] | None:
-        """Colours of `points`, shape (N, 3), uint8 RGB, or None."""
+        """Colors of `points`, shape (N, 3), uint8 RGB, or None."""
         return None if self.colors is None else self.colors[self.valid]
 
     @property
-    def organised_points(self) -> NDArray[np.float32]:
+    def organized_points(self) -> NDArray[np.float32]:
         """View of the points, shape (H, W, 3), float32 [m]; NaN where invalid."""
         return self.packed[..., :3]
 
@@ -90,7 +90,7 @@ class RangeCloud:
         return self.packed[..., 4:]
 
     @property
-    def organised_covariances(self) -> NDArray[np.float32]:
+    def organized_covariances(self) -> NDArray[np.float32]:
         """Expanded covariances (a copy), shape (H, W, 3, 3), float32 [m^2]; NaN invalid."""
         return self.packed[..., 4:][..., _FULL_FROM_TRIANGLE]
 

@@ -16,7 +16,7 @@ from infomap_ros.geometry import (
     rig_from_calibrations,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.stereo.images import check_image, grey
+from infomap_ros.stereo.images import check_image, gray
 
 _PINHOLE_MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "": (0, 4, 5)}
 _FISHEYE = "equidistant"
@@ -45,14 +45,14 @@ class StereoRectifier:
         self._maps = _maps(left, "left"), _maps(right, "right")
 
     def rectify(
-        self, left: ArrayLike, right: ArrayLike, *, grey_right: bool = False
+        self, left: ArrayLike, right: ArrayLike, *, gray_right: bool = False
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Rectify a raw pair.
 
         Args:
             left: shape (H, W) or (H, W, 3), uint8.
             right: shape (H, W) or (H, W, 3), uint8.
-            grey_right: the right image is wanted without its colours, which nothing in this
+            gray_right: the right image is wanted without its colors, which nothing in this
                 package looks at; that is faster.
 
         Returns:
@@ -64,8 +64,8 @@ class StereoRectifier:
         """
         left_pixels = check_image(left, self.rig.left, "left image")
         right_pixels = check_image(right, self.rig.right, "right image")
-        if grey_right:
-            right_pixels = grey(right_pixels)
+        if gray_right:
+            right_pixels = gray(right_pixels)
         return self._remap(left_pixels, 0), self._remap(right_pixels, 1)
 
     def _remap(self, pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
@@ -111,9 +111,9 @@ def rectify_calibrations(
     turns, baseline = _common_orientation(transform)
     raw = (left.intrinsics[0, 0], left.intrinsics[1, 1])
     focal = float(focal_length or np.mean([raw, (right.intrinsics[0, 0], right.intrinsics[1, 1])]))
-    centre = ((left.width - 1) / 2.0, (left.height - 1) / 2.0)
+    center = ((left.width - 1) / 2.0, (left.height - 1) / 2.0)
     projection = np.array(
-        [[focal, 0.0, centre[0], 0.0], [0.0, focal, centre[1], 0.0], [0.0, 0.0, 1.0, 0.0]]
+        [[focal, 0.0, center[0], 0.0], [0.0, focal, center[1], 0.0], [0.0, 0.0, 1.0, 0.0]]
     )
     shifted = projection.copy()
     shifted[0, 3] = -focal * baseline
@@ -128,14 +128,14 @@ def _common_orientation(
 ) -> tuple[tuple[FloatArray, FloatArray], float]:
     """Rotations left -> rectified and right -> rectified, and the baseline [m]."""
     rotation = T_right_left[:3, :3]
-    centre = -rotation.T @ T_right_left[:3, 3]  # right camera in the left frame
-    baseline = float(np.linalg.norm(centre))
+    center = -rotation.T @ T_right_left[:3, 3]  # right camera in the left frame
+    baseline = float(np.linalg.norm(center))
     if baseline < 1e-6:
         raise CalibrationError("stereo extrinsics have no baseline")
-    x_axis = centre / baseline
+    x_axis = center / baseline
     if x_axis[0] <= 0.5:
         raise CalibrationError(
-            f"the right camera is at {centre.round(4).tolist()} m of the left one, expected to "
+            f"the right camera is at {center.round(4).tolist()} m of the left one, expected to "
             "its right (+x): are left and right swapped?"
         )
     forward = np.array([0.0, 0.0, 1.0]) + rotation.T[:, 2]  # mean of both optical axes

@@ -15,7 +15,7 @@ from infomap_ros.stereo.filters import (
     edge_free,
     has_support,
 )
-from infomap_ros.stereo.images import check_image, grey
+from infomap_ros.stereo.images import check_image, gray
 from infomap_ros.stereo.matching import DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
 from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
@@ -61,7 +61,7 @@ class StereoRangeSensor:
             right: rectified image, shape (H, W) or (H, W, 3) RGB, uint8.
 
         Returns:
-            Organised cloud in the optical frame of the left camera.
+            Organized cloud in the optical frame of the left camera.
 
         Raises:
             InvalidInputError: an image has the wrong type or number of channels.
@@ -69,30 +69,30 @@ class StereoRangeSensor:
         """
         left_image = check_image(left, self.rig.left, "left image")
         right_image = check_image(right, self.rig.right, "right image")
-        left_grey, right_grey = grey(left_image), grey(right_image)
-        disparity = self.match(left_grey, right_grey)
-        return self.measure_matched(left_image, left_grey, right_grey, disparity)
+        left_gray, right_gray = gray(left_image), gray(right_image)
+        disparity = self.match(left_gray, right_gray)
+        return self.measure_matched(left_image, left_gray, right_gray, disparity)
 
     def match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.int16]:
-        """Raw disparities of a grey pair, see `DisparityMatcher.match`."""
+        """Raw disparities of a gray pair, see `DisparityMatcher.match`."""
         return self._matcher.match(left, right)
 
     def measure_matched(
         self,
         left_image: NDArray[np.uint8],
-        left_grey: NDArray[np.uint8],
-        right_grey: NDArray[np.uint8],
+        left_gray: NDArray[np.uint8],
+        right_gray: NDArray[np.uint8],
         disparity: NDArray[np.int16],
     ) -> RangeCloud:
         """All of `measure` that comes after the matcher.
 
         Args:
-            left_image: checked image for the colours, shape (H, W) or (H, W, 3).
-            left_grey: shape (H, W).
-            right_grey: shape (H, W).
+            left_image: checked image for the colors, shape (H, W) or (H, W, 3).
+            left_gray: shape (H, W).
+            right_gray: shape (H, W).
             disparity: the matcher's, shape (H, W) [1/16 px].
         """
-        keep, quality = self.assess(left_grey, right_grey, disparity)
+        keep, quality = self.assess(left_gray, right_gray, disparity)
         sigma = sigma_from_quality(quality, self.config, self._bands)
         ranges = range_from_disparity(
             self.rig, self.config, keep, quality.disparity, sigma, self._bands
@@ -118,8 +118,8 @@ class StereoRangeSensor:
         """Filter and refine the matcher's disparities.
 
         Args:
-            left: grey image, shape (H, W).
-            right: grey image, shape (H, W).
+            left: gray image, shape (H, W).
+            right: gray image, shape (H, W).
             disparity: the matcher's, shape (H, W) [1/16 px].
 
         Returns:

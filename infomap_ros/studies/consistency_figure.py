@@ -12,14 +12,14 @@ from scipy import stats
 
 from infomap_ros.studies.map_consistency import CONFIDENCE, ConsistencyResult
 
-_LIMIT = 4.0  # of the drawn normalised errors
+_LIMIT = 4.0  # of the drawn normalized errors
 _BINS = 48
 _COLUMNS = 4
 _ALL, _INDEPENDENT, _EXPECTED = "#9ecae1", "#08519c", "#d55e00"
 
 
 def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> None:
-    """Draw the normalised errors of each setting with the normal distribution they should have.
+    """Draw the normalized errors of each setting with the normal distribution they should have.
 
     Args:
         results: of `run_study`.

@@ -13,7 +13,7 @@ from infomap_ros.studies.common.bands import CONFIDENCE
 from infomap_ros.studies.drift import DriftPanel
 from infomap_ros.studies.drift_walk import METHODS, NECESSARY
 
-_COLOURS = {"printed": "#d55e00", "weighted": "#009e73", "default": "#08519c"}
+_COLORS = {"printed": "#d55e00", "weighted": "#009e73", "default": "#08519c"}
 _LABELS = {
     "printed": "printed method, eq. (14)",
     "weighted": "weighted, step by step",
@@ -40,9 +40,9 @@ def draw_drift(panels: Sequence[DriftPanel], paths: Sequence[str | Path]) -> Non
         steps = np.arange(len(panel.rms("default")))
         for method in METHODS:
             low, high = (1e3 * edge[1:] for edge in panel.band(method))
-            axis.fill_between(steps[1:], low, high, color=_COLOURS[method], alpha=0.25, linewidth=0)
+            axis.fill_between(steps[1:], low, high, color=_COLORS[method], alpha=0.25, linewidth=0)
             axis.plot(
-                steps[1:], 1e3 * panel.rms(method)[1:], color=_COLOURS[method],
+                steps[1:], 1e3 * panel.rms(method)[1:], color=_COLORS[method],
                 label=_LABELS[method], linewidth=1.4,
             )  # fmt: skip
         axis.set_yscale("log")

@@ -98,7 +98,7 @@ Pair = tuple[FiducialObservations, FiducialObservations]
 
 
 def _composed(frames: Sequence[WalkFrame], motion: Callable[[Pair], FloatArray]) -> FloatArray:
-    """Positions from motions between neighbouring frames."""
+    """Positions from motions between neighboring frames."""
     pose = np.eye(4)
     positions = [pose[:3, 3]]
     for before, after in pairwise(frames):

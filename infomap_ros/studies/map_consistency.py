@@ -1,7 +1,7 @@
 """Is the map as sure as it should be? Its errors against its own covariances, in simulation.
 
 For a surface voxel with mean x and covariance C, d the signed distance of x from the true surface
-and n the normal there, the normalised error is d / sqrt(n^T C n). Its square (NEES, one degree of
+and n the normal there, the normalized error is d / sqrt(n^T C n). Its square (NEES, one degree of
 freedom) has the mean 1 if the covariance is right, more if the map is too sure of itself.
 Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
 Wiley 2001, section 5.4.2.
@@ -100,7 +100,7 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class ConsistencyResult:
-    """Normalised errors of one setting.
+    """Normalized errors of one setting.
 
     Attributes:
         setting: what was tried.
@@ -115,12 +115,12 @@ class ConsistencyResult:
 
     @property
     def mean_nees(self) -> float:
-        """Mean squared normalised error of the independent samples."""
+        """Mean squared normalized error of the independent samples."""
         return float(np.mean(self.independent**2))
 
     @property
     def mean_nees_of_all(self) -> float:
-        """Mean squared normalised error of all voxels looked at."""
+        """Mean squared normalized error of all voxels looked at."""
         return float(np.mean(self.all_errors**2))
 
     @property
@@ -188,14 +188,14 @@ def map_sequence(sequence: ScanSequence, voxel_size: float, correlation: float) 
     return mapped.voxel_map
 
 
-def normalised_errors(
+def normalized_errors(
     scene: AnalyticScene,
     voxel_map: VoxelMap,
     count: int,
     rng: np.random.Generator,
     T_world_map: FloatArray | None = None,
 ) -> FloatArray:
-    """Normalised errors of surface voxels drawn at random, shape (at most count,).
+    """Normalized errors of surface voxels drawn at random, shape (at most count,).
 
     Args:
         scene: the truth.
@@ -217,7 +217,7 @@ def normalised_errors(
 
 
 def _errors_of_scene(config: ConsistencyConfig, number: int) -> dict[Setting, FloatArray]:
-    """Normalised errors in one scene, by setting."""
+    """Normalized errors in one scene, by setting."""
     found = {}
     for case in config.cases:
         for correlation in config.correlations:
@@ -233,10 +233,10 @@ def _errors_of_scene(config: ConsistencyConfig, number: int) -> dict[Setting, Fl
                 else:
                     voxel_map = map_sequence(sequence, size, correlation)
                 setting = Setting(case, correlation, size)
-                found[setting] = normalised_errors(scene, voxel_map, count, rng)
+                found[setting] = normalized_errors(scene, voxel_map, count, rng)
                 if case == "offset":
                     truth = sequence.T_world_map
-                    within = normalised_errors(scene, voxel_map, count, rng, truth)
+                    within = normalized_errors(scene, voxel_map, count, rng, truth)
                     found[Setting(case, correlation, size, relative=True)] = within
     return found
 

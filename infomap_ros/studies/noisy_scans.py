@@ -27,7 +27,7 @@ class NoisyScan:
     """What `VoxelMap.integrate` takes, each with an error drawn from its covariance.
 
     Attributes:
-        points: organised, shape (H, W, 3), camera frame [m]; NaN where nothing was measured.
+        points: organized, shape (H, W, 3), camera frame [m]; NaN where nothing was measured.
         covariances: shape (H, W, 3, 3) [m^2].
         pose: T_map_camera as estimated, shape (4, 4).
         pose_covariance: of that, shape (6, 6), convention of `geometry.transforms`, or in parts.

@@ -1,6 +1,6 @@
 """Are the poses as sure as they should be? Their errors against their own covariances.
 
-The normalised estimation error squared (NEES) of a pose, e^T C^-1 e, has the mean 6 if the
+The normalized estimation error squared (NEES) of a pose, e^T C^-1 e, has the mean 6 if the
 covariance is right, that of a fiducial 3; more means too sure. Y. Bar-Shalom, X.-R. Li,
 T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Wiley 2001, section
 5.4.2. In two more scenarios half of the fiducials in view begin to move as one body.
@@ -137,7 +137,7 @@ def run_pose_consistency(
             done += 1
             if progress is not None:
                 progress(done)
-        results.append(_summarise(scenario, runs))
+        results.append(_summarize(scenario, runs))
     return results
 
 
@@ -215,7 +215,7 @@ class _Run:
         return _squared(error, fiducials.covariances[one])
 
 
-def _summarise(scenario: Scenario, runs: Sequence[_Run]) -> ScenarioResult:
+def _summarize(scenario: Scenario, runs: Sequence[_Run]) -> ScenarioResult:
     updated = [share for run in runs for share in run.updated]
     return ScenarioResult(
         scenario,

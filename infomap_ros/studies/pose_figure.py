@@ -12,7 +12,7 @@ from scipy import stats
 
 from infomap_ros.studies.pose_consistency import ScenarioResult
 
-_COLOURS = ("#08519c", "#009e73", "#d55e00")
+_COLORS = ("#08519c", "#009e73", "#d55e00")
 
 
 def draw_nees(results: Sequence[ScenarioResult], path: str | Path) -> None:
@@ -31,10 +31,10 @@ def draw_nees(results: Sequence[ScenarioResult], path: str | Path) -> None:
         curves = (
             ("half way", result.halfway), ("last", result.last), ("kept", result.kept)
         )  # fmt: skip
-        for (name, values), colour in zip(curves, _COLOURS, strict=True):
+        for (name, values), color in zip(curves, _COLORS, strict=True):
             ordered = np.sort(values)
             share = np.arange(1, len(ordered) + 1) / len(ordered)
-            axis.step(ordered, share, where="post", color=colour, label=f"{name} pose")
+            axis.step(ordered, share, where="post", color=color, label=f"{name} pose")
         axis.plot(x, stats.chi2.cdf(x, 6), "k--", linewidth=1.0, label="chi-square, 6 d.o.f.")
         axis.set_xlim(0.0, 25.0)
         axis.set_title(result.scenario.name, fontsize=10)

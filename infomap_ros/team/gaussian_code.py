@@ -1,6 +1,6 @@
 """Surface points in 14 bytes: the code in which robots tell each other a voxel's Gaussian.
 
-The mean is told relative to the voxel's centre in steps of 2^-15 of the voxel size. The covariance
+The mean is told relative to the voxel's center in steps of 2^-15 of the voxel size. The covariance
 is told by its axes: the direction of the smallest spread (the surface's normal, on an octahedron
 with 2 x 16 bits), the roll of the other two axes about it in steps of 180/256 degrees, and the
 three standard deviations in voxels as powers of 2^(1/12). So every code is a positive definite
@@ -52,7 +52,7 @@ def encode_gaussians(offsets: FloatArray, covariances: FloatArray) -> NDArray[np
     """Codes of surface points.
 
     Args:
-        offsets: means relative to the centres of their voxels, shape (K, 3) [voxels].
+        offsets: means relative to the centers of their voxels, shape (K, 3) [voxels].
         covariances: shape (K, 3, 3) [voxels^2].
 
     Returns:
@@ -113,7 +113,7 @@ def information_of_codes(words: NDArray[np.uint64], size: float) -> NDArray[np.f
         size: edge of a voxel [m].
 
     Returns:
-        Matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and vector [1/m] relative to the voxel's centre,
+        Matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and vector [1/m] relative to the voxel's center,
         0 without code, shape (K, 9).
     """
     information = np.zeros((len(words), 9))

@@ -19,7 +19,7 @@ from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of,
 def moved_map(voxel_map: VoxelMap, T_new_old: ArrayLike) -> VoxelMap:
     """A map whose content is moved; tracks its changes.
 
-    The evidence of a voxel is that of the place from which its centre comes. Gaussians are moved
+    The evidence of a voxel is that of the place from which its center comes. Gaussians are moved
     as they are, each into the voxel in which its mean then lies; of several in one voxel the
     surest is kept, as they may be of one observation. That voxel is occupied. The error that the
     whole map shares moves with it.
@@ -62,8 +62,8 @@ def _moved_offset(offset: FloatArray, T_new_old: FloatArray) -> FloatArray:
 def _reached(voxel_map: VoxelMap, transform: FloatArray) -> NDArray[np.int32]:
     """Voxels into which something may come, each once."""
     size = voxel_map.config.voxel_size
-    centres = transform_points(transform, (voxel_map.voxels()[0] + 0.5) * size)
-    low = np.floor(centres / size - 0.5).astype(np.int32)
+    centers = transform_points(transform, (voxel_map.voxels()[0] + 0.5) * size)
+    low = np.floor(centers / size - 0.5).astype(np.int32)
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3), axis=-1).reshape(-1, 3)
     around = (low[:, None] + corners[None].astype(np.int32)).reshape(-1, 3)
     return np.asarray(np.unique(around, axis=0), np.int32)

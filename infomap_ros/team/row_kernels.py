@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.geometry.kernel import kernel
 
 TILE_SHIFT, RUN_SHIFT = 8, 3
-"""A message spans 2^8 voxels along each axis at the most, a run holds 2^3 neighbours along x."""
+"""A message spans 2^8 voxels along each axis at the most, a run holds 2^3 neighbors along x."""
 
 ORDER_SHIFT = 3 * TILE_SHIFT
 """Numbers of `order_of_blocks` shifted by this are those of the parts that fit a message."""

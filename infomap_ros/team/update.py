@@ -27,7 +27,7 @@ class MapUpdate:
         robot: id of the robot whose contribution it is, 0 to 65535.
         versions: of the robot's publication in which each state was taken, shape (K,), uint32,
             1 to 2^32 - 1.
-        indices: shape (K, 3), int32; the voxel's centre is (index + 0.5) * voxel_size [m, map].
+        indices: shape (K, 3), int32; the voxel's center is (index + 0.5) * voxel_size [m, map].
         log_odds: shape (K,), int8, in units of `mapping.LOG_ODDS_QUANTUM` and within +-
             `mapping.SHARED_LOG_ODDS_LIMIT`, or `NOT_OBSERVED`.
         codes: of the surface points, shape (K, 2), uint64, see `team.gaussian_code`; 0 for none.

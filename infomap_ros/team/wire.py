@@ -5,7 +5,7 @@ version at which they were taken (`infomap_ros.team.versions`). So a message may
 or come late: whoever keeps the newest version per robot and voxel is right. A robot takes a voxel
 back by the log-odds `NOT_OBSERVED`.
 
-Two layouts, told apart by their fields: `OCCUPANCY_ROW` holds eight neighbours along x, of which
+Two layouts, told apart by their fields: `OCCUPANCY_ROW` holds eight neighbors along x, of which
 those with the log-odds `NOT_TOLD` are left out, and `SURFACE_ROW` one voxel and the code of its
 Gaussian (`infomap_ros.team.gaussian_code`). A message spans at most 256 voxels along each axis, so
 that an index fits a byte; where it begins, whose it is, its version and the voxel size stand in

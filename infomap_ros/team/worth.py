@@ -25,7 +25,7 @@ _MOST_BITS = 40.0  # of one surface point
 RUN_BYTES, SURFACE_BYTES = 1.6, 18.0
 """About what a voxel takes in a message [bytes]."""
 
-_ROW_BYTES = 11.0  # of eight neighbours along x without surface, however many of them are told
+_ROW_BYTES = 11.0  # of eight neighbors along x without surface, however many of them are told
 _LEAST_SHIFT = 0.02  # of a probability; what changed less can wait
 _LEAST_BITS = 1.0  # of a surface point, likewise: its sigmas fell by a fifth
 
@@ -63,7 +63,7 @@ class _Comparison(NamedTuple):
         sigmas: by their codes, in voxels.
         scratch: memory for two records, shape (2, 12), float32.
         shared: what the error of the map as a whole adds to the covariances of a block, as (xx, xy,
-            xz, yy, yz, zz) [m^2] at the centre of each block, shape (n, 6).
+            xz, yy, yz, zz) [m^2] at the center of each block, shape (n, 6).
     """
 
     blocks: Any
@@ -115,8 +115,8 @@ def worth_of_changes(
     if storage.offset.any():
         corners = np.zeros((len(slots), 3), np.int32)
         unpack_keys(storage.blocks.keys[slots], corners)
-        centres = np.asarray((corners + 0.5) * (BLOCK_SIDE * size), np.float64)
-        shared = point_covariances(storage.offset, centres)[:, *np.triu_indices(3)]
+        centers = np.asarray((corners + 0.5) * (BLOCK_SIDE * size), np.float64)
+        shared = point_covariances(storage.offset, centers)[:, *np.triu_indices(3)]
     arrays = storage.blocks, storage.gaussians, planes, codes
     compared = _Comparison(*arrays, size, *tables, scratch, shared)
     _weigh_changes(compared, blocks, slots, worth)

@@ -71,8 +71,8 @@ class VainLooks:
             max_range: of the camera [m].
         """
         unknown = keys[~_known(voxel_map, keys)]
-        centres = (_indices(unknown) + 0.5) * voxel_map.config.voxel_size
-        nearness = np.linalg.norm(centres - position, axis=1) / max_range
+        centers = (_indices(unknown) + 0.5) * voxel_map.config.voxel_size
+        nearness = np.linalg.norm(centers - position, axis=1) / max_range
         weights = np.maximum(1.0 - nearness**2, 0.0)
         still = ~_known(voxel_map, self._keys)
         keys = np.concatenate([self._keys[still], unknown])

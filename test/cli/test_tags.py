@@ -17,13 +17,13 @@ from infomap_ros.localization.target.tag_drawing import draw_board
 
 SIDE, FOCAL = 0.1, 600.0
 BOARD = TagBoardConfig(family="tag25h9", side=SIDE, columns=2, rows=1, gap=0.04, first_id=7)
-PIXELS_PER_METRE = 1000.0
-"""Of the photo, which is the board straight on: it is at FOCAL / PIXELS_PER_METRE = 0.6 m."""
+PIXELS_PER_METER = 1000.0
+"""Of the photo, which is the board straight on: it is at FOCAL / PIXELS_PER_METER = 0.6 m."""
 
 
 @pytest.fixture
 def photo(tmp_path):
-    board = draw_board(BOARD, PIXELS_PER_METRE)
+    board = draw_board(BOARD, PIXELS_PER_METER)
     page = np.full((480, 640), 255, np.uint8)
     height, width = board.shape
     page[100 : 100 + height, 150 : 150 + width] = board

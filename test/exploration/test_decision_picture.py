@@ -35,8 +35,8 @@ def drawn(run: RecordedRun, step: int, voxel_map: VoxelMap, path: Path) -> np.nd
     return image
 
 
-def count(image: np.ndarray, colour: tuple[int, int, int]) -> int:
-    return int((np.abs(image.astype(int) - colour).max(axis=2) < 4).sum())
+def count(image: np.ndarray, color: tuple[int, int, int]) -> int:
+    return int((np.abs(image.astype(int) - color).max(axis=2) < 4).sum())
 
 
 def test_paths_until_the_decision_are_drawn(

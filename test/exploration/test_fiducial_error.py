@@ -1,4 +1,4 @@
-"""The localisation error of the rating, from fiducials."""
+"""The localization error of the rating, from fiducials."""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ def click(browser: Browser, selector: str) -> None:
 
 def test_it_draws_without_a_complaint_and_asks_for_nothing(page: Browser, report: Path) -> None:
     assert page.evaluate("document.documentElement.dataset.ready") == "3d"
-    colours = np.unique(picture(page)[..., :3].reshape(-1, 3), axis=0)
-    assert len(colours) > 200
+    colors = np.unique(picture(page)[..., :3].reshape(-1, 3), axis=0)
+    assert len(colors) > 200
     assert page.complaints == []
     others = [url for url in page.requests if not url.startswith("data:")]
     assert others == [report.resolve().as_uri()]
@@ -127,7 +127,7 @@ def test_keys_turn_the_map(page: Browser) -> None:
     assert changed(before, picture(page)) > 0.1
 
 
-def test_each_colouring_and_layer_changes_the_picture(page: Browser) -> None:
+def test_each_coloring_and_layer_changes_the_picture(page: Browser) -> None:
     pictures = [picture(page)]
     for mode in ("sigma", "probability"):
         click(page, f"input[value={mode}]")
@@ -175,10 +175,10 @@ def test_pointing_at_a_candidate_tells_its_rating_and_a_click_its_terms(page: Br
     for layer in ("surface", "axes", "base", "camera", "views"):
         click(page, f"input[name={layer}]")
     image = picture(page)[..., :3].astype(int)
-    bright = image.max(axis=2) - image.min(axis=2)  # rated ones have a colour, rejected are grey
-    count, _, boxes, centres = cv2.connectedComponentsWithStats((bright > 90).astype(np.uint8))
+    bright = image.max(axis=2) - image.min(axis=2)  # rated ones have a color, rejected are gray
+    count, _, boxes, centers = cv2.connectedComponentsWithStats((bright > 90).astype(np.uint8))
     sizes = boxes[1:count, cv2.CC_STAT_AREA]
-    column, row = centres[1 + int(np.argmax(sizes))]
+    column, row = centers[1 + int(np.argmax(sizes))]
     x, y, _, _ = stage(page)
     page.mouse("mouseMoved", x + column, y + row)
     assert "candidate" in page.evaluate("document.getElementById('tip').textContent")
@@ -236,7 +236,7 @@ def test_a_pointer_on_a_chart_tells_the_value(page: Browser) -> None:
 
 
 def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> None:
-    """A low patch at +x and a high one at +y: their colours tell which is where."""
+    """A low patch at +x and a high one at +y: their colors tell which is where."""
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=10.0))
     steps = np.arange(-0.5, 0.5, 0.03)
     patch = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

@@ -129,9 +129,9 @@ def seen_at(robot: RobotModel, time: int) -> tuple[np.ndarray, np.ndarray]:
 def occupied_near(voxel_map: VoxelMap, robot: RobotModel, times: list[int]) -> int:
     """Occupied voxels within 5 cm of where the teammate ever was, but for floor and wall."""
     window = voxel_map.window(np.array([0.5, -2.0, FLOOR + 0.08]), np.array([WALL - 0.2, 2.0, 1.5]))
-    centres = window.centres_of(np.argwhere(window.states() == OCCUPIED))
-    near = [distance_to(centres, true_body(robot, t)) < 0.05 for t in times]
-    return int(np.any(near, axis=0).sum()) if len(centres) else 0
+    centers = window.centers_of(np.argwhere(window.states() == OCCUPIED))
+    near = [distance_to(centers, true_body(robot, t)) < 0.05 for t in times]
+    return int(np.any(near, axis=0).sum()) if len(centers) else 0
 
 
 SCANS = [130, 260, 430, 590, 750, 910]

@@ -337,7 +337,7 @@ def test_obstacles_hold_body_and_way_but_not_ones_own_place(robot: RobotModel) -
 
 
 def robot_points(robot: RobotModel, state: RobotState) -> np.ndarray:
-    """Centres of the solids of a robot, map frame, (S, 3)."""
+    """Centers of the solids of a robot, map frame, (S, 3)."""
     solids = robot.solids_in(robot.base_frame, state.joints)
     return np.array([(state.T_map_base @ each.transform)[:3, 3] for each in solids])
 

@@ -25,7 +25,7 @@ def test_the_report_shows_all_robots(tmp_path: Path) -> None:
     assert "<h3>rover 2</h3>" in page
     assert "<title>Two &amp; more</title>" in page
     assert "c0ffee" in page
-    assert page.count('class="chart"') == 6  # views, metres and time of each
+    assert page.count('class="chart"') == 6  # views, meters and time of each
     ways = [page.count(f'<polyline class="{kind}"') for kind in ("base", "base dashed")]
     assert ways[0] == ways[1] > 0
     steps = re.findall(r'data-step="(\d+)"', page)

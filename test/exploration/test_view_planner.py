@@ -189,7 +189,7 @@ def test_little_is_worth_a_view_where_the_task_asks_for_it(robot, thorough, want
 def test_a_long_way_is_worth_it_where_the_task_asks_for_it(
     robot, half_known, thorough, wanted, goes
 ):
-    """No view is worth its way where a metre costs five full views."""
+    """No view is worth its way where a meter costs five full views."""
     choice = NextBestViewConfig(rating=RatingConfig(distance_weight=5.0))
     task = dataclasses.replace(TASK, known_fraction=wanted)
     found = planner_of(robot, task, thorough, choice).choose(half_known, standing(robot))

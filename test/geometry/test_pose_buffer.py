@@ -40,7 +40,7 @@ def test_pose_between_two_is_on_the_way():
     assert (found.frame_id, found.child_frame_id, found.stamp) == ("map", "camera", 1_100_000_000)
 
 
-def test_pose_at_its_own_stamp_needs_no_neighbour():
+def test_pose_at_its_own_stamp_needs_no_neighbor():
     only = pose(1.0, 3.0)
     assert buffer(only).at(only.stamp) is only
 

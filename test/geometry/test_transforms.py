@@ -64,7 +64,7 @@ def test_quaternion_round_trip_up_to_sign(rng):
         np.testing.assert_allclose(back, quaternion * np.sign(quaternion[3]), atol=1e-12)
 
 
-def test_quaternion_of_a_message_is_normalised(rng):
+def test_quaternion_of_a_message_is_normalized(rng):
     quaternion = np.array([0.1, -0.7, 0.2, 0.6])
     quaternion *= 1.005 / np.linalg.norm(quaternion)
     rotation = transform_from_quaternion(quaternion, np.zeros(3))[:3, :3]

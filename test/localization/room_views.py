@@ -13,7 +13,7 @@ from infomap_ros.stereo import DepthCameraSensor
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)
 STEP = 100_000_000
 HALF = np.array([2.0, 2.0, 1.5])  # the room goes from -HALF to HALF [m]
-_TEXELS = 160.0  # per metre
+_TEXELS = 160.0  # per meter
 _SENSOR = DepthCameraSensor(CAMERA)
 _V, _U = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
 _RAYS = np.stack(
@@ -40,7 +40,7 @@ def looking(position: tuple[float, float, float], yaw: float, pitch: float = 0.0
 
 
 def view(stamp: int, T_map_camera: np.ndarray, seed: int = 0) -> DepthView:
-    """What a depth camera sees: brightness noise of 1.5 grey levels, depth noise of its model."""
+    """What a depth camera sees: brightness noise of 1.5 gray levels, depth noise of its model."""
     rng = np.random.default_rng(seed)
     directions = _RAYS @ T_map_camera[:3, :3].T
     origin = T_map_camera[:3, 3]
@@ -60,11 +60,11 @@ def view(stamp: int, T_map_camera: np.ndarray, seed: int = 0) -> DepthView:
             borderMode=cv2.BORDER_WRAP,
         )  # fmt: skip
         image[on] = drawn[on]
-    grey = np.clip(image + rng.normal(0.0, 1.5, image.shape), 0, 255).astype(np.uint8)
+    gray = np.clip(image + rng.normal(0.0, 1.5, image.shape), 0, 255).astype(np.uint8)
     noisy = depth + (0.0015 + 0.0015 * depth**2) * cv2.GaussianBlur(
         rng.standard_normal(depth.shape), (0, 0), 1.0
     )
-    return DepthView(stamp, grey, _SENSOR.measure(noisy.astype(np.float32)))
+    return DepthView(stamp, gray, _SENSOR.measure(noisy.astype(np.float32)))
 
 
 def dark(stamp: int) -> DepthView:

@@ -54,7 +54,7 @@ def draw_view(
     blur: float = 0.6,
     noise: float = 2.0,
 ) -> NDArray[np.uint8]:
-    """What a camera sees: each pixel the mean of finer ones, blurred [px], with noise [grey]."""
+    """What a camera sees: each pixel the mean of finer ones, blurred [px], with noise [gray]."""
     depth = float(T_camera_target[2, 3])
     scale = min(4.0 * _FINER * camera.fx / depth, 6000.0)
     print_ = draw_board(board.config, scale).astype(np.float32) / 255.0 * 195.0 + 25.0

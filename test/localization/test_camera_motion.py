@@ -46,7 +46,7 @@ def error_of(motion: np.ndarray, estimated: np.ndarray) -> np.ndarray:
 
 
 def batch_motion(before, noise_before, after, noise_after, first) -> np.ndarray:
-    """Weighted least squares by scipy: an independent minimiser of the same sum."""
+    """Weighted least squares by scipy: an independent minimizer of the same sum."""
 
     def residuals(x: np.ndarray) -> np.ndarray:
         rotation = Rotation.from_rotvec(x[3:]).as_matrix() @ first[:3, :3]
@@ -166,12 +166,12 @@ def test_config_is_checked() -> None:
 
 def test_recursive_pose_is_the_batch_mean_and_covariance() -> None:
     rng = np.random.default_rng(8)
-    centre = some_motion(rng)
+    center = some_motion(rng)
     recursive = RecursivePose()
     offsets = rng.multivariate_normal(np.zeros(6), np.diag([4, 1, 9, 1, 2, 3]) * 1e-6, 400)
     poses = [
         make_transform(
-            Rotation.from_rotvec(o[3:]).as_matrix() @ centre[:3, :3], centre[:3, 3] + o[:3]
+            Rotation.from_rotvec(o[3:]).as_matrix() @ center[:3, :3], center[:3, 3] + o[:3]
         )
         for o in offsets
     ]

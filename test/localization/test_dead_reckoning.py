@@ -60,9 +60,9 @@ def test_covariance_at_the_end_of_the_lever_is_that_of_sampled_poses() -> None:
 @pytest.mark.parametrize("given", [None, np.zeros((6, 6))])
 def test_unknown_covariance_grows_like_the_drift_of_random_steps(given: np.ndarray | None) -> None:
     config = DeadReckoningConfig(
-        position_per_metre=0.02,
+        position_per_meter=0.02,
         position_per_radian=0.03,
-        rotation_per_metre=0.02,
+        rotation_per_meter=0.02,
         rotation_per_radian=0.03,
     )
     steps = [pose(0.1, 0.0, 0.05)] * 60

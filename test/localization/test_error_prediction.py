@@ -76,8 +76,8 @@ def naive_end(points: np.ndarray, covariances: np.ndarray, pose: np.ndarray) -> 
     turn = Rotation.from_matrix(pose[:3, :3] @ START[:3, :3].T).as_rotvec()
     way = pose[:3, 3] - START[:3, 3]
     length, angle, motion = np.linalg.norm(way), np.linalg.norm(turn), DeadReckoningConfig()
-    position = motion.position_per_metre**2 * length / steps
-    rotation = motion.rotation_per_metre**2 * length + motion.rotation_per_radian**2 * angle
+    position = motion.position_per_meter**2 * length / steps
+    rotation = motion.rotation_per_meter**2 * length + motion.rotation_per_radian**2 * angle
     noise = np.diag([position] * 3 + [rotation / steps] * 3) + 1e-8 * np.eye(6)
     here = START
     for k in range(1, steps + 1):

@@ -31,7 +31,7 @@ def distances(pixels: np.ndarray) -> np.ndarray:
 
 
 def test_contrast_is_that_of_eq_20_for_a_spot() -> None:
-    """A bright square on grey: C grows as the window takes in more of the grey, w with it."""
+    """A bright square on gray: C grows as the window takes in more of the gray, w with it."""
     image = np.full((101, 101), 100, np.uint8)
     image[49:52, 49:52] = 200
     image[30:71, 30:71][np.abs(np.mgrid[-20:21, -20:21]).max(axis=0) > 8] = 150
@@ -167,7 +167,7 @@ def test_fewer_are_chosen_where_there_is_little_to_see() -> None:
 def test_a_certain_part_of_the_map_is_preferred(view: StereoView) -> None:
     """Only what lies to the left was seen before."""
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05, max_range=10.0))
-    points = view.cloud().organised_points.copy()
+    points = view.cloud().organized_points.copy()
     points[:, 160:] = np.nan
     for _ in range(6):
         voxel_map.integrate(points, START, camera=view.camera)

@@ -57,9 +57,9 @@ def test_pixels_stay_on_their_points_within_the_stated_sigma(plane: TexturedPlan
         assert len(seen) > 0.7 * len(pixels)
     last = np.linalg.norm(errors[-1], axis=1)
     assert np.quantile(last, 0.68) < 0.1  # it does not creep
-    normalised = np.concatenate(errors) / np.concatenate(sigmas)[:, None]
-    assert (np.abs(normalised) < 1.0).mean() > 0.68
-    assert (np.abs(normalised) < 2.0).mean() > 0.95
+    normalized = np.concatenate(errors) / np.concatenate(sigmas)[:, None]
+    assert (np.abs(normalized) < 1.0).mean() > 0.68
+    assert (np.abs(normalized) < 2.0).mean() > 0.95
     found = np.concatenate(ranges)
     assert (np.abs(found[np.isfinite(found)]) < 2.0).mean() > 0.95
 

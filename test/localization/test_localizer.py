@@ -16,9 +16,10 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.transforms import perturb_transform
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.localizer import Localisation, Localizer
+from infomap_ros.localization.localized_camera import LocalizedCamera
+from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 from . import room_views
@@ -34,7 +35,7 @@ def along(count: int, start: int = 0) -> list[np.ndarray]:
     return [looking((-0.5 + 0.03 * i, 0.2, 0.1), 0.03 * i - 0.3, 0.05) for i in steps]
 
 
-def follow(localizer: Localizer, poses: list[np.ndarray], first: int = 1) -> list[Localisation]:
+def follow(localizer: Localizer, poses: list[np.ndarray], first: int = 1) -> list[LocalizedCamera]:
     """Locate views of poses, from images alone."""
     return [
         localizer.locate(view((first + i) * STEP, pose, seed=first + i))
@@ -42,7 +43,7 @@ def follow(localizer: Localizer, poses: list[np.ndarray], first: int = 1) -> lis
     ]
 
 
-def check(result: Localisation, true: np.ndarray, position: float = 0.01) -> None:
+def check(result: LocalizedCamera, true: np.ndarray, position: float = 0.01) -> None:
     """The pose is near the truth, and as near as it says (99.99 %)."""
     assert result.T_map_camera is not None and result.covariance is not None
     error = pose_error(true, result.T_map_camera)
@@ -57,7 +58,7 @@ def test_follows_a_camera_by_its_images_alone():
     assert {result.state for result in results} == {"tracking"}
     for result, pose in zip(results, poses, strict=True):
         check(result, pose)
-    assert results[0].reason == "initialised"
+    assert results[0].reason == "initialized"
     assert min(result.tracked for result in results[1:]) >= 20
 
 
@@ -253,7 +254,7 @@ def test_knowledge_without_a_pose_finds_the_camera_wherever_odometry_puts_it():
     poses = along(16)
     first = Localizer(CAMERA, T_map_camera=poses[0])
     follow(first, poses)
-    unplaced = SavedLocalisation(first.state(), None).without_pose()
+    unplaced = SavedLocalization(first.state(), None).without_pose()
     second = Localizer(CAMERA)
     second.resume(unplaced.state)
     rest = MotionPrior(np.eye(4), np.diag([0.002**2] * 3 + [0.002**2] * 3))

@@ -92,8 +92,8 @@ def test_the_check_tells_agreement_from_seeing_through_and_hiding(
     cloud = range_map(bracket(), pose, rng, clutter=0)
     ray = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
 
-    def moved(metres: float) -> FloatArray:
-        return perturb_transform(pose, np.append(metres * ray, np.zeros(3)))
+    def moved(meters: float) -> FloatArray:
+        return perturb_transform(pose, np.append(meters * ray, np.zeros(3)))
 
     assert check_pose(shape, pose, cloud, 0.006, 0.004).score > 0.9
     assert check_pose(shape, moved(-0.05), cloud, 0.006, 0.004).seen_through > 0.8

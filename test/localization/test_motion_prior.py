@@ -78,9 +78,9 @@ def test_kinematic_motion_is_that_of_the_camera() -> None:
 def test_kinematic_covariance_is_that_of_sampled_errors() -> None:
     rng = np.random.default_rng(3)
     config = DeadReckoningConfig(
-        position_per_metre=0.03,
+        position_per_meter=0.03,
         position_per_radian=0.04,
-        rotation_per_metre=0.01,
+        rotation_per_meter=0.01,
         rotation_per_radian=0.02,
         kinematics_position_sigma=0.004,
         kinematics_rotation_sigma=0.005,

@@ -1,4 +1,4 @@
-"""Where an image is linearised must not matter to what odometry says."""
+"""Where an image is linearized must not matter to what odometry says."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def test_left_jacobian_takes_a_turn_to_its_displacement() -> None:
     )
 
 
-def test_correction_minimises_the_prior_and_the_measurements() -> None:
+def test_correction_minimizes_the_prior_and_the_measurements() -> None:
     rng = np.random.default_rng(3)
     sight = some_sight(rng)
     correction = correct(sight, np.ones(7))

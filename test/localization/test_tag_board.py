@@ -30,7 +30,7 @@ def test_opencv_reads_the_drawn_tags_in_place(family: str) -> None:
     board = TagBoard(config)
     assert set(found) == set(board.ids) == set(range(4, 10))
     for one, corners in zip(board.ids, board.corners, strict=True):
-        # upright: y to the right, z up; a pixel's centre is half a pixel from its edge
+        # upright: y to the right, z up; a pixel's center is half a pixel from its edge
         right, up = corners[:, 1], corners[:, 2]
         width, height = board.size
         expected = np.column_stack([right + 0.5 * width, 0.5 * height - up]) * 1000.0 - 0.5
@@ -59,7 +59,7 @@ def test_ids_and_poses_can_be_given() -> None:
     np.testing.assert_allclose(along, [0.0, 0.0, -0.16], atol=1e-12)
 
 
-def test_a_cut_pixel_gets_its_share_of_grey() -> None:
+def test_a_cut_pixel_gets_its_share_of_gray() -> None:
     config = TagBoardConfig(columns=1, rows=1, side=0.16, margin=0.02)
     image = draw_board(config, 101.3)
     dark = 1.0 - image.astype(float).sum() / 255.0 / image.size
@@ -94,15 +94,15 @@ def test_scattered_tags_cannot_be_drawn() -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 1e6, -5.0])
 def test_an_image_without_sense_is_refused(scale: float) -> None:
-    with pytest.raises(InvalidInputError, match="pixels_per_metre"):
+    with pytest.raises(InvalidInputError, match="pixels_per_meter"):
         draw_board(TagBoardConfig(side=0.05, columns=1, rows=1), scale)
 
 
 def test_a_saved_png_knows_its_scale(tmp_path: Path) -> None:
     save_board(TagBoardConfig(columns=1, rows=1), tmp_path / "board.png", dots_per_inch=200)
     with Image.open(tmp_path / "board.png") as image:
-        metres = np.array(image.size) / np.array(image.info["dpi"]) * 0.0254
-    np.testing.assert_allclose(metres, [0.24, 0.24], rtol=2e-3)
+        meters = np.array(image.size) / np.array(image.info["dpi"]) * 0.0254
+    np.testing.assert_allclose(meters, [0.24, 0.24], rtol=2e-3)
 
 
 def test_a_saved_pdf_has_a_page_of_the_board_size(tmp_path: Path) -> None:

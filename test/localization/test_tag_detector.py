@@ -131,7 +131,7 @@ def test_rendered_boards_are_found_within_their_covariance(rng: np.random.Genera
 
 
 def test_the_covariance_is_honest(rng: np.random.Generator) -> None:
-    """Mean normalised error squared over 150 boards within the 95 % band of its distribution."""
+    """Mean normalized error squared over 150 boards within the 95 % band of its distribution."""
     detector, values = TagTargetDetector(), []
     for _ in range(150):
         pose = seen_from(BOARD, rng.uniform(0.8, 3.0), rng.uniform(0.0, 1.1), rng)

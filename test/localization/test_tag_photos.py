@@ -20,7 +20,7 @@ from infomap_ros.stereo import RangeCloud
 
 from .tag_scenes import pose_error
 
-# ViSP's pixels begin at the corner of the first pixel, ours at its centre.
+# ViSP's pixels begin at the corner of the first pixel, ours at its center.
 PHOTO_CAMERA = PinholeCamera(640, 480, 615.1674805, 615.1675415, 311.6889954, 242.9373779)
 SHEET_CAMERA = PinholeCamera(640, 480, 700.0, 700.0, 319.5, 239.5)
 # ViSP's axes of a tag are turned by 180 degrees about its normal.

@@ -14,7 +14,7 @@ CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)
 RIG = StereoRig(CAMERA, CAMERA, 0.1)
 SENSOR = StereoRangeSensor(RIG, StereoConfig(min_depth=0.8))
 TILT = make_transform(Rotation.from_euler("xy", [0.35, -0.25]).as_matrix(), [0.0, 0.0, 2.0])
-_DENSITY = 300.0  # texels per metre
+_DENSITY = 300.0  # texels per meter
 _SIZE = 2400
 
 

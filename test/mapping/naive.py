@@ -15,7 +15,7 @@ SIDE = 8
 """Voxels along the edge of a block."""
 
 NEAREST_DEPTH = 1e-3
-"""Voxels with their centre nearer to the image plane than this are not looked at [m]."""
+"""Voxels with their center nearer to the image plane than this are not looked at [m]."""
 
 CLOSE = 4.0
 """Blocks nearer than this many voxels choose the pyramid level voxel by voxel."""
@@ -99,8 +99,8 @@ def pyramid(depths: np.ndarray) -> list[np.ndarray]:
     return levels
 
 
-def neighbourhoods(level: np.ndarray) -> np.ndarray:
-    """Smallest value of each cell and its eight neighbours within the image."""
+def neighborhoods(level: np.ndarray) -> np.ndarray:
+    """Smallest value of each cell and its eight neighbors within the image."""
     padded = np.pad(level, 1, constant_values=np.inf)
     shifts = itertools.product(range(3), range(3))
     height, width = level.shape
@@ -120,8 +120,8 @@ def seen_through(
     size: float,
     max_range: float,
 ) -> Verdict:
-    """Free voxels of an organised scan, by the rule of `infomap_ros.mapping.scans.free_space`."""
-    levels = [neighbourhoods(level) for level in pyramid(depths)]
+    """Free voxels of an organized scan, by the rule of `infomap_ros.mapping.scans.free_space`."""
+    levels = [neighborhoods(level) for level in pyramid(depths)]
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
     T_camera_map = invert_transform(T_map_camera)
     far_side = float((corners @ T_camera_map[2, :3]).max())
@@ -129,11 +129,11 @@ def seen_through(
     verdicts = []
     for block in _frustum_blocks(camera, T_map_camera, size * SIDE, max_range):
         indices = block * SIDE + local
-        centres = (indices + 0.5) * size @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
-        nearest = centres[:, 2].min()
-        depth_of_level = centres[:, 2] if nearest < CLOSE * size else np.full(SIDE**3, nearest)
+        centers = (indices + 0.5) * size @ T_camera_map[:3, :3].T + T_camera_map[:3, 3]
+        nearest = centers[:, 2].min()
+        depth_of_level = centers[:, 2] if nearest < CLOSE * size else np.full(SIDE**3, nearest)
         free, clear = np.zeros(SIDE**3, bool), np.ones(SIDE**3, bool)
-        for n, (x, y, z) in enumerate(centres):
+        for n, (x, y, z) in enumerate(centers):
             if z <= NEAREST_DEPTH:
                 continue
             u = camera.fx * x / z + camera.cx + 0.5

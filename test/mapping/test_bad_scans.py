@@ -170,11 +170,11 @@ def test_points_in_any_order_are_put_into_their_pixels(rng):
     points = random_scene(rng).points(CAMERA, pose)
     shuffled = points.reshape(-1, 3)[rng.permutation(432)[:400]]
     kept = np.isin(points.reshape(-1, 3)[:, 0], shuffled[:, 0]).reshape(18, 24)
-    organised = np.where(kept[..., None], points, np.float32(np.nan))
+    organized = np.where(kept[..., None], points, np.float32(np.nan))
     config = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
     one, other = VoxelMap(config), VoxelMap(config)
     one.integrate(shuffled, pose, camera=CAMERA)
-    other.integrate(organised, pose, camera=CAMERA)
+    other.integrate(organized, pose, camera=CAMERA)
     for a, b in zip(one.voxels(), other.voxels(), strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -113,7 +113,7 @@ def test_point_beside_the_body_stays_though_its_depth_is_uncertain():
     np.testing.assert_array_equal(mask, [False, True])
 
 
-def test_organised_cloud_keeps_its_shape_and_missing_points_stay(rng):
+def test_organized_cloud_keeps_its_shape_and_missing_points_stay(rng):
     solid = PlacedSolid(Sphere(0.5), np.eye(4))
     points = np.full((4, 5, 3), np.nan, dtype=np.float32)
     points[1, 2] = 0.0

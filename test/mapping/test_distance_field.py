@@ -16,9 +16,9 @@ STRICT = OccupancyThresholds(surface_margin=0)
 
 
 def distance_to_cubes(blocked: np.ndarray) -> np.ndarray:
-    """scipy's distance from centres to cubes [voxels], on a grid of half voxels.
+    """scipy's distance from centers to cubes [voxels], on a grid of half voxels.
 
-    The point of a cube that is nearest to a centre has coordinates that are whole or half voxels.
+    The point of a cube that is nearest to a center has coordinates that are whole or half voxels.
     """
     fine = np.zeros([2 * n + 1 for n in blocked.shape], bool)
     for shift in np.ndindex(3, 3, 3):
@@ -102,10 +102,10 @@ def test_known_free_space_clears_all_that_is_not_occupied() -> None:
     quanta[4, 4, 4] = 20
     quanta[5, 4, 4] = -2  # seen through once: more likely free than not
     view = window(quanta)
-    centre = view.centres_of([(4, 4, 4)])[0]
-    ball = PlacedSolid(Sphere(0.15), make_transform(np.eye(3), centre))
+    center = view.centers_of([(4, 4, 4)])[0]
+    ball = PlacedSolid(Sphere(0.15), make_transform(np.eye(3), center))
     beyond = PlacedSolid(
-        Box((1.0, 0.05, 0.05)), make_transform(np.eye(3), view.centres_of([(0, 0, 7)])[0])
+        Box((1.0, 0.05, 0.05)), make_transform(np.eye(3), view.centers_of([(0, 0, 7)])[0])
     )
     free = distance_field(view, thresholds=STRICT, known_free=[ball, beyond]).distances > 0.0
     places = np.argwhere(np.ones(free.shape, bool))
@@ -119,7 +119,7 @@ def test_voxels_that_hold_the_robot_are_free_whatever_was_seen_there() -> None:
     quanta = np.full((5, 5, 5), -20)
     quanta[2, 2, 2:4] = 20
     view = window(quanta)
-    own = view.centres_of([(2, 2, 2), (9, 9, 9)]) + 0.04
+    own = view.centers_of([(2, 2, 2), (9, 9, 9)]) + 0.04
     zero = np.argwhere(distance_field(view, thresholds=STRICT, own_points=own).distances == 0.0)
     np.testing.assert_array_equal(zero, [(2, 2, 3)])
 

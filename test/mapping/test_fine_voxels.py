@@ -16,14 +16,14 @@ CONFIG = VoxelMapConfig(voxel_size=SIZE, max_range=1.2, default_sigma=0.0005, me
 
 
 def rough_ball(camera: PinholeCamera, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A ball of half a metre, seen with half a millimetre of noise; nothing around it."""
+    """A ball of half a meter, seen with half a millimeter of noise; nothing around it."""
     points = Scene(spheres=[(0.0, 0.0, 0.0, 0.25)]).points(camera, pose)
     return points * rng.normal(1.0, 0.0005, (*points.shape[:2], 1)).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
 def ball() -> VoxelMap:
-    """Half a metre of ball from twelve sides."""
+    """Half a meter of ball from twelve sides."""
     rng, voxel_map = np.random.default_rng(7), VoxelMap(CONFIG)
     for azimuth in np.arange(0.0, 2.0 * np.pi, np.pi / 6.0):
         position = 0.6 * np.array([np.cos(azimuth), np.sin(azimuth), 0.3 * np.cos(3.0 * azimuth)])
@@ -32,7 +32,7 @@ def ball() -> VoxelMap:
     return voxel_map
 
 
-def test_a_ball_of_half_a_metre_is_mapped_at_1_mm(ball):
+def test_a_ball_of_half_a_meter_is_mapped_at_1_mm(ball):
     indices, means, covariances = ball.gaussians()
     assert len(indices) > 200_000
     radii = np.linalg.norm(means, axis=1)

@@ -1,4 +1,4 @@
-"""Free space of organised scans: the stated rule, and what it must never do."""
+"""Free space of organized scans: the stated rule, and what it must never do."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_rule_holds_for_cubes_that_are_free_as_a_whole(rng):
 
 
 def test_rule_holds_for_the_block_that_the_camera_is_in(rng):
-    # A voxel of 20 cm, so that the camera's block and its neighbours are most of what is seen.
+    # A voxel of 20 cm, so that the camera's block and its neighbors are most of what is seen.
     camera = PinholeCamera(33, 27, 25.0, 25.0, 16.0, 13.0)
     for _ in range(3):
         pose = random_pose(rng)
@@ -127,8 +127,8 @@ def test_rays_beyond_the_range_free_space_up_to_it(rng):
     pose = random_pose(rng)
     points = camera.back_project(np.full((24, 32), 9.0))
     verdict = assert_follows_rule(points, camera, pose, 0.1, max_range=1.5)
-    centres = (verdict.indices[verdict.free] + 0.5) * 0.1
-    distances = np.linalg.norm(centres - pose[:3, 3], axis=1)
+    centers = (verdict.indices[verdict.free] + 0.5) * 0.1
+    distances = np.linalg.norm(centers - pose[:3, 3], axis=1)
     assert distances.max() < 1.5
     assert distances.max() > 1.3
 

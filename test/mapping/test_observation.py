@@ -16,7 +16,7 @@ from .scenes import look_at
 
 SIZE = 0.05
 ORIGIN = np.array([0.003, 0.004, 0.005])
-VOXEL_CENTRE = (np.array([20, 6, -4]) + 0.5) * SIZE
+VOXEL_CENTER = (np.array([20, 6, -4]) + 0.5) * SIZE
 POSE_COVARIANCE = np.diag([1e-4, 2e-4, 3e-4, 1e-4, 2e-4, 5e-5])
 
 
@@ -34,7 +34,7 @@ OWN_VOXELS = {"voxel_size": SIZE, "association_sigmas": 0.0, "error_correlation"
 
 def poses_around(rng: np.random.Generator, count: int) -> list[np.ndarray]:
     return [
-        look_at(ORIGIN + rng.uniform(-0.3, 0.3, 3), VOXEL_CENTRE, rng.uniform(-3, 3))
+        look_at(ORIGIN + rng.uniform(-0.3, 0.3, 3), VOXEL_CENTER, rng.uniform(-3, 3))
         for _ in range(count)
     ]
 
@@ -52,7 +52,7 @@ def the_gaussian(voxel_map: VoxelMap) -> tuple[np.ndarray, np.ndarray]:
 
 def test_scans_merge_by_equation_4_in_any_order(rng):
     poses = poses_around(rng, 3)
-    targets = VOXEL_CENTRE + rng.uniform(-0.02, 0.02, (3, 3))
+    targets = VOXEL_CENTER + rng.uniform(-0.02, 0.02, (3, 3))
     noise = [random_covariance(rng, 0.005) for _ in poses]
     observed = []
     for pose, target, covariance in zip(poses, targets, noise, strict=True):
@@ -100,10 +100,10 @@ def test_a_wall_of_a_hundred_thousand_voxels_keeps_each_point(rng):
 def covariance_of(
     count: int, noise: np.ndarray, pose: np.ndarray, **parameters: float
 ) -> np.ndarray:
-    """What the voxel learns from `count` points scattered about its centre."""
+    """What the voxel learns from `count` points scattered about its center."""
     voxel_map = map_with_own_voxels(**parameters)
     offsets = np.random.default_rng(count).normal(0.0, 0.004, (count, 3))
-    targets = VOXEL_CENTRE + (offsets - offsets.mean(axis=0)).clip(-0.02, 0.02)
+    targets = VOXEL_CENTER + (offsets - offsets.mean(axis=0)).clip(-0.02, 0.02)
     covariances = np.tile(noise, (count, 1, 1))
     report = voxel_map.integrate(point_at(pose, targets), pose, covariances, POSE_COVARIANCE)
     assert (report.points_used, report.voxels_observed) == (count, 1)
@@ -115,7 +115,7 @@ def covariance_of(
 def test_covariance_of_a_voxel_is_that_of_the_formula(rng, count, correlation):
     pose = poses_around(rng, 1)[0]
     noise = random_covariance(rng, 0.01)
-    arm = VOXEL_CENTRE - pose[:3, 3]
+    arm = VOXEL_CENTER - pose[:3, 3]
     of_mean = noise * (correlation + (1.0 - correlation) / count)
     expected = point_covariance(
         pose[:3, :3], arm, of_mean, POSE_COVARIANCE, -arm / np.linalg.norm(arm), SIZE
@@ -127,7 +127,7 @@ def test_covariance_of_a_voxel_is_that_of_the_formula(rng, count, correlation):
 def test_the_pose_error_does_not_shrink_with_the_number_of_points(rng):
     pose = poses_around(rng, 1)[0]
     noise = random_covariance(rng, 0.01)
-    sight = VOXEL_CENTRE - pose[:3, 3]
+    sight = VOXEL_CENTER - pose[:3, 3]
     sight /= np.linalg.norm(sight)
     of_one_point = sight @ pose[:3, :3] @ noise @ pose[:3, :3].T @ sight
     one, thousand = covariance_of(1, noise, pose), covariance_of(1000, noise, pose)
@@ -140,7 +140,7 @@ def test_the_pose_error_does_not_shrink_with_the_number_of_points(rng):
 
 def test_the_correlation_of_one_scan_replaces_that_of_the_configuration(rng):
     pose = poses_around(rng, 1)[0]
-    point, noise = point_at(pose, VOXEL_CENTRE), random_covariance(rng, 0.01)
+    point, noise = point_at(pose, VOXEL_CENTER), random_covariance(rng, 0.01)
     points, covariances = np.tile(point, (50, 1)), np.tile(noise, (50, 1, 1))
     configured, given = map_with_own_voxels(error_correlation=0.4), map_with_own_voxels()
     configured.integrate(points, pose, covariances)
@@ -150,7 +150,7 @@ def test_the_correlation_of_one_scan_replaces_that_of_the_configuration(rng):
 
 def test_a_scan_of_unknown_correlation_is_taken_for_one_of_stereo(rng):
     pose = poses_around(rng, 1)[0]
-    points, noise = np.tile(point_at(pose, VOXEL_CENTRE), (500, 1)), np.eye(3) * 1e-4
+    points, noise = np.tile(point_at(pose, VOXEL_CENTER), (500, 1)), np.eye(3) * 1e-4
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=SIZE, association_sigmas=0.0))
     voxel_map.integrate(points, pose, np.tile(noise, (500, 1, 1)))
     correlation = StereoConfig().error_correlation
@@ -162,7 +162,7 @@ def test_a_scan_of_unknown_correlation_is_taken_for_one_of_stereo(rng):
 def test_covariances_may_come_as_upper_triangles(rng):
     pose, noise = poses_around(rng, 1)[0], random_covariance(rng, 0.01)
     full, upper = map_with_own_voxels(), map_with_own_voxels()
-    points = [point_at(pose, VOXEL_CENTRE)]
+    points = [point_at(pose, VOXEL_CENTER)]
     full.integrate(points, pose, noise[None])
     upper.integrate(points, pose, noise[np.triu_indices(3)][None])
     np.testing.assert_array_equal(the_gaussian(full)[1], the_gaussian(upper)[1])
@@ -170,7 +170,7 @@ def test_covariances_may_come_as_upper_triangles(rng):
 
 def test_points_of_one_voxel_are_averaged(rng):
     pose = poses_around(rng, 1)[0]
-    targets = VOXEL_CENTRE + rng.uniform(-0.02, 0.02, (7, 3))
+    targets = VOXEL_CENTER + rng.uniform(-0.02, 0.02, (7, 3))
     voxel_map = map_with_own_voxels()
     voxel_map.integrate([point_at(pose, target) for target in targets], pose)
     np.testing.assert_allclose(the_gaussian(voxel_map)[0], targets.mean(axis=0), atol=1e-6)
@@ -201,7 +201,7 @@ def test_a_surface_is_where_occupancy_and_mean_agree():
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=SIZE, default_sigma=0.02))
     voxel_map.integrate(camera.back_project(np.full((96, 120), 1.025)), np.eye(4), camera=camera)
     indices, means, _ = voxel_map.gaussians()
-    assert set(indices[:, 2].tolist()) == {20}, "neighbours that noise might reach are no surface"
+    assert set(indices[:, 2].tolist()) == {20}, "neighbors that noise might reach are no surface"
     assert (np.abs(means - (indices + 0.5) * SIZE) <= 0.6 * SIZE + 1e-6).all()
     assert (voxel_map.log_odds((indices + 0.5) * SIZE) > 0.0).all()
     assert voxel_map.surface_voxels == len(indices)

@@ -67,7 +67,7 @@ def test_a_scan_that_comes_late_is_corrected_as_if_it_had_come_in_time() -> None
     assert not np.allclose(in_time.poses[25][0], pose)
 
 
-def test_a_keyframe_that_is_no_longer_kept_moves_with_its_neighbour() -> None:
+def test_a_keyframe_that_is_no_longer_kept_moves_with_its_neighbor() -> None:
     corrections, (pose,) = PoseCorrections(), _poses(1, seed=3)
     old = _poses(3)
     corrections.add(15, pose)

@@ -22,7 +22,7 @@ def window_of(quanta: np.ndarray) -> VoxelWindow:
 
 
 def solved(quanta: np.ndarray, distance: int) -> np.ndarray:
-    """Average of neighbours by a sparse linear solve, over voxels within `distance` steps."""
+    """Average of neighbors by a sparse linear solve, over voxels within `distance` steps."""
     unknown = quanta == UNKNOWN_QUANTA
     values = np.where(unknown, 0.5, expit(quanta * LOG_ODDS_QUANTUM))
     steps = distance_transform_cdt(unknown, "taxicab")

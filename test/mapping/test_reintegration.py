@@ -156,9 +156,9 @@ def test_a_replica_follows_and_learns_what_is_no_longer_observed() -> None:
         reintegrate(trip.map, trip.store, _true_poses(trip))
     assert taken_back > 0
     known, evidence = trip.map.voxels()
-    centres = (known + 0.5) * CONFIG.voxel_size
-    assert replica.voxel_map.is_known(centres).all()
-    assert np.allclose(replica.voxel_map.log_odds(centres), np.clip(evidence, -5.0, 5.0))
+    centers = (known + 0.5) * CONFIG.voxel_size
+    assert replica.voxel_map.is_known(centers).all()
+    assert np.allclose(replica.voxel_map.log_odds(centers), np.clip(evidence, -5.0, 5.0))
 
 
 def test_who_comes_late_is_told_what_is_no_longer_observed() -> None:

@@ -32,7 +32,7 @@ def _cloud(seed: int = 0):  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("seed", range(4))
 def test_a_kept_depth_image_is_within_a_fraction_of_its_noise(seed: int) -> None:
     cloud, _ = _cloud(seed)
-    kept = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA).restore()
+    kept = keep_scan(cloud.organized_points, cloud.covariance_triangles, CAMERA).restore()
     valid = cloud.valid
     assert np.array_equal(valid, np.isfinite(kept.points).all(axis=-1))
     sigma = np.sqrt(cloud.covariance_triangles[valid][:, 5])
@@ -46,7 +46,7 @@ def test_a_kept_depth_image_is_within_a_fraction_of_its_noise(seed: int) -> None
 
 def test_a_scan_is_the_same_each_time_it_is_taken_out() -> None:
     cloud, _ = _cloud()
-    record = keep_scan(cloud.organised_points, cloud.organised_covariances, CAMERA, 0.2)
+    record = keep_scan(cloud.organized_points, cloud.organized_covariances, CAMERA, 0.2)
     first, second = record.restore(), record.restore()
     assert np.array_equal(first.points, second.points, equal_nan=True)
     assert first.error_correlation == 0.2
@@ -54,15 +54,15 @@ def test_a_scan_is_the_same_each_time_it_is_taken_out() -> None:
 
 def test_covariances_that_no_depth_image_has_are_kept_as_they_are() -> None:
     cloud, _ = _cloud()
-    other = cloud.organised_covariances.copy()
+    other = cloud.organized_covariances.copy()
     other[..., 0, 2] *= 0.5
     other[..., 2, 0] *= 0.5
-    kept = keep_scan(cloud.organised_points, other, CAMERA).restore()
+    kept = keep_scan(cloud.organized_points, other, CAMERA).restore()
     assert np.array_equal(kept.covariances, other, equal_nan=True)
-    assert np.array_equal(kept.points, cloud.organised_points, equal_nan=True)
+    assert np.array_equal(kept.points, cloud.organized_points, equal_nan=True)
 
 
-def test_an_unorganised_cloud_is_kept_as_it_is() -> None:
+def test_an_unorganized_cloud_is_kept_as_it_is() -> None:
     points = np.random.default_rng(1).normal(size=(500, 3)).astype(np.float32)
     kept = keep_scan(points).restore()
     assert np.array_equal(kept.points, points)
@@ -78,20 +78,20 @@ def test_a_scan_without_any_measurement_is_kept() -> None:
 
 def test_a_kept_scan_takes_a_tenth_of_its_cloud() -> None:
     cloud, _ = _cloud()
-    record = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA)
+    record = keep_scan(cloud.organized_points, cloud.covariance_triangles, CAMERA)
     assert record.memory_bytes() < 0.1 * 36 * CAMERA.width * CAMERA.height + 1000
 
 
-@pytest.mark.parametrize("organised", [True, False])
-def test_no_block_that_a_scan_touches_is_missed(organised: bool) -> None:
+@pytest.mark.parametrize("organized", [True, False])
+def test_no_block_that_a_scan_touches_is_missed(organized: bool) -> None:
     for seed in range(8):
         cloud, pose = _cloud(seed)
         pose = pose.copy()
         pose[:3, 3] = np.random.default_rng(seed).uniform(-0.5, 0.5, 3)
         voxel_map, store = VoxelMap(CONFIG), ScanStore(CONFIG)
-        points, spread = cloud.organised_points, cloud.covariance_triangles
-        camera = CAMERA if organised else None
-        if not organised:
+        points, spread = cloud.organized_points, cloud.covariance_triangles
+        camera = CAMERA if organized else None
+        if not organized:
             points, spread = cloud.points, cloud.covariances
         store.integrate(voxel_map, seed, points, pose, spread, np.eye(6) * 1e-4, camera)
         (scan,) = store
@@ -115,7 +115,7 @@ def test_the_map_gets_what_is_kept() -> None:
     cloud, pose = _cloud()
     first, second, store = VoxelMap(CONFIG), VoxelMap(CONFIG), ScanStore(CONFIG)
     store.integrate(
-        first, 1, cloud.organised_points, pose, cloud.covariance_triangles, None, CAMERA
+        first, 1, cloud.organized_points, pose, cloud.covariance_triangles, None, CAMERA
     )
     (scan,) = store
     kept = scan.record.restore()
@@ -126,14 +126,14 @@ def test_the_map_gets_what_is_kept() -> None:
 def test_scans_beyond_the_memory_are_frozen_and_stay_in_the_base() -> None:
     clouds = [_cloud(seed) for seed in range(4)]
     sizes = [
-        keep_scan(c.organised_points, c.covariance_triangles, CAMERA).memory_bytes()
+        keep_scan(c.organized_points, c.covariance_triangles, CAMERA).memory_bytes()
         for c, _ in clouds
     ]
     store = ScanStore(CONFIG, ScanStoreConfig(memory=(sum(sizes[2:]) + 10) * 1e-9))
     voxel_map = VoxelMap(CONFIG)
     for stamp, (cloud, pose) in enumerate(clouds):
         store.integrate(
-            voxel_map, stamp, cloud.organised_points, pose, cloud.covariance_triangles,
+            voxel_map, stamp, cloud.organized_points, pose, cloud.covariance_triangles,
             np.eye(6) * 1e-6, CAMERA,
         )  # fmt: skip
         store.freeze_excess()
@@ -142,7 +142,7 @@ def test_scans_beyond_the_memory_are_frozen_and_stay_in_the_base() -> None:
     expected, all_scans = VoxelMap(CONFIG), ScanStore(CONFIG)
     for stamp, (cloud, pose) in enumerate(clouds[:2]):
         all_scans.integrate(
-            expected, stamp, cloud.organised_points, pose, cloud.covariance_triangles,
+            expected, stamp, cloud.organized_points, pose, cloud.covariance_triangles,
             np.eye(6) * 1e-6, CAMERA,
         )  # fmt: skip
     assert voxels_of(store.base) == voxels_of(expected)
@@ -150,7 +150,7 @@ def test_scans_beyond_the_memory_are_frozen_and_stay_in_the_base() -> None:
 
 def test_the_scan_with_the_best_known_pose_is_frozen_first() -> None:
     cloud, pose = _cloud()
-    record = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA)
+    record = keep_scan(cloud.organized_points, cloud.covariance_triangles, CAMERA)
     store = ScanStore(CONFIG, ScanStoreConfig(memory=2.5 * record.memory_bytes() * 1e-9))
     for stamp, sigma in enumerate([0.3, 0.001, 0.2]):
         store.add(stamp, record, pose, PoseUncertainty(np.eye(6) * sigma**2))
@@ -160,7 +160,7 @@ def test_the_scan_with_the_best_known_pose_is_frozen_first() -> None:
 
 def test_a_scan_that_the_base_has_no_room_for_is_kept(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     cloud, pose = _cloud()
-    record = keep_scan(cloud.organised_points, cloud.covariance_triangles, CAMERA)
+    record = keep_scan(cloud.organized_points, cloud.covariance_triangles, CAMERA)
     store = ScanStore(CONFIG, ScanStoreConfig(memory=0.5 * record.memory_bytes() * 1e-9))
     store.add(1, record, pose)
 
@@ -178,7 +178,7 @@ def test_a_scan_that_the_base_has_no_room_for_is_kept(monkeypatch) -> None:  # t
 def test_without_memory_for_scans_nothing_is_kept() -> None:
     cloud, pose = _cloud()
     store = ScanStore(CONFIG, ScanStoreConfig(memory=0.0))
-    store.integrate(VoxelMap(CONFIG), 1, cloud.organised_points, pose, camera=CAMERA)
+    store.integrate(VoxelMap(CONFIG), 1, cloud.organized_points, pose, camera=CAMERA)
     assert len(store) == 0
 
 
@@ -186,7 +186,7 @@ def test_a_scan_that_the_map_refuses_is_not_kept() -> None:
     cloud, pose = _cloud()
     store = ScanStore(CONFIG)
     with pytest.raises(InvalidInputError):
-        store.integrate(VoxelMap(CONFIG), 1, cloud.organised_points, pose, np.zeros((3, 3)))
+        store.integrate(VoxelMap(CONFIG), 1, cloud.organized_points, pose, np.zeros((3, 3)))
     with pytest.raises(InvalidInputError):
-        store.integrate(VoxelMap(CONFIG), 1, cloud.organised_points[..., :2], pose)
+        store.integrate(VoxelMap(CONFIG), 1, cloud.organized_points[..., :2], pose)
     assert len(store) == 0

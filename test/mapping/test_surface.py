@@ -33,7 +33,7 @@ HALF = 0.025
 
 
 def random_row(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Of a point near a voxel's centre, with an excess."""
+    """Of a point near a voxel's center, with an excess."""
     factor = rng.normal(size=(3, 3)) * 30.0
     matrix, mean = factor @ factor.T + 100.0 * np.eye(3), rng.uniform(-0.01, 0.01, 3)
     rest = rng.uniform(0.0, 1e5), rng.uniform(0.0, 10.0), rng.uniform(0.0, 5.0)

@@ -58,9 +58,9 @@ def test_heights_of_a_slope_are_exact_within_their_sigma(size):
     normal = np.array([-0.2, 0.1, 1.0]) / np.linalg.norm([-0.2, 0.1, 1.0])
     terrain = terrain_of(looked_at(Scene(planes=[(*normal, 0.03)]), size), None, (0, 0, 0.1))
     cells = np.argwhere(np.isfinite(terrain.heights))
-    middles = terrain.centres_of(cells)
+    middles = terrain.centers_of(cells)
     cells = cells[np.hypot(*middles.T) < 2.0]
-    truth = (0.03 - terrain.centres_of(cells) @ normal[:2]) / normal[2]
+    truth = (0.03 - terrain.centers_of(cells) @ normal[:2]) / normal[2]
     errors = terrain.heights[tuple(cells.T)] - truth
     assert len(cells) * terrain.resolution**2 > 0.9 * np.pi * 2.0**2
     assert np.sqrt((errors**2).mean()) < 0.005
@@ -270,8 +270,8 @@ def test_empty_map_has_no_ground():
 def test_cells_and_middles_are_inverse(rng):
     terrain = found(columns((20, 20, 20), 2), (0.1, 0.1, 0.3))
     cells = rng.integers(0, 20, (30, 2))
-    np.testing.assert_array_equal(terrain.cells_of(terrain.centres_of(cells)), cells)
-    np.testing.assert_allclose(terrain.height_at(terrain.centres_of(cells)), middle_of(2), 1e-6)
+    np.testing.assert_array_equal(terrain.cells_of(terrain.centers_of(cells)), cells)
+    np.testing.assert_allclose(terrain.height_at(terrain.centers_of(cells)), middle_of(2), 1e-6)
     assert np.isnan(terrain.height_at((-1.0, 0.0)))
 
 

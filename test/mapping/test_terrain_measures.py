@@ -15,7 +15,7 @@ def grid_with_holes(rng: np.random.Generator) -> np.ndarray:
     return heights
 
 
-def test_largest_step_is_that_of_the_neighbours(rng):
+def test_largest_step_is_that_of_the_neighbors(rng):
     heights = grid_with_holes(rng)
     steps = np.empty_like(heights)
     largest_steps(heights, steps)

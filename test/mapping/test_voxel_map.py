@@ -46,7 +46,7 @@ def room() -> VoxelMap:
     return integrate_all(VoxelMap(CONFIG), looks(1, 3))
 
 
-def centres(indices: np.ndarray) -> np.ndarray:
+def centers(indices: np.ndarray) -> np.ndarray:
     return (indices + 0.5) * SIZE
 
 
@@ -85,7 +85,7 @@ def test_points_anywhere_in_a_voxel_ask_that_voxel(room, rng):
 def test_probability_is_that_of_the_log_odds(room):
     indices, log_odds = room.voxels()
     odds = np.exp(log_odds.astype(np.float64))
-    np.testing.assert_allclose(room.probability(centres(indices)), odds / (1.0 + odds), rtol=1e-12)
+    np.testing.assert_allclose(room.probability(centers(indices)), odds / (1.0 + odds), rtol=1e-12)
     assert set(np.sign(log_odds)) >= {-1.0, 1.0}
 
 
@@ -115,7 +115,7 @@ def test_bounds_hold_all_known_voxels_and_little_more(room):
 
 
 def test_entropy_is_the_sum_over_the_voxels(room):
-    p = room.probability(centres(room.voxels()[0]))
+    p = room.probability(centers(room.voxels()[0]))
     expected = -(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)).sum()
     assert room.entropy_bits() == pytest.approx(expected, rel=1e-9)
 
@@ -123,13 +123,13 @@ def test_entropy_is_the_sum_over_the_voxels(room):
 def test_entropy_of_a_region_counts_a_bit_for_each_unknown_voxel(room):
     low, high = np.array([-0.511, 0.013, -0.77]), np.array([2.302, 0.881, 0.95])
     indices, _ = room.voxels()
-    inside = ((centres(indices) >= low) & (centres(indices) < high)).all(axis=1)
-    p = room.probability(centres(indices[inside]))
+    inside = ((centers(indices) >= low) & (centers(indices) < high)).all(axis=1)
+    p = room.probability(centers(indices[inside]))
     known = -(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)).sum()
     grid = [np.arange(-100, 100)] * 3
     all_inside = np.prod(
         [
-            ((centres(g) >= a) & (centres(g) < b)).sum()
+            ((centers(g) >= a) & (centers(g) < b)).sum()
             for g, a, b in zip(grid, low, high, strict=True)
         ]
     )

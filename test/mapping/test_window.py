@@ -36,29 +36,29 @@ def wall() -> VoxelMap:
 def test_every_voxel_is_that_of_the_map(wall: VoxelMap) -> None:
     window = wall.window((-1.234, -0.9, -1.3), (1.51, 1.0, 1.47))
     positions = np.argwhere(np.ones(window.quanta.shape, bool))
-    centres = window.centres_of(positions)
-    known = wall.is_known(centres)
+    centers = window.centers_of(positions)
+    known = wall.is_known(centers)
     assert known.any() and not known.all()
     quanta = window.quanta[tuple(positions.T)]
     np.testing.assert_array_equal(quanta != UNKNOWN_QUANTA, known)
     np.testing.assert_allclose(
-        quanta[known] * LOG_ODDS_QUANTUM, wall.log_odds(centres)[known], rtol=0
+        quanta[known] * LOG_ODDS_QUANTUM, wall.log_odds(centers)[known], rtol=0
     )
 
 
 def test_window_holds_the_box_and_nothing_more_than_a_voxel_around(wall: VoxelMap) -> None:
     low, high = np.array((-0.5, -0.21, 0.0)), np.array((0.5, 0.7, 0.63))
     window = wall.window(low, high)
-    first = window.centres_of([(0, 0, 0)])[0] - 0.035
-    last = window.centres_of([np.array(window.quanta.shape) - 1])[0] + 0.035
+    first = window.centers_of([(0, 0, 0)])[0] - 0.035
+    last = window.centers_of([np.array(window.quanta.shape) - 1])[0] + 0.035
     assert (first <= low + 1e-9).all() and (first > low - 0.07).all()
     assert (last >= high - 1e-9).all() and (last < high + 0.07).all()
 
 
-def test_positions_and_centres_are_inverse(wall: VoxelMap) -> None:
+def test_positions_and_centers_are_inverse(wall: VoxelMap) -> None:
     window = wall.window((-1, -1, -1), (1, 1, 1))
     positions = np.array([(0, 0, 0), (3, 4, 5), (-2, 40, 1)])
-    np.testing.assert_array_equal(window.positions_of(window.centres_of(positions)), positions)
+    np.testing.assert_array_equal(window.positions_of(window.centers_of(positions)), positions)
     np.testing.assert_array_equal(window.contains(positions), [True, True, False])
 
 
@@ -66,8 +66,8 @@ def test_states_follow_the_probabilities(wall: VoxelMap) -> None:
     window = wall.window((-1.2, -0.9, -1.3), (1.5, 1.0, 1.4))
     states = window.states(OccupancyThresholds(0.05, 0.6, surface_margin=0))
     positions = np.argwhere(np.ones(states.shape, bool))
-    centres = window.centres_of(positions)
-    known, probability = wall.is_known(centres), wall.probability(centres)
+    centers = window.centers_of(positions)
+    known, probability = wall.is_known(centers), wall.probability(centers)
     expected = np.select(
         [~known, probability < 0.05, probability > 0.6], [UNKNOWN, FREE, OCCUPIED], UNCERTAIN
     )

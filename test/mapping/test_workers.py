@@ -9,7 +9,7 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.scans.association import Sensor
 from infomap_ros.mapping.scans.image_parts import rows_of_parts
-from infomap_ros.mapping.scans.organised import OrganisedScan
+from infomap_ros.mapping.scans.organized import OrganizedScan
 from infomap_ros.mapping.scans.workers import Workers
 
 CAMERA = PinholeCamera(width=160, height=116, fx=150.0, fy=150.0, cx=79.5, cy=57.5)
@@ -44,11 +44,11 @@ def test_an_error_is_raised_when_no_task_runs_any_longer():
     assert finished.is_set()
 
 
-def image_of(depths: np.ndarray) -> OrganisedScan:
+def image_of(depths: np.ndarray) -> OrganizedScan:
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], 2)
     cells = np.empty((CAMERA.height // 2, CAMERA.width // 2), np.float32)
-    return OrganisedScan(
+    return OrganizedScan(
         (rays * depths[..., None]).astype(np.float32),
         np.array([[1, 0, 0, 1, 0, 1]], np.float32) * 1e-4,
         (0, 1, 2, 3, 4, 5),

@@ -105,7 +105,7 @@ def test_big_endian_image(encoding, rng):
 
 
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_mosaic_gives_the_colour_back(pattern):
+def test_bayer_mosaic_gives_the_color_back(pattern):
     color = {"b": 40, "g": 120, "r": 220}
     mosaic = np.empty((12, 16), np.uint8)
     for index, letter in enumerate(pattern):
@@ -115,7 +115,7 @@ def test_bayer_mosaic_gives_the_colour_back(pattern):
     np.testing.assert_array_equal(record.pixels[6, 8], [40, 120, 220])
 
 
-def test_yuv422_grey_stays_grey():
+def test_yuv422_gray_stays_gray():
     packed = np.full((4, 8, 2), 128, np.uint8)
     record = ms.decode_image(image_message(packed, "yuv422_yuy2"))
     assert record.encoding == "bgr8"
@@ -151,7 +151,7 @@ def test_compressed_image(extension, encoding):
     np.testing.assert_allclose(record.pixels, pixels, atol=3)
 
 
-def test_compressed_depth_png_is_millimetres():
+def test_compressed_depth_png_is_millimeters():
     depth = np.arange(48, dtype=np.uint16).reshape(6, 8) * 100
     data = bytes(12) + cv2.imencode(".png", depth)[1].tobytes()
     message = SimpleNamespace(header=header(), format="16UC1; compressedDepth png", data=data)
@@ -421,7 +421,7 @@ def test_foreign_layout_with_padding_double_and_big_endian():
     np.testing.assert_array_equal(record.points.reshape(-1, 3), expected)
 
 
-def test_colour_in_three_fields():
+def test_color_in_three_fields():
     layout = [(n, "f4", 4 * i) for i, n in enumerate("xyz")]
     layout += [(n, "u1", 12 + i) for i, n in enumerate("rgb")]
     record = ms.decode_point_cloud(foreign_cloud(layout, 16, 1, 16, [(1, 2, 3, 10, 20, 30)]))

@@ -39,7 +39,7 @@ class DriveOracle:
         def good(moved: np.ndarray, turned: np.ndarray, parts: np.ndarray, n: int) -> np.ndarray:
             """Stances at the n-th of so many parts of a move or turn; good beyond the last."""
             share = np.minimum(n / parts, 1.0)
-            xy = terrain.centres_of(nodes[:, :2] + moved * share[:, None])
+            xy = terrain.centers_of(nodes[:, :2] + moved * share[:, None])
             places = np.column_stack([xy, headings + turned * share])
             return (vehicle.stances(terrain, places).ok | (n >= parts)).reshape(nx, ny, 16)
 
@@ -51,7 +51,7 @@ class DriveOracle:
         self.turns = good(no_move, turns, angles, 1) & good(no_move, turns, angles, 2)
         self.moves = good(moved, no_turn, lengths, 1) & good(moved, no_turn, lengths, 2)
 
-    def neighbours(self, node: Node) -> list[tuple[Node, float]]:
+    def neighbors(self, node: Node) -> list[tuple[Node, float]]:
         """Nodes next to one, and the cost of going there [m]."""
         i, j, h = node
         found = []
@@ -80,7 +80,7 @@ class DriveOracle:
             cost, node = heapq.heappop(waiting)
             if cost > costs[node]:
                 continue
-            for other, price in self.neighbours(node):
+            for other, price in self.neighbors(node):
                 if cost + price < costs[other] - 1e-12:
                     costs[other] = cost + price
                     heapq.heappush(waiting, (cost + price, other))
@@ -88,4 +88,4 @@ class DriveOracle:
 
     def place_of(self, node: Node) -> np.ndarray:
         """x, y, yaw of a node."""
-        return np.array([*self.terrain.centres_of(node[:2]), HEADINGS[node[2]]])
+        return np.array([*self.terrain.centers_of(node[:2]), HEADINGS[node[2]]])

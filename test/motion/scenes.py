@@ -15,11 +15,11 @@ FIRST = np.array((-40, -40, -10))
 SHAPE = (80, 80, 50)
 
 Condition = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""Of x, y, z of voxel centres [m, map]."""
+"""Of x, y, z of voxel centers [m, map]."""
 
 
 def blocked_where(condition: Condition) -> np.ndarray:
-    """Voxels whose centres meet a condition."""
+    """Voxels whose centers meet a condition."""
     x, y, z = ((np.indices(SHAPE).T + FIRST + 0.5) * SIZE).T
     return np.asarray(condition(x, y, z))
 

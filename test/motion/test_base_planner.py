@@ -97,7 +97,7 @@ def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, sampl
             np.testing.assert_allclose(path.poses[-1, :2], target[:2], atol=1e-9)
             assert math.cos(path.poses[-1, 2] - target[2]) == pytest.approx(1.0)
             continue
-        nearest = np.hypot(*(terrain.centres_of(reached) - target[:2]).T).min()
+        nearest = np.hypot(*(terrain.centers_of(reached) - target[:2]).T).min()
         assert np.hypot(*(path.poses[-1, :2] - target[:2])) == pytest.approx(nearest, abs=1e-6)
         assert f"ends {nearest:.2f} m from it" in path.reason
     assert any(outcomes)
@@ -269,7 +269,7 @@ def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
 def test_robot_leaves_ground_of_which_only_occupied_voxels_are_known(vehicle, gap, leaves):
     """Voxels under its wheels are occupied and show no surface; a thing higher up is no ground."""
     terrain = ground(lambda x, y: np.zeros_like(x))
-    under = np.hypot(*(terrain.centres_of(np.argwhere(terrain.heights == 0.0))).T) < 0.3
+    under = np.hypot(*(terrain.centers_of(np.argwhere(terrain.heights == 0.0))).T) < 0.3
     i, j = np.argwhere(terrain.heights == 0.0)[under].T
     heights, overhead = terrain.heights.copy(), terrain.overhead.copy()
     heights[i, j], overhead[i, j] = np.nan, gap

@@ -18,7 +18,7 @@ def tilted(x: float, y: float, yaw: float, height: float, pitch: float) -> np.nd
     return make_transform(turn @ tilt, (x, y, height))
 
 
-def test_unknown_stances_come_from_their_neighbours() -> None:
+def test_unknown_stances_come_from_their_neighbors() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.5], [0.2, 0.1, 0.5], [0.3, 0.1, 1.0]])
     stances = np.stack([tilted(x, y, yaw, 0.2, 0.1) for x, y, yaw in poses])
     expected = stances.copy()

@@ -30,9 +30,9 @@ CONFIG = SimulatorConfig(camera=StereoCameraConfig(width=64, height=48, supersam
 def world_with_box() -> World:
     """Level ground with a box ahead of the robot."""
     builder = SceneBuilder(Terrain(np.zeros((41, 41)), 4.0))
-    grey = np.full((64, 64, 3), 128, np.uint8)
-    builder.add_ground_material("ground", grey, 1.0)
-    builder.add_material("paint", grey)
+    gray = np.full((64, 64, 3), 128, np.uint8)
+    builder.add_ground_material("ground", gray, 1.0)
+    builder.add_material("paint", gray)
     builder.add_terrain("ground")
     builder.add_box("box", tuple(BOX), make_transform(np.eye(3), (*MIDDLE, 0.3)), "paint")
     return builder.compile()

@@ -233,7 +233,7 @@ def test_four_joints_come_as_near_as_tolerances_ask(rng):
     assert_within_limits(ROVER, near.q)
 
 
-def test_the_least_error_is_that_of_another_optimiser(rng):
+def test_the_least_error_is_that_of_another_optimizer(rng):
     """Targets that four joints cannot reach: scipy's trust region from 40 starts does no better."""
     config = IkConfig(position_tolerance=0.01, rotation_tolerance=0.02)
     weights = np.array([1 / 0.01] * 3 + [1 / 0.02] * 3)

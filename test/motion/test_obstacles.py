@@ -29,7 +29,7 @@ def reach_among(robot: RobotModel, *obstacles: Obstacle) -> WholeBodyReach:
 
 
 def driving_body(reach: WholeBodyReach, pose: np.ndarray) -> np.ndarray:
-    """Centres and radii of the robot's collision spheres in its driving posture, (S, 4) [m]."""
+    """Centers and radii of the robot's collision spheres in its driving posture, (S, 4) [m]."""
     return reach._whole.body.spheres(reach._whole.driving, pose)
 
 

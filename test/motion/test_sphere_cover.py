@@ -41,8 +41,8 @@ def test_cover_does_not_stick_out_farther_than_the_tolerance(
     cover = cover_by_spheres(solid, 0.02)
     directions = rng.normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    for *centre, radius in cover:
-        outside = solid.signed_distance(np.array(centre) + radius * directions)
+    for *center, radius in cover:
+        outside = solid.signed_distance(np.array(center) + radius * directions)
         assert outside.max() <= 0.02 + 1e-6
 
 

@@ -98,13 +98,13 @@ def test_tip_margin_of_a_symmetric_body_is_that_of_the_closed_form():
 
 
 def test_tip_margin_is_the_turn_after_which_the_mass_is_above_an_edge(vehicle, rng):
-    """Turned by the margin about the edge that gives way, the centre of mass is at its highest."""
-    support, centre = vehicle.arrays.support, vehicle.arrays.centre_of_mass
+    """Turned by the margin about the edge that gives way, the center of mass is at its highest."""
+    support, center = vehicle.arrays.support, vehicle.arrays.center_of_mass
     for angles in rng.uniform(-0.4, 0.4, (20, 2)):
         turn = Rotation.from_euler("xy", angles).as_matrix()
         pose = np.eye(4)
         pose[:3, :3] = turn
-        corners, mass = support @ turn.T, turn @ centre
+        corners, mass = support @ turn.T, turn @ center
         turns = []
         for here, following in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             axis = (following - here) / np.linalg.norm(following - here)
@@ -113,10 +113,10 @@ def test_tip_margin_is_the_turn_after_which_the_mass_is_above_an_edge(vehicle, r
             arm -= axis * (axis @ arm)
             lifted = np.cos(tilts) * arm[2] + np.sin(tilts) * np.cross(axis, arm)[2]
             turns.append(abs(tilts[lifted.argmax()]))
-        assert tip_margin(pose, support, centre) == pytest.approx(min(turns), abs=1e-4)
+        assert tip_margin(pose, support, center) == pytest.approx(min(turns), abs=1e-4)
 
 
-def test_centre_of_mass_moves_with_the_arm(vehicle):
+def test_center_of_mass_moves_with_the_arm(vehicle):
     """Sum over the links of the URDF, each at its own place."""
     import xml.etree.ElementTree as ElementTree
 
@@ -129,12 +129,12 @@ def test_centre_of_mass_moves_with_the_arm(vehicle):
         inertial = link.find("inertial")
         if inertial is not None:
             mass = float(inertial.find("mass").get("value"))
-            centre = np.array([float(v) for v in inertial.find("origin").get("xyz").split()])
+            center = np.array([float(v) for v in inertial.find("origin").get("xyz").split()])
             pose = model.forward_kinematics(joints, link.get("name"))
-            total, moment = total + mass, moment + mass * (pose[:3, :3] @ centre + pose[:3, 3])
+            total, moment = total + mass, moment + mass * (pose[:3, :3] @ center + pose[:3, 3])
     moved = vehicle.with_joints(joints)
     assert moved.mass == pytest.approx(total)
-    np.testing.assert_allclose(moved.arrays.centre_of_mass, moment / total, atol=1e-9)
+    np.testing.assert_allclose(moved.arrays.center_of_mass, moment / total, atol=1e-9)
 
 
 def test_stretching_the_arm_lowers_the_tip_margin(vehicle):
@@ -250,7 +250,7 @@ def uneven(rng: np.random.Generator, size: float):
 
 
 @pytest.mark.parametrize("size", [0.01, 0.05, 0.1])
-def test_quick_judgement_is_that_of_the_full_one(vehicle, rng, size):
+def test_quick_judgment_is_that_of_the_full_one(vehicle, rng, size):
     terrain = uneven(rng, size)
     arrays = terrain_arrays(terrain, vehicle.config)
     judged = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)

@@ -48,12 +48,12 @@ def test_it_is_told_what_is_compiled_and_why_it_could_not(
     else:
         compile_kernels(told.append, TEAM)
 
-    stages = ["1 of 3, range", "2 of 3, map and localisation", "3 of 3, planning and sharing"]
+    stages = ["1 of 3, range", "2 of 3, map and localization", "3 of 3, planning and sharing"]
     assert told == stages[: 2 if failing else 3]
     if not failing:
         steps = [line.split()[-1] for line in compiled.read_text().splitlines()]
         assert steps[0] == "range"
-        assert set(steps[1:3]) == {"map", "localisation"}
+        assert set(steps[1:3]) == {"map", "localization"}
         assert set(steps) == set(STEPS)
 
 

@@ -18,7 +18,7 @@ from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.choice_text import choice_to_text, route_digest
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry import make_transform
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.messages.commands import decode_arm_trajectory
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.nodes.explorer import ExplorerNode
@@ -159,7 +159,7 @@ def test_a_lost_camera_goes_back_to_the_last_look_and_not_home(graph: Any, tmp_p
 
 
 class SearchStage(Stage):
-    """A rover whose localisation has not seen its target yet, and finds it in the last look."""
+    """A rover whose localization has not seen its target yet, and finds it in the last look."""
 
     gives_up = False
 
@@ -176,7 +176,7 @@ class SearchStage(Stage):
             return
         state = "tracking" if self.rover.is_located else "searching"
         stamp = self.rover.stamp
-        self.news.publish(status_message(Localisation(stamp, state, None, None)))
+        self.news.publish(status_message(LocalizedCamera(stamp, state, None, None)))
 
     def plan_search(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """The base turns while the target is not in sight."""

@@ -21,7 +21,7 @@ from infomap_ros.geometry import (
     invert_transform,
     make_transform,
 )
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.messages import (
     TF,
@@ -295,7 +295,7 @@ def test_a_node_that_is_killed_has_saved_what_it_knew(graph: Any, tmp_path: Any)
     stage = Stage(graph, state_file=str(path), save_period=0.1)
     stage.run(2)
     graph.spin_until(path.exists, "the file")
-    saved = SavedLocalisation.load(path)
+    saved = SavedLocalization.load(path)
     assert saved.posture is not None
     assert saved.stamp in stage.poses
 
@@ -317,7 +317,7 @@ def test_a_clock_that_jumps_back_keeps_the_map_where_it_is_to_be_resumed(
 def test_a_node_does_not_start_on_a_file_of_another_kind(graph: Any, tmp_path: Any) -> None:
     path = tmp_path / "map"
     VoxelMap().save(path)
-    with pytest.raises(MapFileError, match="no localisation"):
+    with pytest.raises(MapFileError, match="no localization"):
         graph.add(FiducialLocalizationNode, state_file=str(path), resume=True)
 
 

@@ -91,8 +91,8 @@ def test_a_bag_brings_its_player_and_its_clock(launch_file: ModuleType) -> None:
     own = {"stereo_range", "map_fusion", "fiducial_localization", "bag_player"}
     assert set(nodes) == {*own, "rviz2"}
     player = settings_of(nodes["bag_player"])
-    assert player["left_out"] == player_of_poses(launch_file, localisation="odometry")
-    assert player_of_poses(launch_file, localisation="pose") == []
+    assert player["left_out"] == player_of_poses(launch_file, localization="odometry")
+    assert player_of_poses(launch_file, localization="pose") == []
     assert settings_of(nodes["bag_player"])["loop"] is True
     assert Path(settings_of(nodes["bag_player"])["bag"]).samefile(find_share("bags/rover_rocks"))
     fusion = settings_of(nodes["map_fusion"])
@@ -129,11 +129,11 @@ def test_every_parameter_that_is_set_exists_with_that_type(launch_file: ModuleTy
 
 
 @pytest.mark.parametrize("simulator", ["true", "false"])
-@pytest.mark.parametrize("localisation", ["fiducials", "odometry", "pose"])
+@pytest.mark.parametrize("localization", ["fiducials", "odometry", "pose"])
 def test_exploring_sets_parameters_that_exist(
-    exploration: ModuleType, simulator: str, localisation: str
+    exploration: ModuleType, simulator: str, localization: str
 ) -> None:
-    check_settings(nodes_of(exploration, simulator=simulator, localisation=localisation))
+    check_settings(nodes_of(exploration, simulator=simulator, localization=localization))
 
 
 def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: ModuleType) -> None:
@@ -205,15 +205,15 @@ def test_parameters_of_ones_own_count_most(exploration: ModuleType) -> None:
 
 
 def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, localisation="odometry")
+    nodes = nodes_of(exploration, localization="odometry")
 
     assert settings_of(nodes["simulator"])["publish_camera_pose"] is False
     assert "dead_reckoning" in nodes
     assert "fiducial_localization" not in nodes
 
 
-def test_a_pose_from_elsewhere_needs_no_localisation(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, localisation="pose")
+def test_a_pose_from_elsewhere_needs_no_localization(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, localization="pose")
 
     assert settings_of(nodes["simulator"])["publish_camera_pose"] is True
     assert not {"dead_reckoning", "fiducial_localization"} & set(nodes)
@@ -248,7 +248,7 @@ def test_processes_get_the_environment_of_large_messages(
         ({}, ["left/image_raw", "left/image_raw"]),
         ({"rectify": "false"}, ["left/image_rect", "left/image_rect"]),
         ({"source": "depth"}, ["depth/image_rect", "depth/image_rect"]),
-        ({"localisation": "odometry"}, ["left/image_raw"]),
+        ({"localization": "odometry"}, ["left/image_raw"]),
     ],
 )
 def test_the_player_waits_for_all_nodes(

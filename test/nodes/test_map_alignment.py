@@ -21,7 +21,7 @@ from infomap_ros.geometry import (
     perturb_transform,
     points_inside,
 )
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.localization.target.robot_tags import tag_pose
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
@@ -99,7 +99,7 @@ class Meeting:
         board = TagBoard(TagBoardConfig(side=0.16, ids=(5,), poses=tuple(map(float, TAG))))
         T_camera_base = T_camera_print @ PRINT.tag_poses[0] @ invert_transform(board.tag_poses[0])
         T_map_camera = perturb_transform(np.eye(4), self.rng.normal(0.0, 1.0, 6))
-        result = Localisation(stamp, "tracking", T_map_camera, 1e-6 * np.eye(6))
+        result = LocalizedCamera(stamp, "tracking", T_map_camera, 1e-6 * np.eye(6))
         self.node.worker.submit_always(lambda: self.node.sight.look(view, result))
         base = self.base = T_theirs_mine @ T_map_camera @ T_camera_base
         for at in (stamp - SECOND // 10, stamp + SECOND // 10):

@@ -169,7 +169,7 @@ def test_updates_are_the_map_that_the_library_makes_of_the_same_scans(graph: Any
     assert [f.name for f in messages[0].fields][:2] == ["index", "log_odds"]
 
 
-def test_a_wall_at_two_metres_is_in_voxel_map_and_projected_map(graph: Any) -> None:
+def test_a_wall_at_two_meters_is_in_voxel_map_and_projected_map(graph: Any) -> None:
     bench = Bench(graph, voxel_map_period=0.05, projection__low=0.5, projection__high=1.5)
     clouds = graph.collect(PointCloud2, "voxel_map", qos.latched())
     grids = graph.collect(OccupancyGrid, "projected_map", qos.latched())

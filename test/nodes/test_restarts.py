@@ -45,7 +45,7 @@ def records_of(run: LiveExploration, kind: str) -> list[dict[str, Any]]:
 
 
 def test_killed_nodes_lose_neither_map_nor_mission(tmp_path: Path) -> None:
-    with LiveExploration(tmp_path, PARAMETERS, localised=False) as run:
+    with LiveExploration(tmp_path, PARAMETERS, localized=False) as run:
 
         def views() -> int:
             return int(run.figures.get("views", "0"))

@@ -160,7 +160,7 @@ def test_raw_images_are_rectified_by_their_camera_infos(graph: Any) -> None:
     assert np.isfinite(cloud.points[..., 2]).mean() > 0.5
 
 
-def test_colours_of_any_encoding_become_rgb(graph: Any) -> None:
+def test_colors_of_any_encoding_become_rgb(graph: Any) -> None:
     bench = Bench(graph)
     bench.send_infos()
     red = np.zeros((HEIGHT, WIDTH, 3), np.uint8)

@@ -146,8 +146,8 @@ class Wall:
         low, high = np.array([1.9, -0.29, 0.71]), np.array([2.2, 0.29, 1.29])
         known = as_replica(self.bench.node._keeper._map)
         occupied = [index for index, (odds, _) in known.items() if odds > 0]
-        centres = (np.array(occupied).reshape(-1, 3) + 0.5) * 0.1
-        inside = ((centres > low) & (centres < high)).all(axis=1)
+        centers = (np.array(occupied).reshape(-1, 3) + 0.5) * 0.1
+        inside = ((centers > low) & (centers < high)).all(axis=1)
         return [int(inside.sum()), int((~inside).sum())]
 
 

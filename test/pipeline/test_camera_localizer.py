@@ -10,7 +10,7 @@ import pytest
 from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.localization import KinematicMotion, MotionPrior, RobotPosture
-from infomap_ros.localization.localisation import Localisation, State
+from infomap_ros.localization.localized_camera import LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.pipeline.camera_localizer import (
     TARGET_ORIGIN,
@@ -37,9 +37,9 @@ class ScriptedLocalizer:
     def __init__(self, states: list[State]) -> None:
         self.states, self.priors = states, list[MotionPrior | None]()
 
-    def locate(self, view: Any, prior: MotionPrior | None, *_: Any, **__: Any) -> Localisation:
+    def locate(self, view: Any, prior: MotionPrior | None, *_: Any, **__: Any) -> LocalizedCamera:
         self.priors.append(prior)
-        return Localisation(view.stamp, self.states[len(self.priors) - 1], None, None)
+        return LocalizedCamera(view.stamp, self.states[len(self.priors) - 1], None, None)
 
 
 def posture(x: float) -> RobotPosture:

@@ -16,14 +16,14 @@ CAMERA = PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.07, 0.38, 1.0])
-def test_it_lies_beside_the_colours(share: float) -> None:
+def test_it_lies_beside_the_colors(share: float) -> None:
     color = np.arange(24 * 32 * 3, dtype=np.uint32).astype(np.uint8).reshape(24, 32, 3)
     sensor = DepthCameraSensor(CAMERA, DepthCameraConfig(error_correlation=share))
     cloud = sensor.measure(np.full((24, 32), 1.0, np.float32), color)
     read = decode_point_cloud(encode_range_cloud(TYPES, 1, "camera", cloud.packed))
     assert read.error_correlation == share
     np.testing.assert_array_equal(read.colors, color)
-    np.testing.assert_array_equal(read.points, cloud.organised_points)
+    np.testing.assert_array_equal(read.points, cloud.organized_points)
 
 
 def test_other_clouds_have_a_column_or_nothing() -> None:

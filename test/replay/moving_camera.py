@@ -1,4 +1,4 @@
-"""A depth camera with a colour image that goes through a textured room, as a bag."""
+"""A depth camera with a color image that goes through a textured room, as a bag."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def robot(tmp_path_factory):
     return write(tmp_path_factory.mktemp("bags") / "robot", odometry=True)
 
 
-def localised(path, **options) -> LocalizeRun:
+def localized(path, **options) -> LocalizeRun:
     with BagReader(path) as bag:
         run = LocalizeRun(bag, LocalizeOptions(**options))
         run.run()
@@ -47,7 +47,7 @@ def check_path(transforms: np.ndarray, T_map_truth: np.ndarray) -> None:
 
 
 def test_images_alone_begin_a_level_map_at_the_camera(hand_held):
-    run = localised(hand_held)
+    run = localized(hand_held)
     begin = np.eye(4)
     begin[:3, 3] = -pose(0)[:3, 3]
     check_path(run.log.trajectory.transforms, begin)
@@ -74,11 +74,11 @@ def test_a_car_is_followed_from_the_first_pair_on(real_data):
 
 
 def test_odometry_gives_the_frame_of_the_map(robot):
-    run = localised(robot)
+    run = localized(robot)
     assert run.inputs.odometry_topic == "/odom"
     check_path(run.log.trajectory.transforms, np.eye(4))
     assert not run.without_motion
-    alone = localised(robot, input=LocalizeInputConfig(motion="none"))
+    alone = localized(robot, input=LocalizeInputConfig(motion="none"))
     assert alone.inputs.odometry_topic == ""
     assert abs(alone.log.trajectory.transforms[0][0, 3]) < 1e-9
 
@@ -92,8 +92,8 @@ def test_a_bag_without_poses_becomes_a_map(hand_held):
     assert len(far) > 50
     np.testing.assert_allclose(np.median(far[:, 0]), WALL - 0.1, atol=0.02)
     summary = run.summary()
-    assert summary["pose_topic"] == "(localisation)"
-    assert (summary["frames"], summary["localisation_tracking"]) == (10, 10)
+    assert summary["pose_topic"] == "(localization)"
+    assert (summary["frames"], summary["localization_tracking"]) == (10, 10)
 
 
 def test_the_bags_poses_can_be_insisted_on(hand_held):

@@ -88,7 +88,7 @@ def test_recording_that_was_killed_before_metadata(tmp_path):
 
 def test_foreign_metadata_does_not_lose_the_messages(tmp_path):
     path = written(tmp_path, "mcap")
-    (path.parent / "metadata.yaml").write_text("name: my favourite robot\n")
+    (path.parent / "metadata.yaml").write_text("name: my favorite robot\n")
     found, problems = read(path.parent)
     assert problems
     check_part(found, 1 + 3 * FRAMES, 1 + 3 * FRAMES)

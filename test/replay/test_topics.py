@@ -82,7 +82,7 @@ def test_image_without_camera_info_is_named():
         find_stereo_topics({"/left/image_raw": IMAGE, "/right/image_raw": IMAGE})
 
 
-def test_depth_camera_prefers_what_is_aligned_to_the_colours():
+def test_depth_camera_prefers_what_is_aligned_to_the_colors():
     topics = camera("/camera/depth", "image_rect_raw") | camera("/camera/color", "image_raw")
     topics |= camera("/camera/aligned_depth_to_color", "image_raw")
     found = find_depth_topics(topics)

@@ -75,7 +75,7 @@ def test_of_two_surfaces_the_nearer_one_is_seen():
     camera = PinholeCamera(40, 30, 40.0, 40.0, 20.0, 15.0)
     color = ColorCamera(camera, (-0.1, 0.0, 0.0))
     depth = np.full((30, 40), 2000, np.uint16)
-    depth[:, 20:] = 1000  # 4 px to the left in the colour image, the far one 2 px
+    depth[:, 20:] = 1000  # 4 px to the left in the color image, the far one 2 px
     seen = register_depth(depth, camera, color)
     assert (seen[:, 16:36] == 1000).all()
     assert (seen[:, :16] == 2000).all()

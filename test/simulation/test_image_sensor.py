@@ -12,10 +12,10 @@ def test_noise_is_shot_noise_plus_read_noise(rng: np.random.Generator) -> None:
     sensor = ImageSensor(config, rng)
     for light in (0.1, 0.4, 0.7):
         image = sensor.expose(np.full((200, 200), light)).astype(np.float64)
-        grey_per_electron = 255.0 / 5000.0
+        gray_per_electron = 255.0 / 5000.0
         shot, read = 5000.0 * light, 20.0**2
         rounding = 1.0 / 12.0
-        expected = (shot + read) * grey_per_electron**2 + rounding
+        expected = (shot + read) * gray_per_electron**2 + rounding
         assert image.mean() == pytest.approx(255.0 * light, abs=0.1)
         assert image.var() == pytest.approx(expected, rel=0.05)
 

@@ -51,14 +51,14 @@ def test_errors_are_those_of_the_pose_in_the_map() -> None:
     assert pose.pose.stamp == 7
 
 
-def test_normalised_error_counts_standard_deviations() -> None:
+def test_normalized_error_counts_standard_deviations() -> None:
     (pose,) = audited(np.diag((0.5 * ERROR) ** 2)).poses
     assert abs(pose.nees - 6 * 4.0) < 1e-9
     assert mean_nees([pose, pose]) == 4.0
     assert mean_nees([]) is None
 
 
-def test_figures_are_in_metres_and_radians() -> None:
+def test_figures_are_in_meters_and_radians() -> None:
     figures = audited(np.diag(ERROR**2)).figures()
     assert figures["pose_error_end"] == figures["pose_error_rms"] == 0.02291
     assert figures["pose_turn_rms"] == 0.01063

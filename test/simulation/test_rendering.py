@@ -11,7 +11,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
 from infomap_ros.simulation.cameras.rendering import Renderer
 from infomap_ros.simulation.worlds.builder import World
 
-# Neither square pixels nor a centred principal point, so that each of them matters.
+# Neither square pixels nor a centered principal point, so that each of them matters.
 CAMERA = PinholeCamera(160, 120, 110.0, 125.0, 70.3, 64.8)
 POSE = make_transform(
     np.column_stack(
@@ -38,7 +38,7 @@ def test_depth_lies_on_the_surface(world: World, renderer: Renderer) -> None:
     assert distance.max() < 1e-4
 
 
-def test_pixel_centres_are_where_the_camera_model_says(world: World, renderer: Renderer) -> None:
+def test_pixel_centers_are_where_the_camera_model_says(world: World, renderer: Renderer) -> None:
     data = world.new_data()
     depth = renderer.depth(data, POSE, CAMERA)
     geoms = renderer.geom_ids(data, POSE, CAMERA)

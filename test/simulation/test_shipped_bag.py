@@ -120,7 +120,7 @@ def test_odometry_drifts_within_its_covariance(records: dict[str, list[Record]])
 def test_stereo_is_dense_and_on_the_true_surface(shots: list[Shot], scene: World) -> None:
     for shot in shots:
         near = shot.cloud.range_image < 4.0
-        points = shot.cloud.organised_points[near]
+        points = shot.cloud.organized_points[near]
         robot = RobotModel.from_urdf(find_share("config/rover.urdf"))
         body = robot.solids_in("left_camera_optical_frame", shot.joints)
         points = points[~points_inside(points, body, 0.05)]
@@ -136,7 +136,7 @@ def test_the_robots_body_is_seen_where_the_description_puts_it(
     robot = RobotModel.from_urdf(find_share("config/rover.urdf"))
     counts = []
     for shot in shots:
-        points = shot.cloud.organised_points.reshape(-1, 3)
+        points = shot.cloud.organized_points.reshape(-1, 3)
         body = robot.solids_in("left_camera_optical_frame", shot.joints)
         inside = points[points_inside(points, body, 0.02)]
         counts.append(len(inside))

@@ -299,8 +299,8 @@ def test_depth_is_true_but_for_its_noise(description: str) -> None:
     assert near_axis.mean() == pytest.approx(truth, abs=0.004)
     sigma = 0.0012 + 0.0019 * (truth - 0.4) ** 2
     assert near_axis.std(axis=0).mean() == pytest.approx(sigma, rel=0.2)
-    neighbours = np.corrcoef(near_axis[:, 3, 3], near_axis[:, 3, 4])[0, 1]
-    assert neighbours > 0.0
+    neighbors = np.corrcoef(near_axis[:, 3, 3], near_axis[:, 3, 4])[0, 1]
+    assert neighbors > 0.0
 
 
 def test_depth_out_of_range_is_no_measurement(rover: Simulator) -> None:

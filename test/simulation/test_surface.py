@@ -34,8 +34,8 @@ def naive_distance(point: np.ndarray, triangle: np.ndarray) -> float:
 
 @pytest.mark.parametrize("cell", [0.05, 0.3, 5.0])
 def test_distance_equals_the_naive_one(cell: float, rng: np.random.Generator) -> None:
-    centres = rng.uniform(-1.0, 1.0, (40, 1, 3))
-    triangles = centres + rng.normal(0.0, 0.2, (40, 3, 3))
+    centers = rng.uniform(-1.0, 1.0, (40, 1, 3))
+    triangles = centers + rng.normal(0.0, 0.2, (40, 3, 3))
     part = SurfacePart("soup", triangles.reshape(-1, 3), np.arange(120).reshape(-1, 3))
     points = rng.uniform(-3.0, 3.0, (200, 3))
     expected = [min(naive_distance(p, t) for t in triangles) for p in points]

@@ -49,7 +49,7 @@ def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
 
         def scan_fused(self, scan: Scan[RangeMeasurement]) -> None:
             cloud = scan.cloud.cloud
-            points, covariances = cloud.organised_points, cloud.covariance_triangles
+            points, covariances = cloud.organized_points, cloud.covariance_triangles
             uncut.integrate(points, scan.pose.transform, covariances, camera=cloud.camera)
 
     bodies, ours, theirs = TeamBodies(), Teamwork(1, 1, 1), Teamwork(2, 2, 2)

@@ -160,9 +160,9 @@ def test_map_errors_are_in_sigmas(yard: World, rng: np.random.Generator) -> None
     voxel_map.integrate(noisy, above, spread, pose_covariance)
     errors = map_errors(voxel_map, yard)
     np.testing.assert_allclose(errors.distances, 0.02, atol=1e-3)
-    np.testing.assert_allclose(errors.normalised, errors.distances / errors.sigmas)
+    np.testing.assert_allclose(errors.normalized, errors.distances / errors.sigmas)
     assert errors.share_within(1.0) < errors.share_within(3.0) == 1.0
-    assert errors.root_mean_square == pytest.approx(np.median(errors.normalised), rel=0.1)
+    assert errors.root_mean_square == pytest.approx(np.median(errors.normalized), rel=0.1)
 
 
 def test_a_run_is_compared_in_the_frame_of_its_map(yard: World) -> None:

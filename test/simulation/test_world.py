@@ -66,16 +66,16 @@ def test_boulder_is_closed_and_outward(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("make", [textures.ground, textures.rock, textures.bricks, textures.crate])
 def test_textures_have_contrast_at_every_scale(make, rng: np.random.Generator) -> None:  # type: ignore[no-untyped-def]
-    grey = make(256, rng).mean(axis=2)
-    while len(grey) >= 16:
-        assert np.abs(np.diff(grey, axis=1)).mean() > 3.0
-        grey = 0.25 * (grey[::2, ::2] + grey[1::2, ::2] + grey[::2, 1::2] + grey[1::2, 1::2])
+    gray = make(256, rng).mean(axis=2)
+    while len(gray) >= 16:
+        assert np.abs(np.diff(gray, axis=1)).mean() > 3.0
+        gray = 0.25 * (gray[::2, ::2] + gray[1::2, ::2] + gray[::2, 1::2] + gray[1::2, 1::2])
 
 
 def test_ground_texture_tiles_without_a_seam(rng: np.random.Generator) -> None:
-    grey = textures.ground(256, rng).mean(axis=2)
-    inside = np.abs(np.diff(grey, axis=1)).mean()
-    assert np.abs(grey[:, 0] - grey[:, -1]).mean() < 1.5 * inside
+    gray = textures.ground(256, rng).mean(axis=2)
+    inside = np.abs(np.diff(gray, axis=1)).mean()
+    assert np.abs(gray[:, 0] - gray[:, -1]).mean() < 1.5 * inside
 
 
 def test_same_seed_same_world_other_seed_other_world(small_scene: SceneConfig) -> None:

@@ -39,7 +39,7 @@ def test_bad_pixels_are_at_most_half_of_the_plain_matchers(real_errors, index):
     assert errors.density > 0.65
 
 
-def test_errors_of_neighbours_are_correlated_as_the_default_says(real_errors):
+def test_errors_of_neighbors_are_correlated_as_the_default_says(real_errors):
     mean = np.mean([errors.error_correlation() for errors in real_errors])
     assert mean == pytest.approx(StereoConfig().error_correlation, abs=0.02)
 

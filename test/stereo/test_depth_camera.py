@@ -17,27 +17,27 @@ def plane(normal, distance):
     return (distance / (rays @ np.asarray(normal))).astype(np.float32)
 
 
-def test_millimetres_and_metres_give_the_same_points():
+def test_millimeters_and_meters_give_the_same_points():
     depth = plane((0.0, 0.0, 1.0), 2.0)
     sensor = DepthCameraSensor(CAMERA)
-    metres = sensor.measure(depth)
-    millimetres = sensor.measure(np.rint(depth * 1000.0).astype(np.uint16))
-    np.testing.assert_allclose(metres.points, millimetres.points, atol=1e-6)
-    assert metres.density > 0.85
+    meters = sensor.measure(depth)
+    millimeters = sensor.measure(np.rint(depth * 1000.0).astype(np.uint16))
+    np.testing.assert_allclose(meters.points, millimeters.points, atol=1e-6)
+    assert meters.density > 0.85
 
 
 @pytest.mark.parametrize("distance", [0.8, 2.0, 4.0])
 def test_noise_seen_head_on_is_the_published_polynomial(distance):
-    config = DepthCameraConfig(quantisation=0.0)
+    config = DepthCameraConfig(quantization=0.0)
     cloud = DepthCameraSensor(CAMERA, config).measure(plane((0.0, 0.0, 1.0), distance))
-    centre = np.sqrt(cloud.organised_covariances[24, 32, 2, 2])
-    assert centre == pytest.approx(0.0012 + 0.0019 * (distance - 0.4) ** 2, rel=1e-3)
-    lateral = np.sqrt(cloud.organised_covariances[24, 32, 0, 0])
+    center = np.sqrt(cloud.organized_covariances[24, 32, 2, 2])
+    assert center == pytest.approx(0.0012 + 0.0019 * (distance - 0.4) ** 2, rel=1e-3)
+    lateral = np.sqrt(cloud.organized_covariances[24, 32, 0, 0])
     assert lateral == pytest.approx(0.8 * distance / 60.0, rel=1e-2)
 
 
 def test_grazing_surfaces_are_noisier_and_then_dropped():
-    config = DepthCameraConfig(edge_threshold=1.0, max_grazing_angle=1.2, quantisation=0.0)
+    config = DepthCameraConfig(edge_threshold=1.0, max_grazing_angle=1.2, quantization=0.0)
     sensor = DepthCameraSensor(CAMERA, config)
     angle = 1.0
     tilted = sensor.measure(plane((np.sin(angle), 0.0, np.cos(angle)), 2.0 * np.cos(angle)))
@@ -46,7 +46,7 @@ def test_grazing_surfaces_are_noisier_and_then_dropped():
     z = tilted.range_image[24, 32]
     ratio = incidence / (np.pi / 2.0 - incidence)
     expected = 0.0012 + 0.0019 * (z - 0.4) ** 2 + 0.0001 / np.sqrt(z) * ratio**2
-    found = np.sqrt(tilted.organised_covariances[24, 32, 2, 2])
+    found = np.sqrt(tilted.organized_covariances[24, 32, 2, 2])
     assert found == pytest.approx(expected, rel=1e-2)
     angle = 1.35
     steep = sensor.measure(plane((np.sin(angle), 0.0, np.cos(angle)), 2.0 * np.cos(angle)))

@@ -54,8 +54,8 @@ def dots(pixels):
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
-def centre_near(image, pixel):
-    """Centre of mass of the dot around a pixel."""
+def center_near(image, pixel):
+    """Center of mass of the dot around a pixel."""
     x, y = np.rint(pixel).astype(int)
     patch = image[y - 7 : y + 8, x - 7 : x + 8].astype(float)
     v, u = np.mgrid[y - 7 : y + 8, x - 7 : x + 8]
@@ -75,23 +75,23 @@ def test_rectified_dots_lie_where_the_rig_projects_their_points(model):
     expected_left = rectifier.rig.left.project(turned)
     expected_right = rectifier.rig.right.project(turned - [rectifier.rig.baseline, 0.0, 0.0])
     for image, expected in zip(rectified, (expected_left, expected_right), strict=True):
-        found = np.array([centre_near(image, pixel) for pixel in expected])
+        found = np.array([center_near(image, pixel) for pixel in expected])
         np.testing.assert_allclose(found, expected, atol=0.15)
     np.testing.assert_allclose(expected_left[:, 1], expected_right[:, 1], atol=1e-9)
     disparity = expected_left[:, 0] - expected_right[:, 0]
     np.testing.assert_allclose(rectifier.rig.depth_from_disparity(disparity), turned[:, 2])
 
 
-def test_a_right_image_without_colours_is_that_of_the_coloured_one(rng):
+def test_a_right_image_without_colors_is_that_of_the_colored_one(rng):
     left, right = rectify_calibrations(*raw_pair("plumb_bob"), T_RIGHT_LEFT)
     shape = (left.height, left.width, 3)
     images = [rng.integers(0, 256, shape).astype(np.uint8) for _ in range(2)]
     rectifier = StereoRectifier(left, right)
-    coloured = rectifier.rectify(*images)
-    pair = rectifier.rectify(*images, grey_right=True)
-    np.testing.assert_array_equal(pair[0], coloured[0])
+    colored = rectifier.rectify(*images)
+    pair = rectifier.rectify(*images, gray_right=True)
+    np.testing.assert_array_equal(pair[0], colored[0])
     assert pair[1].shape == shape[:2]
-    difference = pair[1].astype(int) - cv2.cvtColor(coloured[1], cv2.COLOR_RGB2GRAY)
+    difference = pair[1].astype(int) - cv2.cvtColor(colored[1], cv2.COLOR_RGB2GRAY)
     assert np.abs(difference).max() <= 2  # what rounding in another order makes
 
 

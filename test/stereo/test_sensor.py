@@ -108,16 +108,16 @@ def test_unrelated_images_measure_next_to_nothing(render):
     assert cloud.density < 0.02
 
 
-def test_a_colour_pair_measures_as_its_grey_pair_and_keeps_its_colours(render):
+def test_a_color_pair_measures_as_its_gray_pair_and_keeps_its_colors(render):
     scene = render()
     sensor = StereoRangeSensor(scene.rig, NEAR)
-    grey = sensor.measure(scene.left, scene.right)
-    coloured = sensor.measure(
+    gray = sensor.measure(scene.left, scene.right)
+    colored = sensor.measure(
         *(np.repeat(i[..., None], 3, axis=2) for i in (scene.left, scene.right))
     )
-    np.testing.assert_array_equal(grey.range_image, coloured.range_image)
-    assert grey.colors is None
-    np.testing.assert_array_equal(coloured.point_colors[:, 0], scene.left[coloured.valid])
+    np.testing.assert_array_equal(gray.range_image, colored.range_image)
+    assert gray.colors is None
+    np.testing.assert_array_equal(colored.point_colors[:, 0], scene.left[colored.valid])
 
 
 def test_extended_search_measures_the_left_columns(render):

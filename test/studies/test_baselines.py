@@ -38,8 +38,8 @@ def seen() -> tuple[PlanarExplorer, Situation, Surroundings]:
 
 def states_by_cell(situation: Situation, side: int) -> np.ndarray:
     """0 unknown, 1 free, 2 occupied, by the map's own queries."""
-    centres = np.argwhere(np.ones((side, side), np.bool_)) + 0.5
-    places = np.column_stack([centres, np.full(len(centres), 0.5)]) * CELL
+    centers = np.argwhere(np.ones((side, side), np.bool_)) + 0.5
+    places = np.column_stack([centers, np.full(len(centers), 0.5)]) * CELL
     known, p = situation.voxel_map.is_known(places), situation.voxel_map.probability(places)
     return np.where(known, np.where(p < 0.5, 1, 2), 0).reshape(side, side)
 
@@ -73,7 +73,7 @@ def test_groups_hold_every_frontier_cell_once_and_are_small_enough(seen) -> None
     assert len(places) == cells == len(np.unique(places, axis=0))
     for group in groups:
         assert np.linalg.norm(group.places - group.middle, axis=1).max() <= 4.0
-        assert (group.places == group.centre).all(axis=1).any()
+        assert (group.places == group.center).all(axis=1).any()
 
 
 def test_trees_grow_through_free_space(seen, rng: np.random.Generator) -> None:
@@ -96,9 +96,9 @@ def test_nearest_frontier_goes_to_the_nearest(seen) -> None:
     other = PlanarExplorer(explorer.world, ExplorationConfig(), strategy)
     other.pose, other.past = situation.T_map_camera, list(explorer.past)
     other.move(situation)
-    centres = [group.centre for group in find_frontiers(situation, surroundings)]
-    ways = surroundings.path_lengths(np.array(centres))
-    gone = np.linalg.norm(np.array(centres) - other.pose[:3, 3], axis=1)
+    centers = [group.center for group in find_frontiers(situation, surroundings)]
+    ways = surroundings.path_lengths(np.array(centers))
+    gone = np.linalg.norm(np.array(centers) - other.pose[:3, 3], axis=1)
     assert gone.min() < 1e-6
     assert ways[gone.argmin()] <= np.sort(ways)[min(1, len(ways) - 1)]  # the nearest of use
 

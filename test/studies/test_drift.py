@@ -53,7 +53,7 @@ def test_measurements_err_as_much_as_they_say(rng: np.random.Generator) -> None:
     quiet = WalkConfig(steps=30, pixel_sigma=0.01, disparity_sigma=0.01)
     noisy = WalkConfig(steps=30)
     seed = int(rng.integers(1 << 30))
-    normalised = []
+    normalized = []
     for exact, measured in zip(
         walk(quiet, 16, 1.1, np.random.default_rng(seed)),
         walk(noisy, 16, 1.1, np.random.default_rng(seed)),
@@ -61,10 +61,10 @@ def test_measurements_err_as_much_as_they_say(rng: np.random.Generator) -> None:
     ):
         np.testing.assert_array_equal(exact.observations.ids, measured.observations.ids)
         off = measured.observations.pixels - exact.observations.pixels
-        normalised.append(off / 0.29)  # both have the same noise, scaled
+        normalized.append(off / 0.29)  # both have the same noise, scaled
         rho = measured.observations.inverse_depths - exact.observations.inverse_depths
-        normalised.append(rho[:, None] / (0.29 / (CAMERA.fx * 0.12)))
-    assert np.concatenate([part.ravel() for part in normalised]).std() == pytest.approx(
+        normalized.append(rho[:, None] / (0.29 / (CAMERA.fx * 0.12)))
+    assert np.concatenate([part.ravel() for part in normalized]).std() == pytest.approx(
         1.0, abs=0.05
     )
 

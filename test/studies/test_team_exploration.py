@@ -58,7 +58,7 @@ def test_two_rovers_with_losses_and_a_restart_end_with_one_map(tmp_path: Path) -
         assert declared == min(options.planner.start_clearance, start.clearance)
 
 
-def test_rovers_that_localise_themselves_share_the_frame_of_the_board(tmp_path: Path) -> None:
+def test_rovers_that_localize_themselves_share_the_frame_of_the_board(tmp_path: Path) -> None:
     alone = ("world.seed=2", "task.max_views=1", "team.coverage=0.9", "team.killed_at=0.0")
     images = ("simulator.camera.width=320", "simulator.camera.height=240")
     own_poses = ("robot.pose_source=localization", "sharing.recovery=0.0")

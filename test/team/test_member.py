@@ -14,7 +14,7 @@ CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=2000, silence=1.0, recovery=2.0)
 
 
-CENTRES = (np.indices((40, 40, 40)).reshape(3, -1).T - 19.5) * 0.1
+CENTERS = (np.indices((40, 40, 40)).reshape(3, -1).T - 19.5) * 0.1
 
 
 def make_map(*seeds: int) -> VoxelMap:
@@ -105,14 +105,14 @@ def test_a_robot_that_lost_its_map_gets_it_back_and_counts_once(clock: int) -> N
     first = member(0), make_map(1, 2, 3)
     mate = member(1), make_map(4)
     now = talk([first, mate], 0.0, 4.0)
-    told = mate[0].replica.voxel_map.log_odds(CENTRES)
+    told = mate[0].replica.voxel_map.log_odds(CENTERS)
     again = TeamMember(0, 2, clock, CONFIG, TEAM), make_map()
 
     talk([again, mate], now, 6.0)
 
     assert again[1].known_voxels == first[1].known_voxels
     assert len(hashes([again, mate])) == 1
-    np.testing.assert_array_equal(mate[0].replica.voxel_map.log_odds(CENTRES), told)
+    np.testing.assert_array_equal(mate[0].replica.voxel_map.log_odds(CENTERS), told)
 
 
 def test_a_map_that_is_reset_is_taken_back_everywhere() -> None:
@@ -205,7 +205,7 @@ def test_a_digest_with_a_repeated_block_is_refused(corners: list[list[int]]) -> 
 
 
 def test_each_row_of_a_digest_has_its_own_answer() -> None:
-    """A block that another robot held like that before is asked for, its neighbours are not."""
+    """A block that another robot held like that before is asked for, its neighbors are not."""
     robot = member(0)
     robot.digests(0.0)  # starts
     now = 10.0  # nothing is recovered any more

@@ -87,9 +87,9 @@ def naive_content(updates: Sequence[MapUpdate]) -> dict[Voxel, tuple[float, np.n
             information = np.zeros(9)
             if update.has_gaussian[row]:
                 matrix = np.linalg.inv(update.covariances[row])
-                centre = (np.array(index) + 0.5) * SIZE
+                center = (np.array(index) + 0.5) * SIZE
                 information[:6] = matrix[np.triu_indices(3)]
-                information[6:] = matrix @ (update.means[row] - centre)
+                information[6:] = matrix @ (update.means[row] - center)
             newest[key] = (update.version, int(update.log_odds[row]), information)
     sums: dict[Voxel, tuple[float, np.ndarray]] = {}
     for (_, voxel), (_, log_odds, information) in newest.items():

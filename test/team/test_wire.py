@@ -1,4 +1,4 @@
-"""Map updates survive the wire within their quantisation, in few bytes."""
+"""Map updates survive the wire within their quantization, in few bytes."""
 
 from __future__ import annotations
 

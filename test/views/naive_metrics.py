@@ -36,8 +36,8 @@ def rays_of(
     rays, size = [], m.config.voxel_size
     for direction, angle in image_cells(camera, spacing):
         cells = crossed(pose[:3, 3], pose[:3, :3] @ direction, max_range, size)
-        centres = (np.array(cells) + 0.5) * size
-        known, p = m.is_known(centres), m.probability(centres)
+        centers = (np.array(cells) + 0.5) * size
+        known, p = m.is_known(centers), m.probability(centers)
         voxels = list(zip(cells, known.tolist(), p.tolist(), strict=True))
         hits = np.flatnonzero(known & (p > 0.5))
         rays.append((angle, voxels[: hits[0] + 1] if len(hits) else voxels))
@@ -111,7 +111,7 @@ def printed(
     config: InformationConfig,
 ) -> dict[str, float]:
     """Eqs. (7), (8) and (9), counting volume step by step along rays."""
-    size, levels = m.config.voxel_size, config.grey_levels
+    size, levels = m.config.voxel_size, config.gray_levels
     steps = max(math.ceil(max_range / size), 64)
     length = max_range / steps
     window = m.window(
@@ -136,9 +136,9 @@ def printed(
                 p = 1.0 / (1.0 + math.exp(-0.25 * round(math.log(p / (1.0 - p)) / 0.25)))
             shares[7, known][min(int(p * levels), levels - 1)] += volume
             stretch = 1.0 / (max(p, 1.0 - p) * r / max_range)
-            grey = min((stretch - 1.0) / 2.0, 0.5)
-            grey = grey if p < 0.5 else 1.0 - grey
-            shares[8, known][min(int(grey * levels), levels - 1)] += volume
+            gray = min((stretch - 1.0) / 2.0, 0.5)
+            gray = gray if p < 0.5 else 1.0 - gray
+            shares[8, known][min(int(gray * levels), levels - 1)] += volume
             visible = not (known and p > 0.5)
     weights = np.array([entropy((n + 0.5) / levels) for n in range(levels)])
     return {

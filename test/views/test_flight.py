@@ -30,12 +30,12 @@ def map_of(free: np.ndarray, occupied: np.ndarray) -> VoxelMap:
     return voxel_map
 
 
-def centre(i: int, j: int) -> tuple[float, float, float]:
+def center(i: int, j: int) -> tuple[float, float, float]:
     return ((i + 0.5) * SIZE, (j + 0.5) * SIZE, 0.5 * SIZE)
 
 
 def shortest(free: np.ndarray, start: tuple[int, int]) -> np.ndarray:
-    """Lengths over the 8 neighbours, [m]."""
+    """Lengths over the 8 neighbors, [m]."""
     lengths = np.full(free.shape, np.inf)
     lengths[start] = 0.0
     queue = [(0.0, start)]
@@ -54,26 +54,26 @@ def test_way_round_a_wall_is_pulled_straight() -> None:
     free = np.ones((21, 21), np.bool_)
     wall = np.zeros_like(free)
     wall[10, :16] = True
-    flight = FreeFlight(map_of(free & ~wall, wall), facing(0.0, centre(5, 5)), (0.1, 0.4), STRICT)
-    found = flight.reach(facing(0.0, centre(15, 5)))
+    flight = FreeFlight(map_of(free & ~wall, wall), facing(0.0, center(5, 5)), (0.1, 0.4), STRICT)
+    found = flight.reach(facing(0.0, center(15, 5)))
     corners = found.route
     assert isinstance(corners, np.ndarray)
-    np.testing.assert_allclose(corners[[0, -1]], [centre(5, 5), centre(15, 5)])
+    np.testing.assert_allclose(corners[[0, -1]], [center(5, 5), center(15, 5)])
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     assert found.travel == pytest.approx(steps.sum())
     above = [np.hypot(5.5, 10.5) * SIZE] * 2  # round the end of the wall, at its nearest
     assert sum(above) - SIZE < found.travel < sum(above) + 2 * SIZE
 
 
-def test_ways_lie_in_free_space_and_are_no_longer_than_over_neighbours(rng) -> None:
+def test_ways_lie_in_free_space_and_are_no_longer_than_over_neighbors(rng) -> None:
     occupied = rng.random((30, 30)) < 0.2
     occupied[3, 4] = False
     free = ~occupied
-    flight = FreeFlight(map_of(free, occupied), facing(0.0, centre(3, 4)), (0.1, 0.4), STRICT)
+    flight = FreeFlight(map_of(free, occupied), facing(0.0, center(3, 4)), (0.1, 0.4), STRICT)
     lengths = shortest(free, (3, 4))
     reached = 0
     for i, j in rng.integers(0, 30, (60, 2)):
-        found = flight.reach(facing(0.0, centre(int(i), int(j))))
+        found = flight.reach(facing(0.0, center(int(i), int(j))))
         if not np.isfinite(lengths[i, j]) or not free[i, j]:
             assert found.reason == NO_WAY
             continue
@@ -91,8 +91,8 @@ def test_ways_lie_in_free_space_and_are_no_longer_than_over_neighbours(rng) -> N
 def test_unknown_and_uncertain_space_is_not_flown_through() -> None:
     free = np.ones((15, 5), np.bool_)
     free[7] = False  # unknown
-    flight = FreeFlight(map_of(free, ~np.ones_like(free)), facing(0.0, centre(2, 2)), (0.1, 0.4))
-    assert flight.reach(facing(0.0, centre(12, 2))).reason == NO_WAY
-    assert flight.reach(facing(0.0, centre(7, 2))).reason == NO_WAY
-    assert flight.reach(facing(1.0, centre(2, 2))).travel == 0.0
+    flight = FreeFlight(map_of(free, ~np.ones_like(free)), facing(0.0, center(2, 2)), (0.1, 0.4))
+    assert flight.reach(facing(0.0, center(12, 2))).reason == NO_WAY
+    assert flight.reach(facing(0.0, center(7, 2))).reason == NO_WAY
+    assert flight.reach(facing(1.0, center(2, 2))).travel == 0.0
     assert flight.may_reach(np.eye(4)[None]) == [""]

@@ -17,7 +17,7 @@ from . import naive, naive_metrics
 from .voxels import map_of
 
 CAMERA = PinholeCamera(64, 48, 50.0, 45.0, 30.0, 25.0)
-CONFIG = InformationConfig(ray_spacing=0.15, min_range=0.4, grey_levels=9, proximity=6)
+CONFIG = InformationConfig(ray_spacing=0.15, min_range=0.4, gray_levels=9, proximity=6)
 RANGE = 2.3
 OTHERS = (
     "occlusion_aware",
@@ -84,7 +84,7 @@ def test_printed_entropy_of_a_wholly_unknown_view_is_zero() -> None:
     assert expected_information(m, np.eye(4), CAMERA, RANGE)[0] > 100.0
 
 
-def test_stretched_grey_levels_stay_in_their_half() -> None:
+def test_stretched_gray_levels_stay_in_their_half() -> None:
     p, d = np.linspace(0.0, 1.0, 101), np.linspace(0.01, 1.0, 50)[:, None]
     levels = stretched(p, d)
     assert ((levels >= 0.0) & (levels <= 1.0)).all()

@@ -160,15 +160,15 @@ def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:
         def __call__(self, options: Options) -> np.ndarray:
             return np.arange(len(options), dtype=float)
 
-    class Colour:
-        name, unit = "colour", "bits"
+    class Color:
+        name, unit = "color", "bits"
 
         def __call__(self, options: Options) -> np.ndarray:
             return np.full(len(options), 30.0)
 
     poses = [facing(0.0, START)] * 3
     plain = Rating().rate(options_of(situation, poses, [50.0] * 3, full=200.0))
-    more = Rating(more_terms=[(Sun(), 0.2), (Colour(), 2.0)])
+    more = Rating(more_terms=[(Sun(), 0.2), (Color(), 2.0)])
     rated = more.rate(options_of(situation, poses, [50.0] * 3, full=200.0))
     np.testing.assert_allclose(
         rated.ratings - plain.ratings, 0.2 * np.arange(3) + 2.0 * 30.0 / 200.0

@@ -22,7 +22,7 @@ START = (1.5, 2.0, 1.2)
 
 
 def ball_is_free(free: np.ndarray, middle: tuple[int, ...], square: float) -> bool:
-    """Every voxel centre within the ball is free; beyond the array nothing is."""
+    """Every voxel center within the ball is free; beyond the array nothing is."""
     reach = int(np.sqrt(square)) + 1
     for offset in np.ndindex(*[2 * reach + 1] * 3):
         step = np.array(offset) - reach
@@ -163,7 +163,7 @@ def test_camera_in_unknown_space_gets_out_through_the_view_that_it_has() -> None
 def test_empty_map_has_no_room_but_where_the_camera_is() -> None:
     pose = facing(0.0, START)
     around = survey(Situation(seen_room([], ROOM), CAMERA, 4.0, pose))
-    places = around.centres(np.flatnonzero(around.reached))
+    places = around.centers(np.flatnonzero(around.reached))
     assert 1 <= len(places) <= 33
     assert np.linalg.norm(places - START, axis=1).max() < 0.3
 

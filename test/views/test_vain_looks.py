@@ -27,7 +27,7 @@ def keys_of(*indices: tuple[int, int, int]) -> np.ndarray:
     return np.array([pack(*index) for index in indices], np.int64)
 
 
-def centre(index: tuple[int, int, int]) -> np.ndarray:
+def center(index: tuple[int, int, int]) -> np.ndarray:
     return (np.array([index]) + 0.5) * SIZE
 
 
@@ -40,8 +40,8 @@ def test_near_voxel_is_given_up_before_a_far_one() -> None:
     for _ in range(8):
         looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
         copy = looks.without_them(voxel_map)
-        given_up.append([bool(copy.is_known(centre(index))[0]) for index in (NEAR, FAR)])
-    weights = [1.0 - (np.linalg.norm(centre(index)) / 4.0) ** 2 for index in (NEAR, FAR)]
+        given_up.append([bool(copy.is_known(center(index))[0]) for index in (NEAR, FAR)])
+    weights = [1.0 - (np.linalg.norm(center(index)) / 4.0) ** 2 for index in (NEAR, FAR)]
     first = [next(i for i, row in enumerate(given_up, 1) if row[k]) for k in (0, 1)]
     assert first == [int(np.ceil(1.5 / weight)) for weight in weights]
 
@@ -54,7 +54,7 @@ def test_map_itself_stays_as_it_was_and_the_copy_differs_nowhere_else() -> None:
     for mine, theirs in zip(before, voxel_map.voxels(), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert copy.known_voxels == voxel_map.known_voxels + 1
-    assert copy.probability(centre(NEAR))[0] < 1e-6
+    assert copy.probability(center(NEAR))[0] < 1e-6
     np.testing.assert_array_equal(copy.log_odds((before[0] + 0.5) * SIZE), before[1])
     assert copy.surface_voxels == voxel_map.surface_voxels
 
@@ -62,11 +62,11 @@ def test_map_itself_stays_as_it_was_and_the_copy_differs_nowhere_else() -> None:
 def test_voxel_that_becomes_known_is_forgotten() -> None:
     looks, voxel_map = VainLooks(VainLooksConfig(patience=0.5)), seen()
     looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
-    aside = make_transform(np.eye(3), centre(NEAR)[0] - (0.5, 0.0, 0.0))
+    aside = make_transform(np.eye(3), center(NEAR)[0] - (0.5, 0.0, 0.0))
     voxel_map.integrate([(1.0, 0.0, 0.0)], aside)  # a ray through it
-    assert voxel_map.is_known(centre(NEAR))[0]
-    evidence = voxel_map.log_odds(centre(NEAR))
-    np.testing.assert_array_equal(looks.without_them(voxel_map).log_odds(centre(NEAR)), evidence)
+    assert voxel_map.is_known(center(NEAR))[0]
+    evidence = voxel_map.log_odds(center(NEAR))
+    np.testing.assert_array_equal(looks.without_them(voxel_map).log_odds(center(NEAR)), evidence)
     looks.note(keys_of(), voxel_map, np.zeros(3), 4.0)
     assert len(looks) == 1
 

@@ -1,7 +1,7 @@
 """The lines of a run log as records.
 
 A run log is a text file of JSON lines. Each has ``t``, the time since the start [s], and ``kind``;
-what else belongs to a kind is what the records below hold. Lengths are in metres, points in the map
+what else belongs to a kind is what the records below hold. Lengths are in meters, points in the map
 frame.
 """
 

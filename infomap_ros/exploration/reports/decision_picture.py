@@ -14,7 +14,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.records.log_records import Decision
 from infomap_ros.exploration.records.recorded_run import RecordedRun
 from infomap_ros.exploration.reports.report_page.axes import number
-from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLOUR_MAPS, unit_of
+from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLOR_MAPS, unit_of
 from infomap_ros.exploration.reports.report_page.tables import kinds_of_rejections, words
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import map_from_above
@@ -66,8 +66,8 @@ def _draw_paths(axes: Axes, run: RecordedRun, step: int) -> None:
     """Paths until the decision."""
     for before in run.steps[:step]:
         for motion in before.motions:
-            colour = _BASE if motion.action in BASE_ACTIONS else _CAMERA
-            axes.plot(*motion.path[:, :2].T, color=colour, linewidth=1.5)
+            color = _BASE if motion.action in BASE_ACTIONS else _CAMERA
+            axes.plot(*motion.path[:, :2].T, color=color, linewidth=1.5)
     axes.plot([], [], color=_BASE, label="path of the base")
     axes.plot([], [], color=_CAMERA, label="path of the camera")
 
@@ -81,10 +81,10 @@ def _draw_candidates(axes: Axes, decision: Decision) -> None:
     if possible:
         x, y = np.array([c.position[:2] for c in possible]).T
         u, v = np.array([c.direction[:2] for c in possible]).T * _ARROW
-        ratings, colours = np.array([c.rating for c in possible]), COLOUR_MAPS["rating"]
+        ratings, colors = np.array([c.rating for c in possible]), COLOR_MAPS["rating"]
         lengths = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.003}
-        axes.quiver(x, y, u, v, ratings, cmap=colours, zorder=3, **lengths)
-        marks = axes.scatter(x, y, s=28, c=ratings, cmap=colours, edgecolor="black", zorder=3)
+        axes.quiver(x, y, u, v, ratings, cmap=colors, zorder=3, **lengths)
+        marks = axes.scatter(x, y, s=28, c=ratings, cmap=colors, edgecolor="black", zorder=3)
         axes.figure.colorbar(marks, ax=axes, label="rating", shrink=0.7)
 
 

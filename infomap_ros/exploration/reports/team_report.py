@@ -61,7 +61,7 @@ def write_team_report(
     ]
     keys = _KEYS.format(names=", ".join(styles))
     parts = [
-        Section("progress", "Coverage over views, metres and time", _curves(runs)),
+        Section("progress", "Coverage over views, meters and time", _curves(runs)),
         Section("plan", "The ways of all robots", f'<div class="above">{ways}{keys}</div>'),
         Section("task", "Task", tables.parameters_table(everything.start.task, TaskConfig)),
         Section("figures", "Figures", tables.parameters_table(figures or {})),
@@ -95,7 +95,7 @@ def _robot(name: str, run: RecordedRun) -> str:
 
 
 def _curves(runs: Mapping[str, RecordedRun]) -> str:
-    """What each robot knew of the map of all, over its own views and metres, and over time."""
+    """What each robot knew of the map of all, over its own views and meters, and over time."""
     charts = []
     for name, run in runs.items():
         progress = run.of(Progress)

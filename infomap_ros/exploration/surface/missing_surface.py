@@ -3,7 +3,7 @@
 A surface voxel says where its surface lies and how it is turned. Continued in its tangent plane by
 a voxel or two, the surface is expected there too, unless free space was seen in its place. A hole
 that a far glance left in the floor behind a table has few unknown voxels, or none, as its voxels
-may be occupied by what the noise of neighbouring points put there: its volume calls for no view,
+may be occupied by what the noise of neighboring points put there: its volume calls for no view,
 its surface does.
 """
 

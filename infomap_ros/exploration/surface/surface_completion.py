@@ -2,7 +2,7 @@
 
 The information of eq. (11) counts what views tell about volume. A strip of floor behind a table, or
 the underside of its top, is a sheet one voxel thick: a hundredth of what a view into open unknown
-space tells, and not worth a metre of way by that measure, while the task asks for surface. Here a
+space tells, and not worth a meter of way by that measure, while the task asks for surface. Here a
 view counts the voxels of missing surface that it is expected to show, and a full view is one that
 shows nothing but missing surface from half the camera's range.
 """

@@ -14,7 +14,7 @@ class SearchSight(Protocol):
     """What says whether the target has come into sight. Every call is bounded in time."""
 
     def look(self, interrupted: Interrupted) -> str:
-        """Wait until localisation has looked at images from here; empty, or why it has not."""
+        """Wait until localization has looked at images from here; empty, or why it has not."""
 
     @property
     def found(self) -> bool:
@@ -31,7 +31,7 @@ class SearchPlanner(Protocol):
 def find_target(
     exploration: Exploration, sight: SearchSight, planner: SearchPlanner
 ) -> Ending | None:
-    """Turn the camera until localisation has found the target.
+    """Turn the camera until localization has found the target.
 
     Args:
         exploration: that cannot begin without; its robot moves, its log and state tell of it.

@@ -81,7 +81,7 @@ def describe(
     """Describe the surroundings of pixels at all `SCALES`.
 
     Args:
-        image: grey, shape (H, W).
+        image: gray, shape (H, W).
         pixels: shape (N, 2) [px].
         config: defaults where None.
 

@@ -10,25 +10,25 @@ from infomap_ros.stereo import RangeCloud
 
 _REACH = 2  # pixels about the nearest one that take part
 _LEAST_SAMPLES = 12
-# Neighbours whose inverse depth differs by a larger share belong to another surface.
+# Neighbors whose inverse depth differs by a larger share belong to another surface.
 _SAME_SURFACE = 0.05
 _DEPTH_VARIANCE = 5  # channel (zz) of the covariance triangle
 
 
 def sample_inverse_depths(cloud: RangeCloud, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Measure 1/z between pixels by a plane through the neighbours.
+    """Measure 1/z between pixels by a plane through the neighbors.
 
     The inverse depth of a plane is linear in the pixel, so the fit is exact on planes. Averaging n
-    neighbours leaves ``rho + (1 - rho) / n`` of the variance, with the cloud's error correlation
+    neighbors leaves ``rho + (1 - rho) / n`` of the variance, with the cloud's error correlation
     rho; what neither the plane nor the noise explains is added.
 
     Args:
-        cloud: organised.
+        cloud: organized.
         pixels: (u, v), shape (N, 2) [px].
 
     Returns:
         Inverse depths and standard deviations, shape (N,) each [1/m]; NaN where fewer than 12 of
-        the 25 neighbours, or neighbours to one side only, were measured.
+        the 25 neighbors, or neighbors to one side only, were measured.
     """
     height, width = cloud.range_image.shape
     inside = np.asarray(np.isfinite(pixels).all(axis=1))

@@ -16,7 +16,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 
 _LEAST_FALL = 0.01  # of the certainty from shell to shell
-_LEAST_GREY = 1.0  # keeps the contrast of black windows finite [grey levels]
+_LEAST_GRAY = 1.0  # keeps the contrast of black windows finite [gray levels]
 
 
 def certainty(voxel_map: VoxelMap, points: FloatArray, largest_radius: int) -> FloatArray:
@@ -75,7 +75,7 @@ def visual_contrast(image: NDArray[np.uint8], pixels: ArrayLike, largest_window:
     points are as good as bright ones, so the magnitude is meant.
 
     Args:
-        image: grey, shape (H, W).
+        image: gray, shape (H, W).
         pixels: shape (N, 2) [px].
         largest_window: windows of 5, 7, ... up to this side are tried [px].
 
@@ -87,7 +87,7 @@ def visual_contrast(image: NDArray[np.uint8], pixels: ArrayLike, largest_window:
     middle = _window_mean(sums, corners, 1)
     windows = np.arange(5, largest_window + 1, 2)
     around = np.stack([_window_mean(sums, corners, int(side) // 2) for side in windows])
-    contrasts = np.abs(middle - around) / np.maximum(around, _LEAST_GREY)
+    contrasts = np.abs(middle - around) / np.maximum(around, _LEAST_GRAY)
     best = np.cumprod(np.diff(contrasts, axis=0) >= 0.0, axis=0).sum(axis=0)
     rows = np.arange(len(corners))
     return np.asarray(contrasts[best, rows] * windows[best])

@@ -1,7 +1,7 @@
 """Descriptors of image patches: histograms of gradients, at a spacing and turn that are asked for.
 
 The layout is that of SIFT (D. G. Lowe 2004, DOI 10.1023/B:VISI.0000029664.99615.94): 16 x 16
-gradients in 4 x 4 cells of 8 directions, weighted by a Gaussian and shared between neighbouring
+gradients in 4 x 4 cells of 8 directions, weighted by a Gaussian and shared between neighboring
 bins. Square roots of the shares compare better than the shares themselves (R. Arandjelovic and A.
 Zisserman 2012, DOI 10.1109/CVPR.2012.6248018). There is no search for a scale or a direction: the
 scale follows from the range, the direction from the pose that is expected.
@@ -35,9 +35,9 @@ def gradient_histograms(
     """Describe patches at several scales.
 
     Args:
-        image: grey, shape (H, W); goes on beyond its border as its outermost pixels do.
-        pixels: centres, shape (N, 2) [px].
-        spacings: distances of neighbouring gradients [px], S of them.
+        image: gray, shape (H, W); goes on beyond its border as its outermost pixels do.
+        pixels: centers, shape (N, 2) [px].
+        spacings: distances of neighboring gradients [px], S of them.
         turn: of the patches, from u towards v [rad].
 
     Returns:

@@ -14,9 +14,9 @@ from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 # Brightness is made equal where mean or contrast of the images differ by more than this.
-_SAME_MEAN = 3.0  # [grey levels]
+_SAME_MEAN = 3.0  # [gray levels]
 _SAME_CONTRAST = 0.03
-_LEAST_CONTRAST = 1.0  # [grey levels]
+_LEAST_CONTRAST = 1.0  # [gray levels]
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ _CONVERGED = 0.01  # [px]
 _LARGEST_STEP = 2.0  # [px]
 # How much the warp may change from one image to the next, as prior knowledge (sigma).
 _WARP_SIGMA = 0.1
-# Variance of the photometric noise that the prior is weighed against [grey levels^2].
+# Variance of the photometric noise that the prior is weighed against [gray levels^2].
 _PHOTOMETRIC_VARIANCE = 9.0
-# Added to the residual: quantisation and read noise of two 8-bit images [grey levels^2].
+# Added to the residual: quantization and read noise of two 8-bit images [gray levels^2].
 _RESIDUAL_NOISE = 0.2
 
 MARGIN = 6
@@ -35,11 +35,11 @@ class Alignment(NamedTuple):
     """Where templates are in an image.
 
     Attributes:
-        pixels: of the templates' centres, shape (N, 2) [px]; NaN where the alignment failed.
+        pixels: of the templates' centers, shape (N, 2) [px]; NaN where the alignment failed.
         warps: offsets in the image from offsets in the template, shape (N, 2, 2).
         sigmas: standard deviation per axis that the photometric residual leaves (Cramer-Rao),
             shape (N,) [px].
-        correlations: normalised cross-correlation with the template, shape (N,).
+        correlations: normalized cross-correlation with the template, shape (N,).
     """
 
     pixels: FloatArray
@@ -55,7 +55,7 @@ def cut_templates(
 
     Args:
         image: shape (H, W).
-        pixels: centres, shape (N, 2) [px].
+        pixels: centers, shape (N, 2) [px].
         warps: shape (N, 2, 2).
         size: side of a template without its margin, odd [px].
 
@@ -83,7 +83,7 @@ def align_templates(
     Args:
         image: shape (H, W).
         templates: with their margin, shape (N, P + 2 MARGIN, P + 2 MARGIN).
-        pixels: where their centres are expected, shape (N, 2) [px].
+        pixels: where their centers are expected, shape (N, 2) [px].
         warps: how they are expected to be warped, shape (N, 2, 2).
         search: whole pixels about `pixels` that are searched first, shape (N,); 0 for none.
         blur: by how much more the image is blurred than the templates (sigma) [px].
@@ -180,7 +180,7 @@ def _search(image, template, pixel, warp, reach, patch):  # type: ignore[no-unty
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _correlation(template, patch):  # type: ignore[no-untyped-def]
-    """Normalised cross-correlation with a template of zero mean."""
+    """Normalized cross-correlation with a template of zero mean."""
     total, square, cross, energy = 0.0, 0.0, 0.0, 0.0
     for j in range(template.shape[0]):
         for i in range(template.shape[1]):

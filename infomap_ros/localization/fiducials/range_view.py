@@ -14,16 +14,16 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.depth_sampling import sample_inverse_depths
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig, match_pixels
 from infomap_ros.stereo import RangeCloud, StereoRangeSensor
-from infomap_ros.stereo.images import check_image, grey
+from infomap_ros.stereo.images import check_image, gray
 
 
 class RangeView(Protocol):
-    """What localisation sees of one moment.
+    """What localization sees of one moment.
 
     Attributes:
         stamp: of the image [ns].
         camera: of the rectified left image; points are in its optical frame.
-        image: rectified left image, grey, shape (H, W), uint8.
+        image: rectified left image, gray, shape (H, W), uint8.
         has_cloud: whether `cloud` is at hand without further work.
     """
 
@@ -47,7 +47,7 @@ class RangeView(Protocol):
         """Measure 1/z at pixels.
 
         Args:
-            pixels: (u, v), anywhere between pixel centres, shape (N, 2) [px].
+            pixels: (u, v), anywhere between pixel centers, shape (N, 2) [px].
 
         Returns:
             Inverse depths and their standard deviations, shape (N,) each [1/m]; NaN where there
@@ -87,8 +87,8 @@ class StereoView:
         self.stamp = stamp
         self._left = check_image(left, sensor.rig.left, "left image")
         self._right = check_image(right, sensor.rig.right, "right image")
-        self.image = grey(self._left)
-        self._right_grey = grey(self._right)
+        self.image = gray(self._left)
+        self._right_gray = gray(self._right)
         self._sensor = sensor
         self._sparse = sparse or SparseStereoConfig()
         self._cloud: RangeCloud | None = None
@@ -109,7 +109,7 @@ class StereoView:
         search = (math.floor(-rig.principal_offset) - 2, self._sensor.search.maximum)
         disparities, sigmas = match_pixels(
             self.image,
-            self._right_grey,
+            self._right_gray,
             check_pixels(pixels),
             search,
             self._sparse,
@@ -130,7 +130,7 @@ class DepthView:
     Args:
         stamp: of the image [ns].
         image: registered to the cloud, shape (H, W) or (H, W, 3) RGB, uint8.
-        cloud: organised by the same camera.
+        cloud: organized by the same camera.
 
     Raises:
         InvalidInputError: the image has the wrong type or number of channels.
@@ -139,7 +139,7 @@ class DepthView:
 
     def __init__(self, stamp: int, image: ArrayLike, cloud: RangeCloud) -> None:
         self.stamp = stamp
-        self.image = grey(check_image(image, cloud.camera, "image"))
+        self.image = gray(check_image(image, cloud.camera, "image"))
         self._cloud = cloud
 
     @property
@@ -153,7 +153,7 @@ class DepthView:
         return True
 
     def inverse_depths(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """See `RangeView.inverse_depths`; a plane through the neighbours."""
+        """See `RangeView.inverse_depths`; a plane through the neighbors."""
         return sample_inverse_depths(self._cloud, check_pixels(pixels))
 
     def cloud(self) -> RangeCloud:

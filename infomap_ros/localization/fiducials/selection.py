@@ -25,7 +25,7 @@ from infomap_ros.mapping import VoxelMap
 
 # Of the mean gradient product, where OpenCV has the sum over 49 pixels of Sobel gradients (8 times
 # the derivative), divided by 4 * 7 * 255.
-_GREY_LEVELS = np.float32((4.0 * 7.0 * 255.0 / 8.0) ** 2 / 49.0)
+_GRAY_LEVELS = np.float32((4.0 * 7.0 * 255.0 / 8.0) ** 2 / 49.0)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FiducialSelectionConfig:
         4.0,
         "Least corner strength: square root of the smaller eigenvalue of the mean gradient "
         "product in a 7 x 7 window (Shi and Tomasi 1994).",
-        unit="grey levels/px",
+        unit="gray levels/px",
         low=0.0,
         high=100.0,
     )
@@ -187,7 +187,7 @@ def corner_candidates(
         Pixels, shape (N, 2) [px].
     """
     height, width = image.shape
-    response = cv2.cornerMinEigenVal(image, 7) * _GREY_LEVELS
+    response = cv2.cornerMinEigenVal(image, 7) * _GRAY_LEVELS
     peaks = response >= cv2.dilate(response, np.ones((5, 5), np.uint8))
     free = np.zeros(image.shape, np.uint8)
     free[config.border : height - config.border, config.border : width - config.border] = 1

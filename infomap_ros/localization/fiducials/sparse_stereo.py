@@ -1,6 +1,6 @@
 """Disparities of a few pixels of a rectified pair, without matching the whole image.
 
-Each pixel is searched for along its row by zero-mean normalised cross-correlation, found again from
+Each pixel is searched for along its row by zero-mean normalized cross-correlation, found again from
 the right image (left-right check), and refined to a fraction of a pixel: Gauss-Newton on the
 photometric error of the window over the disparity and its slope across the window (Lucas and
 Kanade 1981; a slanted surface has another disparity at each pixel of the window), with the mean and
@@ -34,11 +34,11 @@ _ITERATIONS = 8
 _CONVERGED = 0.01  # [px]
 # Standard deviation of the disparity slope of a surface, as prior knowledge.
 _SLOPE_SIGMA = 0.3
-# Variance of the photometric noise that the prior is weighed against [grey levels^2].
+# Variance of the photometric noise that the prior is weighed against [gray levels^2].
 _PHOTOMETRIC_VARIANCE = 9.0
 # The best match must lead by this much correlation, however good it is.
 _LEAST_LEAD = 0.02
-# Quantisation of 8-bit images [grey levels^2], [(grey levels/px)^2].
+# Quantization of 8-bit images [gray levels^2], [(gray levels/px)^2].
 _RESIDUAL_NOISE, _GRADIENT_NOISE = 0.1, 0.1
 # Matches this near to the best one do not rival it [px].
 _SAME_PEAK = 2
@@ -54,7 +54,7 @@ class SparseStereoConfig:
 
     window: int = setting(11, "Side of the matching window, odd.", unit="px", low=5, high=31)
     min_correlation: ClassVar[float] = 0.7
-    """A match must have at least this normalised cross-correlation."""
+    """A match must have at least this normalized cross-correlation."""
     max_rivalry: ClassVar[float] = 0.8
     """The best match must lack at most this share of the correlation that the second best lacks;
     1 accepts any.
@@ -90,7 +90,7 @@ def match_pixels(
     Args:
         left: rectified image, shape (H, W).
         right: rectified image, shape (H, W).
-        pixels: (u, v) in the left image, anywhere between pixel centres, shape (N, 2) [px].
+        pixels: (u, v) in the left image, anywhere between pixel centers, shape (N, 2) [px].
         search: smallest and largest disparity that may occur [px].
         config: of the matching and its noise.
 
@@ -132,7 +132,7 @@ def _match_all(left, right, pixels, search, reach, limits, quality):  # type: ig
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def correlate(image, other, column, row, lowest, sign, reach, scores):  # type: ignore[no-untyped-def]
-    """Zero-mean normalised cross-correlation along a row, for every shift.
+    """Zero-mean normalized cross-correlation along a row, for every shift.
 
     ``scores[k]`` compares the window of `image` about (column, row) with that of `other` about
     (column + sign * (lowest + k), row); -1 where that window is not wholly inside.

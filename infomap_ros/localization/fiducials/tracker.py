@@ -1,7 +1,7 @@
 """Follows fiducials from view to view.
 
 Fig. 9 of Sujan and Dubowsky (2005), "track fiducials": pyramidal optical flow with a
-forward-backward check leads to the neighbourhood, the alignment with a template to the pixel. The
+forward-backward check leads to the neighborhood, the alignment with a template to the pixel. The
 template stays that of the view in which the fiducial was chosen, so that the pixel does not creep.
 Only when the camera has come so near or gone so far that the template has to be stretched a lot is
 it renewed, from a view in which it is well seen, and what that adds to the pixel's variance is

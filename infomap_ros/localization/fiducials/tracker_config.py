@@ -21,7 +21,7 @@ class FiducialTrackerConfig:
 
     template: int = setting(15, "Side of a fiducial's template, odd.", unit="px", low=7, high=41)
     min_correlation: ClassVar[float] = 0.8
-    """A fiducial must have this normalised correlation with its template."""
+    """A fiducial must have this normalized correlation with its template."""
     good_correlation: ClassVar[float] = 0.9
     """With this correlation it is well seen, and may give a new template."""
     max_shift: ClassVar[float] = 3.0

@@ -26,7 +26,7 @@ class Tracks:
         missed: images since they were last seen, shape (N,).
         templates: what they look like, with a margin, shape (N, Q, Q).
         warps: offsets in the image from offsets in the template, shape (N, 2, 2).
-        creep: variance of the pixel by which the template's centre is off the point that was first
+        creep: variance of the pixel by which the template's center is off the point that was first
             chosen, shape (N,) [px^2]; grows when a template is renewed.
         inverse_depths: 1/z where the template was cut, shape (N,) [1/m]; NaN = unknown.
         descriptors: for finding them after a large step, shape (N, D).

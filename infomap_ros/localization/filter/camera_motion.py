@@ -116,7 +116,7 @@ def estimate_motion(
     """Robust weighted motion on SE(3) from points measured at both ends.
 
     The first motion is the best of many triples (RANSAC); then the squares of the distances,
-    weighted by the covariances of both ends, are minimised by Gauss-Newton with Huber's weights
+    weighted by the covariances of both ends, are minimized by Gauss-Newton with Huber's weights
     (P. J. Huber, Ann. Math. Statist. 35(1), 1964, doi:10.1214/aoms/1177703732).
 
     Args:

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray, make_transform
-from infomap_ros.localization.filter.sight import Measured, normalised_differences
+from infomap_ros.localization.filter.sight import Measured, normalized_differences
 from infomap_ros.localization.filter.triples import pose_of_triple, random_triples
 
 BoolArray = NDArray[np.bool_]
@@ -70,7 +70,7 @@ def agreeing(
     """Which fiducials agree with a pose, shape (M,); arguments as of `find_pose`."""
     rotation = T_camera_a[:3, :3]
     inside = points @ rotation.T + T_camera_a[:3, 3]
-    differences = normalised_differences(measured, inside, np.eye(3), covariances)
+    differences = normalized_differences(measured, inside, np.eye(3), covariances)
     return np.asarray((differences**2).sum(axis=1) <= gate)
 
 

@@ -16,7 +16,7 @@ from infomap_ros.geometry.transforms import FloatArray
 
 
 class DriftWatch:
-    """Decaying sums of the normalised innovations of fiducials.
+    """Decaying sums of the normalized innovations of fiducials.
 
     Args:
         memory: share of a sum that is left after one more image, within [0, 1).

@@ -216,7 +216,7 @@ class FiducialFilter:
     def keep_pose(self, stamp: int) -> NDArray[np.int64]:
         """Keep the present pose, so that later images correct it too.
 
-        Where there are too many, the one that is nearest to its neighbours in time is forgotten,
+        Where there are too many, the one that is nearest to its neighbors in time is forgotten,
         never the first or the new one.
 
         Args:

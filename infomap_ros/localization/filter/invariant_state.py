@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.filter.lie import exponential, left_jacobian, renormalised, skews
+from infomap_ros.localization.filter.lie import exponential, left_jacobian, renormalized, skews
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 
 IntArray = NDArray[np.int64]
@@ -83,7 +83,7 @@ class InvariantState:
         """How the error of a motion enters all errors, shape (n, 6).
 
         Args:
-            T_map_camera: pose after the motion, at which to linearise, shape (4, 4).
+            T_map_camera: pose after the motion, at which to linearize, shape (4, 4).
             turn: rotation from the frame of the motion's error to the map, shape (3, 3).
         """
         noise = np.zeros((_BLOCK * self._blocks, 6))
@@ -118,7 +118,7 @@ class InvariantState:
         moved = self.T_map_camera.copy()
         moved[:3, :3] = turn @ moved[:3, :3]
         moved[:3, 3] = turn @ moved[:3, 3] + jacobian @ xi
-        self.T_map_camera = renormalised(moved)
+        self.T_map_camera = renormalized(moved)
         fiducials = error[self.fiducial_rows(slice(None))]
         self.positions = self.positions @ turn.T + fiducials @ jacobian.T
         rows = self.kept_rows()

@@ -57,7 +57,7 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
     return np.asarray((left * flip) @ right)
 
 
-def renormalised(transform: FloatArray) -> FloatArray:
+def renormalized(transform: FloatArray) -> FloatArray:
     """The transform, shape (4, 4), with rounding errors of its rotation taken out."""
     result = transform.copy()
     result[:3, :3] = nearest_rotation(transform[:3, :3])

@@ -5,7 +5,7 @@ become ``Ad(T) (xi, theta)`` plus that of T, which all share:
 
     theta' = R theta + theta_T        xi' = R xi + skew(t) R theta + xi_T
 
-Nothing is linearised but the covariance of T.
+Nothing is linearized but the covariance of T.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.invariant_state import InvariantState
-from infomap_ros.localization.filter.lie import renormalised, skews
+from infomap_ros.localization.filter.lie import renormalized, skews
 from infomap_ros.localization.filter.pose_errors import invariant_from_pose
 
 
@@ -32,7 +32,7 @@ def move_state(state: InvariantState, T_new_old: FloatArray, covariance: FloatAr
     once = _moved_errors(state, T_new_old, state.P)
     state.P[:] = _moved_errors(state, T_new_old, once.T) + shared
     state.P[:] = 0.5 * (state.P + state.P.T)
-    state.T_map_camera = renormalised(T_new_old @ state.T_map_camera)
+    state.T_map_camera = renormalized(T_new_old @ state.T_map_camera)
     state.positions = state.positions @ turn.T + shift
     state.kept = T_new_old @ state.kept
 

@@ -58,7 +58,7 @@ def square_root(covariance: FloatArray) -> FloatArray:
 
 
 def most_redundant(stamps: NDArray[np.int64], poses: FloatArray) -> int:
-    """Index of the pose whose neighbours in time are nearest to each other, never an end."""
+    """Index of the pose whose neighbors in time are nearest to each other, never an end."""
     order = np.argsort(stamps)
     ordered = poses[order]
     away = np.linalg.norm(ordered[2:, :3, 3] - ordered[:-2, :3, 3], axis=1)

@@ -31,7 +31,7 @@ _LEAST = 3  # fiducials with which a group may begin
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """The state with a motion after it, linearised at a pose after the motion.
+    """The state with a motion after it, linearized at a pose after the motion.
 
     Attributes:
         T_map_camera: the pose, shape (4, 4).
@@ -47,7 +47,7 @@ class Expectation:
 
     @classmethod
     def at(cls, state: InvariantState, prior: MotionPrior, pose: FloatArray) -> Expectation:
-        """The expectation linearised at a pose, shape (4, 4)."""
+        """The expectation linearized at a pose, shape (4, 4)."""
         motion = invert_transform(state.T_map_camera) @ pose
         expected = prior.T_before_after
         turned = logarithm(expected[:3, :3] @ motion[:3, :3].T)
@@ -85,7 +85,7 @@ class Hypothesis:
     """A pose with the fiducials that agree on it.
 
     Attributes:
-        expectation: linearised at about this pose.
+        expectation: linearized at about this pose.
         members: fiducials of the image that agree, shape (M,).
         correction: by the members.
         degrees_of_freedom: number of the members' values.
@@ -171,7 +171,7 @@ def examine(
 
     Args:
         state: before the motion.
-        expectation: linearised at about the pose.
+        expectation: linearized at about the pose.
         group: of fiducials.
         config: gates.
 

@@ -22,7 +22,7 @@ class FilterUpdate:
         rejected: ids of known fiducials that contradict them or move, shape (R,); neither used nor
             rejected are those that nothing would contradict if they were wrong.
         unknown: ids that the filter does not hold, shape (K,).
-        nis: normalised innovation squared of the used ones; NaN where there was no update.
+        nis: normalized innovation squared of the used ones; NaN where there was no update.
         degrees_of_freedom: number of measured values in `nis`, which is its mean if all is right.
         motion_nis: of the motion against its prior, six degrees of freedom; NaN likewise.
         prior_overruled: whether the images showed the motion prior to be wrong, as when wheels

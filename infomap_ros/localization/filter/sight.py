@@ -92,7 +92,7 @@ class Sight:
 
     Attributes:
         measured: the measurements.
-        rotation: of the camera at which all is linearised, ``R_map_camera``, shape (3, 3).
+        rotation: of the camera at which all is linearized, ``R_map_camera``, shape (3, 3).
         points: R^T (f - p) there, shape (M, 3) [m].
         mean: expected d, shape (3M,) [m].
         theta: expected rotation error, shape (3,) [rad].
@@ -146,7 +146,7 @@ class Correction:
 
     @property
     def nis(self) -> float:
-        """Normalised innovation squared."""
+        """Normalized innovation squared."""
         return float(self.innovation @ self.weighted)
 
     def whitened(self, rows: FloatArray) -> FloatArray:
@@ -252,11 +252,11 @@ def innovations_from(sight: Sight, members: BoolArray, correction: Correction) -
     known = sight.covariance[blocks[:, :, None], blocks[:, None, :]]
     columns = white.T.reshape(len(others), 3, -1)
     known = known - columns @ columns.transpose(0, 2, 1)
-    innovations[others] = normalised_differences(sight.measured.select(others), points, turn, known)
+    innovations[others] = normalized_differences(sight.measured.select(others), points, turn, known)
     return innovations
 
 
-def normalised_differences(
+def normalized_differences(
     measured: Measured, points: FloatArray, turn: FloatArray, covariances: FloatArray
 ) -> FloatArray:
     """Differences of measurements from points whose d has known covariances, shape (M, 3).

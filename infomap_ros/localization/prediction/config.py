@@ -10,7 +10,7 @@ from infomap_ros.geometry.config import check_config, setting
 
 @dataclass(frozen=True)
 class ErrorPredictionConfig:
-    """How paths and sightings are modelled.
+    """How paths and sightings are modeled.
 
     Raises:
         ConfigError: a value is out of its range.

@@ -124,45 +124,45 @@ class ErrorPrediction:
         informations = np.zeros((len(points), 3, 3))
         informations[: len(known)] = own_informations(spreads, shared) / share
         before[:3, :3] -= shared * np.eye(3)
-        centres, rotations, turns = self._waypoints(start, ways.ends)
-        chain = self._chain(before, centres, ways.lengths, turns)
-        sight = self._sight(centres, rotations, points, voxel_map)
+        centers, rotations, turns = self._waypoints(start, ways.ends)
+        chain = self._chain(before, centers, ways.lengths, turns)
+        sight = self._sight(centers, rotations, points, voxel_map)
         sight[:, 0, : len(known)] = False  # what the start tells of them is in the covariances
         weights = np.ones(len(points))
         weights[: len(known)] = 1.0 / share
         landmarks = points, informations, weights, sight
-        after = self._at_the_ends(chain, centres, rotations, landmarks)
+        after = self._at_the_ends(chain, centers, rotations, landmarks)
         after[:, :3, :3] += shared * np.eye(3)
         return after
 
     def _waypoints(
         self, start: FloatArray, ends: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places on straight ways, the start first: centres, rotations; and whole turns (M,).
+        """Places on straight ways, the start first: centers, rotations; and whole turns (M,).
 
         Shapes (M, K, 3), (M, K, 3, 3), (M,), K one more than the waypoints.
         """
         shares = np.arange(self.config.waypoints + 1) / self.config.waypoints
         offsets = ends[:, :3, 3] - start[:3, 3]
-        centres = start[:3, 3] + shares[:, None] * offsets[:, None]
+        centers = start[:3, 3] + shares[:, None] * offsets[:, None]
         turns = Rotation.from_matrix(ends[:, :3, :3] @ start[:3, :3].T).as_rotvec().reshape(-1, 3)
         partial = Rotation.from_rotvec((shares[:, None] * turns[:, None]).reshape(-1, 3))
         rotations = partial.as_matrix() @ start[:3, :3]
         shape = (len(ends), len(shares), 3, 3)
-        return centres, rotations.reshape(shape), np.linalg.norm(turns, axis=1)
+        return centers, rotations.reshape(shape), np.linalg.norm(turns, axis=1)
 
     def _chain(
-        self, before: FloatArray, centres: FloatArray, lengths: FloatArray, turns: FloatArray
+        self, before: FloatArray, centers: FloatArray, lengths: FloatArray, turns: FloatArray
     ) -> FloatArray:
         """Information of the poses of the way from the start and odometry, (M, 6 K, 6 K)."""
-        ways, places, _ = centres.shape
+        ways, places, _ = centers.shape
         motion, steps = self._motion, places - 1
-        position = motion.position_per_metre**2 * lengths / steps
-        turning = motion.rotation_per_metre**2 * lengths + motion.rotation_per_radian**2 * turns
+        position = motion.position_per_meter**2 * lengths / steps
+        turning = motion.rotation_per_meter**2 * lengths + motion.rotation_per_radian**2 * turns
         noise = np.repeat(np.stack([position, turning / steps], axis=1), 3, axis=1)
         precision = np.linalg.inv(noise[:, :, None] * np.eye(6) + _FLOOR)
         over = np.tile(np.eye(6), (ways, 1, 1))
-        over[:, :3, 3:] = -_skews(centres[:, 1] - centres[:, 0])  # all steps of a way are alike
+        over[:, :3, 3:] = -_skews(centers[:, 1] - centers[:, 0])  # all steps of a way are alike
         back = precision @ over
         chain = np.zeros((ways, places, 6, places, 6))
         chain[:, 0, :, 0] = np.linalg.inv(before + _FLOOR)
@@ -175,26 +175,26 @@ class ErrorPrediction:
 
     def _sight(
         self,
-        centres: FloatArray,
+        centers: FloatArray,
         rotations: FloatArray,
         points: FloatArray,
         voxel_map: VoxelMap | None,
     ) -> NDArray[np.bool_]:
         """Which points are seen from which waypoints, shape (M, K, N)."""
-        sight = np.empty((*centres.shape[:2], len(points)), np.bool_)
+        sight = np.empty((*centers.shape[:2], len(points)), np.bool_)
         limits = np.array([_NEAREST, self.config.farthest])
-        kernels.in_view(centres, rotations, points, self._camera, limits, sight)
+        kernels.in_view(centers, rotations, points, self._camera, limits, sight)
         if voxel_map is None or not sight.any():
             return sight
         cells, index = np.unique(
-            np.floor(centres.reshape(-1, 3) / _CELL).astype(np.int64),
+            np.floor(centers.reshape(-1, 3) / _CELL).astype(np.int64),
             axis=0,
             return_inverse=True,
         )
         of_cell = np.zeros((len(cells), len(points)), np.bool_)
         np.logical_or.at(of_cell, np.ravel(index), sight.reshape(-1, len(points)))
         origins = np.empty((len(cells), 3))
-        origins[np.ravel(index)] = centres.reshape(-1, 3)  # any place in the cell
+        origins[np.ravel(index)] = centers.reshape(-1, 3)  # any place in the cell
         _hide(of_cell, origins, points, voxel_map)
         sight &= of_cell[np.ravel(index)].reshape(sight.shape)
         return sight
@@ -202,14 +202,14 @@ class ErrorPrediction:
     def _at_the_ends(
         self,
         chain: FloatArray,
-        centres: FloatArray,
+        centers: FloatArray,
         rotations: FloatArray,
         landmarks: tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]],
     ) -> FloatArray:
         """What is left of the poses when all but the last are eliminated, shape (M, 6, 6)."""
         information = np.empty((len(chain), 6, 6))
         kernels.end_information(
-            chain, centres, rotations, *landmarks, self._camera, self._precisions, information
+            chain, centers, rotations, *landmarks, self._camera, self._precisions, information
         )
         return np.asarray(np.linalg.inv(0.5 * (information + information.transpose(0, 2, 1))))
 

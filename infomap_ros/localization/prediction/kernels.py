@@ -17,11 +17,11 @@ POSE = 6
 
 
 @njit(cache=True, nogil=True)
-def in_view(centres: Any, rotations: Any, points: Any, camera: Any, limits: Any, out: Any) -> None:
+def in_view(centers: Any, rotations: Any, points: Any, camera: Any, limits: Any, out: Any) -> None:
     """Which points project into the image.
 
     Args:
-        centres: of the camera, shape (M, K, 3) [m].
+        centers: of the camera, shape (M, K, 3) [m].
         rotations: R_map_camera, shape (M, K, 3, 3).
         points: shape (N, 3) [m].
         camera: fx, fy, cx, cy, width, height, border [px].
@@ -29,13 +29,13 @@ def in_view(centres: Any, rotations: Any, points: Any, camera: Any, limits: Any,
         out: shape (M, K, N), bool.
     """
     fx, fy, cx, cy, width, height, border = camera
-    for m in range(centres.shape[0]):
-        for k in range(centres.shape[1]):
+    for m in range(centers.shape[0]):
+        for k in range(centers.shape[1]):
             turn = rotations[m, k]
             for n in range(len(points)):
-                a = points[n, 0] - centres[m, k, 0]
-                b = points[n, 1] - centres[m, k, 1]
-                c = points[n, 2] - centres[m, k, 2]
+                a = points[n, 0] - centers[m, k, 0]
+                b = points[n, 1] - centers[m, k, 1]
+                c = points[n, 2] - centers[m, k, 2]
                 z = turn[0, 2] * a + turn[1, 2] * b + turn[2, 2] * c
                 out[m, k, n] = False
                 if not limits[0] <= z <= limits[1]:
@@ -48,14 +48,14 @@ def in_view(centres: Any, rotations: Any, points: Any, camera: Any, limits: Any,
 
 @njit(cache=True, nogil=True)
 def end_information(
-    chain: Any, centres: Any, rotations: Any, points: Any, known: Any, weights: Any, sight: Any,
+    chain: Any, centers: Any, rotations: Any, points: Any, known: Any, weights: Any, sight: Any,
     camera: Any, precisions: Any, out: Any,
 ) -> None:  # fmt: skip
     """Information matrices of the last poses.
 
     Args:
         chain: information of the poses from the motion alone, shape (M, 6 K, 6 K); overwritten.
-        centres: of the camera, shape (M, K, 3) [m].
+        centers: of the camera, shape (M, K, 3) [m].
         rotations: R_map_camera, shape (M, K, 3, 3).
         points: shape (N, 3) [m].
         known: information about the points before, shape (N, 3, 3) [1/m^2].
@@ -65,7 +65,7 @@ def end_information(
         precisions: 1 / variance of u and v [1/px^2] and of the inverse depth [m^2].
         out: shape (M, 6, 6).
     """
-    steps = centres.shape[1]
+    steps = centers.shape[1]
     levers, measured = np.empty((steps, 3)), np.empty((steps, 3, 3))
     total = np.empty((3, 3))
     for m in range(len(chain)):
@@ -75,7 +75,7 @@ def end_information(
             for k in range(steps):
                 if not sight[m, k, n]:
                     continue
-                levers[k] = points[n] - centres[m, k]
+                levers[k] = points[n] - centers[m, k]
                 _point_information(levers[k], rotations[m, k], camera, precisions, measured[k])
                 measured[k] *= weights[n]
                 total += measured[k]

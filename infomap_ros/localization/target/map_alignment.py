@@ -2,7 +2,7 @@
 
 An alignment is ``T_a_b``, the frame of map b in map a, with a covariance in the frame of map a.
 Several are fused by least squares on SE(3); one that contradicts the others is found by its
-normalised distance (chi-square with six degrees of freedom), before anything is merged.
+normalized distance (chi-square with six degrees of freedom), before anything is merged.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from infomap_ros.geometry.transforms import FloatArray, perturb_transform
 from infomap_ros.localization.target.target import invert_pose
 
 CONTRADICTION = 22.5
-"""Squared normalised distance of six numbers that one in a thousand honest pairs exceeds."""
+"""Squared normalized distance of six numbers that one in a thousand honest pairs exceeds."""
 
 _ITERATIONS = 10
 _ROUNDING = 1e-15  # relative size below which an eigenvalue may be none
@@ -119,7 +119,7 @@ def fuse_alignments(
 
     Args:
         alignments: at least one, with covariances that are not singular.
-        contradiction: squared normalised distance above which two contradict each other.
+        contradiction: squared normalized distance above which two contradict each other.
 
     Raises:
         InvalidInputError: there is none, or one has a covariance that is singular.

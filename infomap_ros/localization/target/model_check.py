@@ -2,7 +2,7 @@
 
 Every point of the model's surface that the camera should see is compared with the range measured
 in its pixel. Farther: the camera looks through the model, which speaks against the pose. Nearer:
-something hides it. A patch of a larger surface, as of a wall, has neighbours that go on beyond the
+something hides it. A patch of a larger surface, as of a wall, has neighbors that go on beyond the
 model's outline, which also speaks against the pose.
 """
 
@@ -171,9 +171,9 @@ def _open_outline(points: FloatArray, cloud: RangeCloud, spacing: float, toleran
     own = np.isfinite(depth)
     around, count = np.zeros(shape), np.zeros(shape)
     for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        neighbour = np.roll(np.where(own, depth, 0.0), step, axis=(0, 1))
-        around += neighbour
-        count += neighbour > 0.0
+        neighbor = np.roll(np.where(own, depth, 0.0), step, axis=(0, 1))
+        around += neighbor
+        count += neighbor > 0.0
     rim = ~own & (count > 0)
     places = np.argwhere(rim)
     pixels = np.rint((places + low) * 2.0 * size).astype(np.int64)

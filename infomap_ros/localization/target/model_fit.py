@@ -31,7 +31,7 @@ class ModelFit(NamedTuple):
     Attributes:
         transform: ``T_camera_model``, shape (4, 4).
         covariance: in the camera frame, shape (6, 6).
-        residual: rms of the normalised distances to the surface; 1 is as the noise predicts.
+        residual: rms of the normalized distances to the surface; 1 is as the noise predicts.
         points: how many took part.
     """
 
@@ -92,7 +92,7 @@ class ModelFitter:
         """Points near the surface with their covariances and the patch that each is in."""
         inside = transform_points(invert_transform(pose), cloud.points)
         box = (
-            np.abs(inside - self._shape.centre) <= 0.5 * np.ptp(self._shape.points, axis=0) + reach
+            np.abs(inside - self._shape.center) <= 0.5 * np.ptp(self._shape.points, axis=0) + reach
         )
         near = np.flatnonzero(box.all(axis=1))
         near = near[self._tree.query(inside[near], distance_upper_bound=reach)[0] < reach]

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.stereo import RangeCloud
 
-_NEIGHBOURS = 16
+_NEIGHBORS = 16
 _VAGUE = 1.25  # points with a larger sigma, in spacings, are left out
 _NORMALS_AT_ONCE = 20_000
 _MOST_PLANES = 8
@@ -27,7 +27,7 @@ class ModelScene:
         cloud: the range map.
         points: thinned, shape (S, 3) [m].
         normals: towards the camera, shape (S, 3).
-        tree: of `points`, for nearest neighbours.
+        tree: of `points`, for nearest neighbors.
     """
 
     cloud: RangeCloud
@@ -46,7 +46,7 @@ class ModelScene:
         certain = cloud.covariances[:, 2, 2] < (_VAGUE * spacing) ** 2
         points = _cube_means(cloud.points[certain].astype(np.float64), spacing)
         tree = cKDTree(points)
-        if len(points) <= _NEIGHBOURS:
+        if len(points) <= _NEIGHBORS:
             return cls(cloud, points[:0], points[:0], tree)
         return cls(cloud, points, _normals(points, tree), tree)
 
@@ -110,11 +110,11 @@ def _cube_means(points: FloatArray, spacing: float) -> FloatArray:
 
 
 def _normals(points: FloatArray, tree: cKDTree) -> FloatArray:
-    """Direction of least spread among the neighbours, towards the camera, shape (N, 3)."""
+    """Direction of least spread among the neighbors, towards the camera, shape (N, 3)."""
     normals = np.empty_like(points)
     for first in range(0, len(points), _NORMALS_AT_ONCE):
         part = slice(first, first + _NORMALS_AT_ONCE)
-        _, index = tree.query(points[part], k=_NEIGHBOURS)
+        _, index = tree.query(points[part], k=_NEIGHBORS)
         near = points[index] - points[index].mean(axis=1, keepdims=True)
         _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
         normals[part] = axes[:, :, 0]

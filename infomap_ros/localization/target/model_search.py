@@ -73,8 +73,8 @@ class ModelSearch:
 
     def others(self, scene: ModelScene, found: FloatArray) -> list[Hypothesis]:
         """Poses with the model turned about its middle, registered: what else may be there."""
-        middle = make_transform(np.eye(3), self.shape.centre)
-        back = make_transform(np.eye(3), -self.shape.centre)
+        middle = make_transform(np.eye(3), self.shape.center)
+        back = make_transform(np.eye(3), -self.shape.center)
         turned = [found @ middle @ make_transform(turn, np.zeros(3)) @ back for turn in self._turns]
         return [self.refine(start, scene) for start in turned]
 
@@ -98,7 +98,7 @@ class ModelSearch:
 
     def _clusters(self, votes: Votes) -> list[FloatArray]:
         """The poses with most votes, those of poses nearby included."""
-        middles = transform_points_of(votes.transforms, self.shape.centre)
+        middles = transform_points_of(votes.transforms, self.shape.center)
         order = np.argsort(-votes.votes)
         free = np.ones(len(order), bool)
         clusters: list[tuple[float, FloatArray]] = []
@@ -116,8 +116,8 @@ class ModelSearch:
 
     def difference(self, first: FloatArray, second: FloatArray) -> tuple[float, float]:
         """How far apart two poses put the model's middle [m], and the turn between them [rad]."""
-        apart = transform_points(first, self.shape.centre) - transform_points(
-            second, self.shape.centre
+        apart = transform_points(first, self.shape.center) - transform_points(
+            second, self.shape.center
         )
         turn = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).magnitude()
         return float(np.linalg.norm(apart)), float(turn)
@@ -126,7 +126,7 @@ class ModelSearch:
 def register(
     points: FloatArray, scene: ModelScene, start: FloatArray, reach: float, iterations: int = 8
 ) -> FloatArray:
-    """Move points onto the planes of their nearest neighbours (iterative closest points).
+    """Move points onto the planes of their nearest neighbors (iterative closest points).
 
     Chen and Medioni 1992, doi:10.1016/0262-8856(92)90066-C.
 

@@ -52,7 +52,7 @@ class ModelShape:
             raise InvalidInputError("points", "are all the same")
 
     @cached_property
-    def centre(self) -> FloatArray:
+    def center(self) -> FloatArray:
         """Middle of the bounding box, shape (3,) [m]."""
         return np.asarray(0.5 * (self.points.min(axis=0) + self.points.max(axis=0)))
 
@@ -79,7 +79,7 @@ def load_model(path: str | Path, scale: float = 1.0) -> ModelShape:
 
     Args:
         path: file.
-        scale: metres per unit of the file.
+        scale: meters per unit of the file.
 
     Returns:
         Its outer surface, evenly sampled.

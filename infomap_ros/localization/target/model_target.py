@@ -44,7 +44,7 @@ class ModelTargetConfig:
     """
 
     file: str = parameter("", "Mesh of the target: .obj, .stl, .ply, .dae and others.")
-    scale: float = parameter(1.0, "Metres per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
+    scale: float = parameter(1.0, "Meters per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
     tolerance: float = setting(
         0.015,
         "Difference of depth that agrees, beside 3 sigma, as a share of the model's diameter.",
@@ -179,7 +179,7 @@ class ModelTargetDetector:
 
     def _sighting(self, scene: ModelScene, best: Hypothesis) -> TargetSighting | TargetRefusal:
         config, reach = self.config, self.config.tolerance * self.shape.diameter
-        depth = transform_points(best.transform, self.shape.centre)[2]
+        depth = transform_points(best.transform, self.shape.center)[2]
         near = np.abs(scene.cloud.points[:, 2] - depth) < 0.5 * self.shape.diameter
         sigma = float(np.sqrt(np.median(scene.cloud.covariances[near, 2, 2])))
         fit = self._fitter.fit(scene.cloud, best.transform, max(reach, 3.0 * sigma))
@@ -188,7 +188,7 @@ class ModelTargetDetector:
         moved, turned = self._search.difference(best.transform, fit.transform)
         if moved > _SAME_PLACE * self.shape.diameter or turned > _SAME_TURN:
             return _refuse("too uncertain", f"the refinement went {moved:.3f} m astray")
-        position, rotation = _largest_sigmas(fit.covariance, fit.transform, self.shape.centre)
+        position, rotation = _largest_sigmas(fit.covariance, fit.transform, self.shape.center)
         if position > config.max_position_sigma or rotation > config.max_rotation_sigma:
             return _refuse("too uncertain", f"sigma {position:.3f} m and {rotation:.3f} rad")
         refined = Hypothesis(fit.transform, self._search.check(fit.transform, scene))
@@ -198,12 +198,12 @@ class ModelTargetDetector:
 
 
 def _largest_sigmas(
-    covariance: FloatArray, pose: FloatArray, centre: FloatArray
+    covariance: FloatArray, pose: FloatArray, center: FloatArray
 ) -> tuple[float, float]:
     """Largest sigma of the position of the model's middle [m] and of the rotation [rad]."""
     sighting = TargetSighting(pose, covariance, 0.0, _NAME)
     shift = np.eye(4)
-    shift[:3, 3] = centre
+    shift[:3, 3] = center
     moved = sighting.of_frame(shift).covariance
     position = float(np.sqrt(np.linalg.eigvalsh(moved[:3, :3])[-1]))
     return position, float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))

@@ -201,7 +201,7 @@ def _vote(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _peak(table):  # type: ignore[no-untyped-def]
-    """Row, turn [rad] and height of the highest pair of neighbouring bins."""
+    """Row, turn [rad] and height of the highest pair of neighboring bins."""
     row, column, height, weight = 0, 0, -1, 0.5
     for m in range(table.shape[0]):
         for a in range(_TURNS):

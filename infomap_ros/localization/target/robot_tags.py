@@ -130,11 +130,11 @@ class RobotTagFinder:
         return found, refused
 
 
-def tag_pose(centre: ArrayLike, facing: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
+def tag_pose(center: ArrayLike, facing: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
     """Six numbers of a tag on a robot, for `TagBoardConfig.poses`.
 
     Args:
-        centre: of the tag in the base frame, shape (3,) [m].
+        center: of the tag in the base frame, shape (3,) [m].
         facing: direction out of the print in the base frame, shape (3,).
         up: direction to the top of the print, shape (3,); need not be square to `facing`.
 
@@ -150,4 +150,4 @@ def tag_pose(centre: ArrayLike, facing: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.
         raise InvalidInputError("up", "is along facing, or one of them is zero")
     z, x = z / np.linalg.norm(z), x / np.linalg.norm(x)
     turn = Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
-    return np.concatenate([np.asarray(centre, dtype=np.float64), turn.as_rotvec()])
+    return np.concatenate([np.asarray(center, dtype=np.float64), turn.as_rotvec()])

@@ -3,7 +3,7 @@
 To the pixels beside each edge of the black square a straight step from dark to bright is fitted,
 blurred by a Gaussian: ``I = D(s) + (B(s) - D(s)) Phi((n p - offset - slope s) / sigma)`` with
 levels D and B that change linearly along the edge, as light does. The noise of a pixel is what the
-fit leaves; it gives the covariance of the line. Neighbouring lines are intersected.
+fit leaves; it gives the covariance of the line. Neighboring lines are intersected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ENDS = 0.12  # share of an edge at either end that the other edge's blur reache
 _INSIDE, _OUTSIDE = 0.55, 0.8  # reach of the pixels beside an edge, in cells
 _LEAST_REACH, _LARGEST_REACH = 1.2, 5.0  # [px]
 _BLUR, _LOG_BLUR_SIGMA = 0.8, 0.5  # prior of a step's blur: [px], and of its logarithm
-_LEAST_NOISE = 0.3  # [grey levels], rounding to whole grey levels
+_LEAST_NOISE = 0.3  # [gray levels], rounding to whole gray levels
 _ITERATIONS = 12
 _DETERMINED = 1e-10  # smallest eigenvalue of a line's information, scaled to a unit diagonal
 _PARALLEL = 0.05  # sine of the angle between two edges below which they have no corner
@@ -46,10 +46,10 @@ def refine_corners(
     """Measure the corners of the black square of a tag.
 
     Args:
-        image: grey image, shape (H, W).
+        image: gray image, shape (H, W).
         corners: where they are within a pixel or two, clockwise, shape (4, 2) [px].
         cells: cells along the edge of the tag: white and black reach one cell from it.
-        min_contrast: smallest difference of white and black [grey levels].
+        min_contrast: smallest difference of white and black [gray levels].
 
     Returns:
         The corners, or None where an edge is not dark inside and bright outside all along, the
@@ -87,7 +87,7 @@ class _Beside(NamedTuple):
         half: half the edge's length [px].
         s: place along the edge, -1 at its start and 1 at its end, shape (P,).
         d: distance from the edge, positive outside, shape (P,) [px].
-        grey: shape (P,).
+        gray: shape (P,).
     """
 
     middle: FloatArray
@@ -95,7 +95,7 @@ class _Beside(NamedTuple):
     half: float
     s: FloatArray
     d: FloatArray
-    grey: FloatArray
+    gray: FloatArray
 
 
 class _Line(NamedTuple):
@@ -142,13 +142,13 @@ def _beside(
     from_middle = np.stack([u.ravel(), v.ravel()], axis=1) - middle
     s, d = from_middle @ along / half, from_middle @ _normal(along)
     near = (np.abs(s) <= 1.0 - 2.0 * _ENDS) & (d >= -inside) & (d <= outside)
-    grey = image[low[1] : high[1], low[0] : high[0]].ravel()[near].astype(np.float64)
-    return _Beside(middle, along, half, s[near], d[near], grey)
+    gray = image[low[1] : high[1], low[0] : high[0]].ravel()[near].astype(np.float64)
+    return _Beside(middle, along, half, s[near], d[near], gray)
 
 
 def _fit_step(edge: _Beside, min_contrast: float) -> _Line | None:
     """Levenberg-Marquardt on offset, slope, log blur and four levels."""
-    if len(edge.grey) < 14:
+    if len(edge.gray) < 14:
         return None
     state = np.array([0.0, 0.0, np.log(_BLUR), *_first_levels(edge)])
     residual, jacobian = _step_residuals(edge, state)
@@ -173,15 +173,15 @@ def _fit_step(edge: _Beside, min_contrast: float) -> _Line | None:
 
 def _first_levels(edge: _Beside) -> tuple[float, float, float, float]:
     """Dark and bright levels with no change along the edge."""
-    inner = np.median(edge.grey[edge.d <= 0.5 * edge.d.min()])
-    outer = np.median(edge.grey[edge.d >= 0.5 * edge.d.max()])
+    inner = np.median(edge.gray[edge.d <= 0.5 * edge.d.min()])
+    outer = np.median(edge.gray[edge.d >= 0.5 * edge.d.max()])
     return float(inner), 0.0, float(outer), 0.0
 
 
 def _step_residuals(edge: _Beside, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus measured grey, and the blur's prior, shape (P + 1,); derivatives (P + 1, 7).
+    """Predicted minus measured gray, and the blur's prior, shape (P + 1,); derivatives (P + 1, 7).
 
-    The prior is weighed as if the noise were one grey level.
+    The prior is weighed as if the noise were one gray level.
     """
     offset, slope, log_blur, dark, dark_slope, bright, bright_slope = state
     blur = np.exp(log_blur)
@@ -203,7 +203,7 @@ def _step_residuals(edge: _Beside, state: FloatArray) -> tuple[FloatArray, Float
     jacobian[:-1] = np.column_stack(columns)
     jacobian[-1, 2] = 1.0 / _LOG_BLUR_SIGMA
     prior = (log_blur - np.log(_BLUR)) / _LOG_BLUR_SIGMA
-    return np.append(predicted - edge.grey, prior), jacobian
+    return np.append(predicted - edge.gray, prior), jacobian
 
 
 def _line(

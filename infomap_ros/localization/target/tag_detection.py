@@ -26,7 +26,7 @@ class TagDetectionConfig:
     """
 
     min_contrast: float = setting(
-        15.0, "Smallest difference of white and black [grey levels].", low=1.0, high=255.0
+        15.0, "Smallest difference of white and black [gray levels].", low=1.0, high=255.0
     )
     min_side: ClassVar[float] = 12.0
     """Tags with a shorter edge are left out [px]."""
@@ -78,7 +78,7 @@ class TagFinder:
         """Find tags.
 
         Args:
-            image: grey image, shape (H, W).
+            image: gray image, shape (H, W).
 
         Returns:
             Those whose four edges could be measured; of an id that occurs twice, none.

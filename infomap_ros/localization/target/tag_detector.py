@@ -88,7 +88,7 @@ class TagTargetDetector:
         return self.locate(self.find(view.image), view)
 
     def find(self, image: NDArray[np.uint8]) -> Tags:
-        """The board's tags in a grey image, shape (H, W)."""
+        """The board's tags in a gray image, shape (H, W)."""
         return own_tags(self._finder.find(image), self.board)
 
     def locate(self, tags: Tags, view: RangeView) -> TargetSighting | TargetRefusal:

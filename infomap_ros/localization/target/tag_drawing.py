@@ -20,15 +20,15 @@ _INCH = 0.0254
 _LARGEST = 20_000  # [px] edge of an image
 
 
-def draw_board(config: TagBoardConfig, pixels_per_metre: float) -> NDArray[np.uint8]:
-    """Draw a board, exactly to scale: a pixel that an edge cuts gets its share of grey.
+def draw_board(config: TagBoardConfig, pixels_per_meter: float) -> NDArray[np.uint8]:
+    """Draw a board, exactly to scale: a pixel that an edge cuts gets its share of gray.
 
     Args:
         config: a grid of tags.
-        pixels_per_metre: resolution [px/m].
+        pixels_per_meter: resolution [px/m].
 
     Returns:
-        Grey image, shape (H, W), uint8; top of the print in row 0, the middle of the image is
+        Gray image, shape (H, W), uint8; top of the print in row 0, the middle of the image is
         the origin of the board.
 
     Raises:
@@ -38,17 +38,17 @@ def draw_board(config: TagBoardConfig, pixels_per_metre: float) -> NDArray[np.ui
     if config.poses:
         raise ConfigError("poses", config.poses, "a grid, as only that can be drawn on one sheet")
     board = TagBoard(config)
-    width, height = (max(0, round(edge * pixels_per_metre)) for edge in board.size)
+    width, height = (max(0, round(edge * pixels_per_meter)) for edge in board.size)
     if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
-        problem = f"{pixels_per_metre} makes an image of {width}x{height} px"
-        raise InvalidInputError("pixels_per_metre", problem)
+        problem = f"{pixels_per_meter} makes an image of {width}x{height} px"
+        raise InvalidInputError("pixels_per_meter", problem)
     dark = np.zeros((height, width))
     plane = np.linalg.inv(board.T_target_board)
     for tag, pose in zip(board.ids, board.tag_poses, strict=True):
         x, y, _ = (plane @ pose)[:3, 3]
         pattern = _dark_cells(config.family, tag)
-        across = _shares(x, config.side, len(pattern), width, pixels_per_metre)
-        down = _shares(-y, config.side, len(pattern), height, pixels_per_metre)
+        across = _shares(x, config.side, len(pattern), width, pixels_per_meter)
+        down = _shares(-y, config.side, len(pattern), height, pixels_per_meter)
         dark += down @ pattern @ across.T
     return np.rint(255.0 * (1.0 - np.clip(dark, 0.0, 1.0))).astype(np.uint8)
 

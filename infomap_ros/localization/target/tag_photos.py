@@ -36,8 +36,8 @@ def find_tags(photo: NDArray[np.uint8], family: str = "") -> tuple[str, Tags]:
         photo: BGR, shape (H, W, 3).
         family: of `TagBoardConfig`; the one of which most are found where empty.
     """
-    grey = np.asarray(cv2.cvtColor(photo, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    found = {name: TagFinder(name).find(grey) for name in ([family] if family else FAMILIES)}
+    gray = np.asarray(cv2.cvtColor(photo, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    found = {name: TagFinder(name).find(gray) for name in ([family] if family else FAMILIES)}
     best = max(found, key=lambda name: len(found[name].ids))
     return best, found[best]
 

@@ -137,7 +137,7 @@ def fit_pose(
     if not np.isfinite(cost):
         return None
     for _ in range(_ITERATIONS):
-        residual, jacobian = _linearise(camera, known, ranges, state)
+        residual, jacobian = _linearize(camera, known, ranges, state)
         information = jacobian.T @ jacobian
         scaled = information + damping * np.diag(np.diag(information) + 1e-12)
         step = -np.linalg.solve(scaled, jacobian.T @ residual)
@@ -188,7 +188,7 @@ def _cost(
     return total if np.isfinite(total) else np.inf
 
 
-def _linearise(
+def _linearize(
     camera: PinholeCamera, known: KnownPoints, ranges: KnownRanges, state: tuple[FloatArray, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Weighted residuals, shape (R,), and their derivative by pose and scale, shape (R, 7)."""
@@ -240,7 +240,7 @@ def _range_jacobian(ranges: KnownRanges, pose: FloatArray, scale: float) -> Floa
 def _fit(
     camera: PinholeCamera, known: KnownPoints, ranges: KnownRanges, state: tuple[FloatArray, float]
 ) -> PoseFit | None:
-    _, jacobian = _linearise(camera, known, ranges, state)
+    _, jacobian = _linearize(camera, known, ranges, state)
     information = jacobian.T @ jacobian
     if np.linalg.cond(information) > 1e14:
         return None

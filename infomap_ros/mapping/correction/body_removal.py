@@ -32,7 +32,7 @@ def forget_body(
     """Make the occupied voxels of a body unknown; they count as changed.
 
     A voxel is of the body by the rule for points of scans (`infomap_ros.mapping.scans.body`): its
-    surface point is, or where it has none its centre, of which it may be anywhere in the voxel.
+    surface point is, or where it has none its center, of which it may be anywhere in the voxel.
 
     Args:
         voxel_map: the map.
@@ -53,11 +53,11 @@ def forget_body(
     has_surface = np.isin(pack_all(occupied.astype(np.int64)), pack_all(surface.astype(np.int64)))
     bare = occupied[~has_surface]
     anywhere = np.broadcast_to(size**2 / 12.0 * np.eye(3), (len(bare), 3, 3))
-    centres = (bare + 0.5) * size
-    of_body = body_mask(centres, anywhere, solids, config)
+    centers = (bare + 0.5) * size
+    of_body = body_mask(centers, anywhere, solids, config)
     surface_of_body = body_mask(means, covariances, solids, config)
     if ground is not None:
-        of_body &= centres @ ground[:3] >= ground[3] + 0.5 * size
+        of_body &= centers @ ground[:3] >= ground[3] + 0.5 * size
         surface_of_body &= means @ ground[:3] >= ground[3]
     forgotten = np.concatenate([bare[of_body], surface[surface_of_body]])
     if len(forgotten):

@@ -1,8 +1,8 @@
 """Where scans belong, from corrected poses of some moments.
 
-Localisation corrects the poses of keyframes; scans are taken at other moments too. Between two
+Localization corrects the poses of keyframes; scans are taken at other moments too. Between two
 keyframes a scan is tied to the one before it: it moves as that one does, and what was measured
-between the two stays as it was. A keyframe that localisation no longer keeps moves as the nearest
+between the two stays as it was. A keyframe that localization no longer keeps moves as the nearest
 one before it that it keeps, or else the first one after it.
 """
 

@@ -1,4 +1,4 @@
-"""Depth images and their noise in few bytes: quantised, predicted from the left, compressed.
+"""Depth images and their noise in few bytes: quantized, predicted from the left, compressed.
 
 Depth is kept as inverse depth in equal steps, for that is where the noise of stereo is even; its
 standard deviation as a logarithm. A code is told as its difference from the code of the pixel to

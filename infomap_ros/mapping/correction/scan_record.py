@@ -2,7 +2,7 @@
 
 A scan of a pinhole camera whose covariances are those of range noise along the ray and pixel noise
 across it (`infomap_ros.stereo.assembly`) is kept as a coded depth image. Any other scan, an
-unorganised cloud or one with other covariances, is kept as it is, compressed.
+unorganized cloud or one with other covariances, is kept as it is, compressed.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class RangeScan:
     """What a sensor measured, in its own frame: the arguments of `VoxelMap.integrate`.
 
     Attributes:
-        points: shape (N, 3), or organised (H, W, 3), float32 [m]; NaN = no measurement.
+        points: shape (N, 3), or organized (H, W, 3), float32 [m]; NaN = no measurement.
         covariances: shape (..., 3, 3) or (..., 6), float32 [m^2]; None for the map's default.
         camera: whose pixels the points are, or None.
-        error_correlation: of neighbouring points, or None for the map's own.
+        error_correlation: of neighboring points, or None for the map's own.
     """
 
     points: NDArray[np.float32]
@@ -49,7 +49,7 @@ class ScanRecord:
 
     Attributes:
         camera: whose pixels the points are, or None.
-        error_correlation: of neighbouring points, or None for the map's own.
+        error_correlation: of neighboring points, or None for the map's own.
         farthest: distance of the farthest point [m], 0 where there is none.
     """
 
@@ -89,10 +89,10 @@ def keep_scan(
     """Bring a scan into the form in which it is kept.
 
     Args:
-        points: shape (N, 3), or organised (H, W, 3), sensor frame [m]; NaN = no measurement.
+        points: shape (N, 3), or organized (H, W, 3), sensor frame [m]; NaN = no measurement.
         covariances: shape (..., 3, 3) or (..., 6) [m^2], or None.
         camera: whose pixels the points are, or None.
-        error_correlation: of neighbouring points, or None.
+        error_correlation: of neighboring points, or None.
 
     Raises:
         InvalidInputError: the values are no numbers.

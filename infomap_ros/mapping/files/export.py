@@ -19,7 +19,7 @@ PLY_VERTEX = np.dtype(
     ]
 )
 """One vertex of `write_ply`: position [m, map], occupancy probability, standard deviation along the
-surface normal [m], colour by height."""
+surface normal [m], color by height."""
 
 _COLORS = np.array(  # dark blue, blue, green, yellow-green, yellow: of rising lightness
     [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=np.float64
@@ -61,10 +61,10 @@ def write_ply(voxel_map: VoxelMap, path: str | Path) -> int:
 def surface_vertices(voxel_map: VoxelMap) -> NDArray[np.void]:
     """Surface voxels as records of `PLY_VERTEX`, shape (K,)."""
     indices, means, covariances = voxel_map.gaussians()
-    centres = (indices + 0.5) * voxel_map.config.voxel_size
+    centers = (indices + 0.5) * voxel_map.config.voxel_size
     vertices = np.zeros(len(means), dtype=PLY_VERTEX)
     vertices["x"], vertices["y"], vertices["z"] = means.T
-    vertices["probability"] = voxel_map.probability(centres)
+    vertices["probability"] = voxel_map.probability(centers)
     vertices["sigma"] = surface_sigmas(covariances)
     colors = height_colors(means[:, 2])
     vertices["red"], vertices["green"], vertices["blue"] = colors.T
@@ -104,7 +104,7 @@ def _thinnest(covariances: Any, sigmas: Any) -> None:
 
 
 def height_colors(heights: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Colours from dark blue (low) to yellow (high), shape (K,) [m] -> (K, 3) RGB.
+    """Colors from dark blue (low) to yellow (high), shape (K,) [m] -> (K, 3) RGB.
 
     The scale runs from the 1st to the 99th percentile, so that an outlier does not fade the rest.
     """

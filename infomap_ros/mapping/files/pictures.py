@@ -38,7 +38,7 @@ class _Surface:
     Voxels with much less evidence than most, for example of one wrong match, are left out.
 
     Attributes:
-        points: their centres, shape (K, 3) [m].
+        points: their centers, shape (K, 3) [m].
         sigmas: standard deviations along the normals, shape (K,) [m].
     """
 
@@ -82,7 +82,7 @@ class MapImage:
             is transparent.
         low: map coordinates of the lower left corner, shape (2,) [m].
         cell: edge of a pixel [m].
-        heights: that the first and the last colour stand for [m].
+        heights: that the first and the last color stand for [m].
         cut: height above which a ceiling is left out [m]; None where nothing is.
     """
 
@@ -94,11 +94,11 @@ class MapImage:
 
 
 def map_from_above(voxel_map: VoxelMap, colors: str = "viridis") -> MapImage:
-    """Draw the surface from above, coloured by height, shaded, without a ceiling that hides it.
+    """Draw the surface from above, colored by height, shaded, without a ceiling that hides it.
 
     Args:
         voxel_map: the map.
-        colors: name of a colour map of matplotlib.
+        colors: name of a color map of matplotlib.
 
     Raises:
         InvalidInputError: the map has no surface to draw.
@@ -201,12 +201,12 @@ def _limits(values: FloatArray) -> Normalize:
 
 def _surface(voxel_map: VoxelMap) -> _Surface:
     indices, _, covariances = voxel_map.gaussians()
-    centres: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
-    evidence = voxel_map.log_odds(centres)
+    centers: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
+    evidence = voxel_map.log_odds(centers)
     usual = float(np.median(evidence)) if len(evidence) else 0.0
     likely = evidence > max(0.0, LEAST_EVIDENCE * usual)
     variances, _ = smallest_axes(covariances[likely])
-    return _Surface(centres[likely], np.sqrt(np.maximum(variances, 0.0)))
+    return _Surface(centers[likely], np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _sigma_limits(sigmas: FloatArray) -> tuple[float, float]:
@@ -281,7 +281,7 @@ def _draw(
     label: str,
     shaded: bool = True,
 ) -> None:
-    """One view: colour by value; shaded, darker where the surface turns away from the viewer."""
+    """One view: color by value; shaded, darker where the surface turns away from the viewer."""
     mapper = matplotlib.cm.ScalarMappable(scale, colors)
     pixels = _colored(surface, view, cell, values, mapper, shaded)
     left, bottom = surface.points.min(axis=0)[[view.across, view.up]] - 0.5 * cell

@@ -73,7 +73,7 @@ def project_map(voxel_map: VoxelMap, config: ProjectionConfig | None = None) -> 
 
     Args:
         voxel_map: the map.
-        config: height band and thresholds. A voxel belongs to the band with its centre.
+        config: height band and thresholds. A voxel belongs to the band with its center.
     """
     band = config or ProjectionConfig()
     size = voxel_map.config.voxel_size

@@ -114,19 +114,19 @@ def pack_solids(solids: Sequence[PlacedSolid]) -> SolidArrays:
     """
     packed = [_kind_size_planes(placed) for placed in solids]
     planes = [item[2] for item in packed]
-    centres = np.array([placed.transform[:3, 3] for placed in solids], dtype=np.float64)
+    centers = np.array([placed.transform[:3, 3] for placed in solids], dtype=np.float64)
     radii = np.array([placed.solid.bounding_radius for placed in solids])
-    middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
+    middle = 0.5 * (centers.min(axis=0) + centers.max(axis=0))
     return SolidArrays(
         kinds=np.array([item[0] for item in packed], dtype=np.int64),
         sizes=np.array([item[1] for item in packed], dtype=np.float64),
         plane_starts=np.cumsum([0, *(len(item) for item in planes)]),
         planes=np.concatenate([np.zeros((0, 4)), *planes]),
-        centres=centres,
+        centers=centers,
         rotations=np.array([placed.transform[:3, :3] for placed in solids], dtype=np.float64),
         radii=radii,
         middle=middle,
-        reach=float((np.linalg.norm(centres - middle, axis=1) + radii).max()),
+        reach=float((np.linalg.norm(centers - middle, axis=1) + radii).max()),
     )
 
 

@@ -20,10 +20,10 @@ class SolidArrays(NamedTuple):
         sizes: radius; half edges; radius and half length [m], shape (S, 3).
         plane_starts: solid i has the planes [starts[i], starts[i + 1]), shape (S + 1,).
         planes: outward unit normal and offset [m] of polytopes, shape (P, 4).
-        centres: origins of the solids [m], shape (S, 3).
+        centers: origins of the solids [m], shape (S, 3).
         rotations: from each solid's frame to that of the points, shape (S, 3, 3).
         radii: of the bounding spheres [m], shape (S,).
-        middle: centre of a sphere that holds all bounding spheres [m], shape (3,).
+        middle: center of a sphere that holds all bounding spheres [m], shape (3,).
         reach: its radius [m].
     """
 
@@ -31,7 +31,7 @@ class SolidArrays(NamedTuple):
     sizes: NDArray[np.float64]
     plane_starts: NDArray[np.int64]
     planes: NDArray[np.float64]
-    centres: NDArray[np.float64]
+    centers: NDArray[np.float64]
     rotations: NDArray[np.float64]
     radii: NDArray[np.float64]
     middle: NDArray[np.float64]
@@ -72,9 +72,9 @@ def mark(
         if offset > solids.reach + growth:
             continue
         for s in range(len(solids.kinds)):
-            if _distance(points[i], solids.centres[s]) > solids.radii[s] + growth:
+            if _distance(points[i], solids.centers[s]) > solids.radii[s] + growth:
                 continue
-            _into_solid(points[i], solids.centres[s], solids.rotations[s], local)
+            _into_solid(points[i], solids.centers[s], solids.rotations[s], local)
             if _touches(solids, s, local, c, margin, sigmas, normal):
                 mask[i] = True
                 break
@@ -100,11 +100,11 @@ def _load_covariance(row: Any, columns: Any, unknown_variance: float, c: Any) ->
 
 
 @njit(cache=True, nogil=True)
-def _into_solid(point: Any, centre: Any, rotation: Any, local: Any) -> None:
+def _into_solid(point: Any, center: Any, rotation: Any, local: Any) -> None:
     for j in range(3):
         local[j] = 0.0
         for k in range(3):
-            local[j] += rotation[k, j] * (point[k] - centre[k])
+            local[j] += rotation[k, j] * (point[k] - center[k])
 
 
 @njit(cache=True, nogil=True)

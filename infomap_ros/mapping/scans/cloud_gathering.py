@@ -14,7 +14,7 @@ from infomap_ros.mapping.voxels.storage import FreeBlocks
 
 
 class CloudGatherer:
-    """Scratch memory for gathering unorganised scans."""
+    """Scratch memory for gathering unorganized scans."""
 
     def __init__(self, config: VoxelMapConfig) -> None:
         self._config = config
@@ -62,7 +62,7 @@ class CloudGatherer:
             far = scan.empty_rows(2 * len(far.keys))
 
     def _cells(self, measured: Scan) -> scan.ScanRows:
-        """Normals of an unorganised scan."""
+        """Normals of an unorganized scan."""
         cells = scan.empty_rows()
         size = cloud_normals.CELL_VOXELS * self._config.voxel_size
         while not cloud_normals.gather_cells(cells, measured.points, size, self._config.max_range):

@@ -1,4 +1,4 @@
-"""Surface normals of an unorganised cloud, from the scatter of points in coarse cells."""
+"""Surface normals of an unorganized cloud, from the scatter of points in coarse cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Free space of an organised scan, by projecting voxels into the range image.
+"""Free space of an organized scan, by projecting voxels into the range image.
 
 A voxel is free when most of its footprint is measured, and every measured pixel of it sees past the
 voxel's far side. The rule asks the scan alone, so scans may come in any order; and a thin obstacle
@@ -6,8 +6,8 @@ that covers a few pixels of the footprint keeps its voxel, as does a floor seen 
 and a table top seen edge-on, of which no pixel may be measured.
 
 A pyramid over the range image answers for whole footprints. The footprint of a voxel is a 3 x 3
-neighbourhood of cells on the level whose cells are as wide as half the footprint or wider; `safe`
-holds the depth up to which every measured pixel of that neighbourhood sees through. A cube of many
+neighborhood of cells on the level whose cells are as wide as half the footprint or wider; `safe`
+holds the depth up to which every measured pixel of that neighborhood sees through. A cube of many
 voxels is free where all cells of its footprint are measured and see past it, and holds nothing free
 where none does. The cubes form an octree over the view frustum, down to blocks of 8 x 8 x 8 voxels;
 `see_through` looks at those.
@@ -62,7 +62,7 @@ def to_camera(view: Any, x: float, y: float, z: float) -> tuple[float, float, fl
 
 @kernel
 def far_extent(view: Any, half: float) -> float:
-    """How far a cube of half edge `half` reaches beyond its centre along the optical axis."""
+    """How far a cube of half edge `half` reaches beyond its center along the optical axis."""
     r = view.inverse_rotation
     return half * (abs(r[6]) + abs(r[7]) + abs(r[8]))
 
@@ -118,7 +118,7 @@ def _classify(view: Any, pyramid: Any, x: float, y: float, z: float, half: float
     inside = (
         u_low >= -0.5 and v_low >= -0.5 and u_high < view.width - 0.5 and v_high < view.height - 0.5
     )
-    # Wide enough to hold every neighbourhood that a voxel of the cube may ask.
+    # Wide enough to hold every neighborhood that a voxel of the cube may ask.
     spare = 4.0 * HALF_DIAGONAL * max(view.fx, view.fy) * view.size / near + 4.0
     u0 = int(min(max(u_low - spare, 0.0), view.width - 1.0))
     u1 = int(min(max(u_high + spare, 0.0), view.width - 1.0))

@@ -17,7 +17,7 @@ from infomap_ros.mapping.scans.gathered_scan import (
     check_block_count,
 )
 from infomap_ros.mapping.scans.image_parts import rows_of_parts
-from infomap_ros.mapping.scans.organised import OrganisedScan, gather_organised
+from infomap_ros.mapping.scans.organized import OrganizedScan, gather_organized
 from infomap_ros.mapping.scans.scan_input import Scan
 from infomap_ros.mapping.scans.tiles import empty_groups
 from infomap_ros.mapping.scans.workers import Workers
@@ -28,7 +28,7 @@ _TOP_LEVEL = 4
 
 
 class ImageGatherer:
-    """Scratch memory for gathering organised scans."""
+    """Scratch memory for gathering organized scans."""
 
     def __init__(self, config: VoxelMapConfig, workers: Workers) -> None:
         self._config = config
@@ -73,13 +73,13 @@ class ImageGatherer:
         tallies += part_tallies.sum(axis=0)
         return self._look(measured, camera)
 
-    def _image(self, measured: Scan, camera: PinholeCamera) -> OrganisedScan:
+    def _image(self, measured: Scan, camera: PinholeCamera) -> OrganizedScan:
         """The scan as the kernels take it, and the ground level of the pyramid."""
         if self._image_size != (camera.width, camera.height):
             self._pyramid = pyramid.empty_pyramid(camera.width, camera.height)
             self._image_size = (camera.width, camera.height)
         lower, upper = pyramid.ground_level(self._pyramid)
-        return OrganisedScan(
+        return OrganizedScan(
             measured.points,
             measured.covariances,
             measured.columns,
@@ -92,7 +92,7 @@ class ImageGatherer:
     def _gather_part(
         self,
         part: int,
-        image: OrganisedScan,
+        image: OrganizedScan,
         sensor: Sensor,
         first: int,
         last: int,
@@ -105,12 +105,12 @@ class ImageGatherer:
             rows, groups = self._parts[part], self._groups[part]
             scan.clear_rows(rows)
             tallies[:] = 0
-            if gather_organised(rows, sensor, image, first, last, tallies, groups):
+            if gather_organized(rows, sensor, image, first, last, tallies, groups):
                 return
             self._parts[part] = scan.empty_rows(2 * len(rows.keys))
 
     def _look(self, measured: Scan, camera: PinholeCamera) -> GatheredScan:
-        """Find the blocks that an organised scan sees through."""
+        """Find the blocks that an organized scan sees through."""
         view = _view(measured, camera, self._config.voxel_size)
         states = self._find_blocks(view, measured, camera)
         free = FreeBlocks(self._blocks[: len(states)], np.empty((len(states), 8), np.uint64))

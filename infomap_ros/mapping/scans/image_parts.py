@@ -1,4 +1,4 @@
-"""Parts of an organised scan that are about equal work.
+"""Parts of an organized scan that are about equal work.
 
 Each thread gathers one part. One cut is shared by the fewest voxels, so it is better than many
 small strips in turn; where it lies follows from the scan alone, so the map does not depend on which
@@ -13,7 +13,7 @@ import numpy as np
 
 from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.mapping.scans.association import NEAREST, Sensor
-from infomap_ros.mapping.scans.organised import OrganisedScan
+from infomap_ros.mapping.scans.organized import OrganizedScan
 from infomap_ros.mapping.scans.tiles import TILE
 
 _STEP = 4
@@ -26,7 +26,7 @@ _IN_RANGE, _VOXEL = 4.0, 0.15
 """Work on a tile in range, and on each voxel that it informs; out of range it is 1."""
 
 
-def rows_of_parts(image: OrganisedScan, sensor: Sensor, parts: int) -> list[int]:
+def rows_of_parts(image: OrganizedScan, sensor: Sensor, parts: int) -> list[int]:
     """First row of each part, multiples of 8, and the height of the image at the end."""
     height = image.points.shape[0]
     if parts == 1:
@@ -45,7 +45,7 @@ def _estimate_work(sensor: Any, image: Any, work: Any) -> None:
 
     Args:
         sensor: a `Sensor`.
-        image: an `OrganisedScan`.
+        image: an `OrganizedScan`.
         work: receives the estimate, in units of a tile that is out of range, shape (strips,).
     """
     points, covariances, column = image.points, image.covariances, image.columns[5]

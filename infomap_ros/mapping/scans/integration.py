@@ -69,7 +69,7 @@ class ScanIntegrator:
         Args:
             storage: the map's arrays.
             measured: the scan.
-            correlation: of the errors of neighbouring points, in [0, 1].
+            correlation: of the errors of neighboring points, in [0, 1].
 
         Raises:
             CapacityError: the map would grow beyond its limit; nothing is changed.

@@ -139,7 +139,7 @@ def observe_rows(
         first: first row.
         last: one past the last row.
         information: receives information matrix and vector of each row relative to the voxel's
-            centre, shape (n, 9), float32; the first entry is 0 where a row has
+            center, shape (n, 9), float32; the first entry is 0 where a row has
             no points or its covariance is not positive definite.
         hits: receives the evidence of each row [quanta], int32.
         sides: receives the side from which the surface is seen, uint8.
@@ -182,7 +182,7 @@ def observe_rows(
 
 @kernel
 def _place(sums: Any, row: int, share: float, voxel: Any, size: float, origin: Any) -> Any:
-    """Mean of a row's points, relative to the voxel's centre and to the sensor [m], map frame."""
+    """Mean of a row's points, relative to the voxel's center and to the sensor [m], map frame."""
     offset = (sums[row, 1] * share, sums[row, 2] * share, sums[row, 3] * share)
     arm = (
         (voxel[0] + 0.5) * size + offset[0] - origin[0],

@@ -1,4 +1,4 @@
-"""Tiles of an organised scan in which every pixel is measured and depths differ little.
+"""Tiles of an organized scan in which every pixel is measured and depths differ little.
 
 Most tiles are such. Their pixels share the mean of the tile's covariances, and what they have in
 common is done for all at once, without a branch. Where depths or covariances differ more, the
@@ -20,7 +20,7 @@ PLAIN, FAR = 1, 2
 _ONE = np.uint64(1)
 _UNIT, _FRACTION = 2.0**32, 2**32 - 1
 _DEPTH_RATIO, _VARIANCE_RATIO = 1.05, 1.5
-"""How much depths of a plain tile may differ from that at its centre, and variances within it."""
+"""How much depths of a plain tile may differ from that at its center, and variances within it."""
 
 
 @inlined_kernel
@@ -31,12 +31,12 @@ def place_tile(
 
     Args:
         sensor: a `Sensor`.
-        image: an `infomap_ros.mapping.scans.organised.OrganisedScan`.
+        image: an `infomap_ros.mapping.scans.organized.OrganizedScan`.
         flat: its points in one row.
         v0: first row of the tile.
         u0: first column of the tile.
         groups: a `TileGroups`.
-        tallies: see `infomap_ros.mapping.scans.organised.gather_organised`.
+        tallies: see `infomap_ros.mapping.scans.organized.gather_organized`.
 
     Returns:
         PLAIN where `gather_plain_tile` may do the rest, FAR where all points are out of range, or
@@ -96,8 +96,8 @@ def _place_pixels(
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = sensor.rotation
     tx, ty, tz = sensor.position
     scale, squared_range, limit = sensor.inverse_size, sensor.max_range**2, COORDINATE_LIMIT - 128.0
-    centre = np.float64(tile[3 * (TILE // 2 * TILE + TILE // 2) + 2])
-    near, far = max(centre / _DEPTH_RATIO, NEAREST), centre * _DEPTH_RATIO
+    center = np.float64(tile[3 * (TILE // 2 * TILE + TILE // 2) + 2])
+    near, far = max(center / _DEPTH_RATIO, NEAREST), center * _DEPTH_RATIO
     beyond, plain = 0, 0
     for pixel in range(PIXELS):
         x = np.float64(tile[3 * pixel])

@@ -1,7 +1,7 @@
 """A pyramid over the range image that answers for whole footprints.
 
 `lower` is the depth up to which every measured pixel of a cell sees through, `share` the part of
-its area that is measured, `safe` the smallest `lower` of a cell and its neighbours (-inf where too
+its area that is measured, `safe` the smallest `lower` of a cell and its neighbors (-inf where too
 little of one is measured), `upper` what its farthest-seeing pixel reaches.
 """
 
@@ -28,7 +28,7 @@ class Pyramid(NamedTuple):
         lower: depth up to which all measured pixels of a cell see through, float32 [m]; inf where
             none is measured.
         share: part of a cell's area that is measured, 0 to 1, float32.
-        safe: smallest `lower` of a cell and its neighbours, float32 [m].
+        safe: smallest `lower` of a cell and its neighbors, float32 [m].
         upper: float32 [m].
         starts: first cell of each level, int64.
         widths: cells per row of each level, int64.

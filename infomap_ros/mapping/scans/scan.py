@@ -17,7 +17,7 @@ from infomap_ros.mapping.scans.grid_walk import next_of_short_walk, way_through
 from infomap_ros.mapping.voxels.keys import KEY_X, KEY_Y, table_slot, unpack
 
 POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
-"""Columns of `ScanRows.sums`: number of points, sums of their offset from the voxel's centre [m],
+"""Columns of `ScanRows.sums`: number of points, sums of their offset from the voxel's center [m],
 of their covariance in the sensor frame (xx, xy, xz, yy, yz, zz) [m^2], of their unit normals in
 the map frame, and the number of points that lie in the voxel itself."""
 
@@ -250,7 +250,7 @@ def absorb_rows(source: Any, target: Any) -> None:
 
 
 @inlined_kernel
-def row_centre(key: int, size: float, centre: Any) -> None:
-    """Centre of a voxel [m] from its key."""
+def row_center(key: int, size: float, center: Any) -> None:
+    """Center of a voxel [m] from its key."""
     x, y, z = unpack(key)
-    centre[0], centre[1], centre[2] = (x + 0.5) * size, (y + 0.5) * size, (z + 0.5) * size
+    center[0], center[1], center[2] = (x + 0.5) * size, (y + 0.5) * size, (z + 0.5) * size

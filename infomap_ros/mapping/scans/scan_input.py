@@ -31,7 +31,7 @@ class Scan:
         pose_covariance: of drift and white noise, shape (6, 6); zero where none was given.
         drift: of the drift, shape (6, 6); likewise.
         clock: of the drift.
-        camera: or None for an unorganised cloud.
+        camera: or None for an unorganized cloud.
         outside: points that the camera cannot have seen, beside its image or behind another point.
     """
 
@@ -73,12 +73,12 @@ def checked_scan(
     if cloud.ndim == 3 and cloud.shape[:2] != size:
         raise InvalidInputError(
             "points",
-            f"organised as {cloud.shape[1]}x{cloud.shape[0]}, but the camera has "
+            f"organized as {cloud.shape[1]}x{cloud.shape[0]}, but the camera has "
             f"{camera.width}x{camera.height} pixels",
         )
     outside = 0
     if cloud.ndim == 2 and len(cloud) != camera.height * camera.width:
-        cloud, table, outside = _organise(cloud, table, camera)
+        cloud, table, outside = _organize(cloud, table, camera)
     return Scan(cloud.reshape(*size, 3), table, columns, pose, *errors, camera, outside)
 
 
@@ -171,7 +171,7 @@ def _covariance_table(
     )
 
 
-def _organise(
+def _organize(
     points: NDArray[np.float32], table: NDArray[np.float32], camera: PinholeCamera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
     """Sort points into the pixels that see them, the nearest of a pixel first."""
@@ -183,11 +183,11 @@ def _organise(
     order = np.flatnonzero(seen & finite)
     order = order[np.argsort(-points[order, 2], kind="stable")]
     place = (v[order] * camera.width + u[order]).astype(np.int64)
-    organised = np.full((camera.height * camera.width, 3), np.nan, np.float32)
-    organised[place] = points[order]
+    organized = np.full((camera.height * camera.width, 3), np.nan, np.float32)
+    organized[place] = points[order]
     if len(table) > 1:
         spread = np.zeros((camera.height * camera.width, table.shape[1]), np.float32)
         spread[place] = table[order]
         table = spread
-    used = int(np.count_nonzero(np.isfinite(organised[:, 2])))
-    return organised, table, int(np.count_nonzero(finite)) - used
+    used = int(np.count_nonzero(np.isfinite(organized[:, 2])))
+    return organized, table, int(np.count_nonzero(finite)) - used

@@ -1,4 +1,4 @@
-"""Which voxels of a block an organised scan sees through; the rule is in `free_space`."""
+"""Which voxels of a block an organized scan sees through; the rule is in `free_space`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CLOSE = 4.0
 
 @kernel
 def footprint_level(view: Any, pyramid: Any, depth: float) -> int:
-    """Level whose 3 x 3 neighbourhoods hold the footprint of a voxel at this depth [m]."""
+    """Level whose 3 x 3 neighborhoods hold the footprint of a voxel at this depth [m]."""
     return level_for(pyramid, HALF_DIAGONAL * view.size * max(view.fx, view.fy) / depth)
 
 
@@ -88,11 +88,11 @@ def _test_block(
         view: a `View`.
         pyramid: a `Pyramid`.
         level: of the footprints.
-        x: centre of the block, camera coordinates [m], likewise y and z.
+        x: center of the block, camera coordinates [m], likewise y and z.
         y: see x.
         z: see x.
-        extent: how far a voxel reaches beyond its centre along the optical axis [m].
-        reach: how far the voxels' centres reach beyond the block's [m].
+        extent: how far a voxel reaches beyond its center along the optical axis [m].
+        reach: how far the voxels' centers reach beyond the block's [m].
     """
     u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
     a, b, c, d, e, f, g, h, i = view.inverse_rotation
@@ -138,7 +138,7 @@ def _test_voxels(
     bits: Any,
     block: int,
 ) -> None:
-    """Set the bits of the free voxels of a block with its centre at camera (x, y, z)."""
+    """Set the bits of the free voxels of a block with its center at camera (x, y, z)."""
     a, b, c, d, e, f, g, h, i = view.inverse_rotation
     size, fx, fy = view.size, view.fx, view.fy
     left, top = view.cx + 0.5, view.cy + 0.5

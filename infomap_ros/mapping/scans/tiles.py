@@ -1,4 +1,4 @@
-"""The points of one tile of an organised scan, sorted into groups that lie in one voxel each.
+"""The points of one tile of an organized scan, sorted into groups that lie in one voxel each.
 
 `infomap_ros.mapping.scans.plain_tiles` does most of them faster.
 """
@@ -25,7 +25,7 @@ class TileGroups(NamedTuple):
 
     Attributes:
         keys: of the voxel of each group, int64.
-        sums: number of points, sums of their offsets from the voxel's centre [voxels] (3) and of
+        sums: number of points, sums of their offsets from the voxel's center [voxels] (3) and of
             their covariances in the sensor frame [m^2] (6).
         tile: the points of the tile, float32, shape (192,).
         pixels: depth, position in the map [voxels] (3), shape (4, 64).
@@ -110,12 +110,12 @@ def gather_tile(
 
     Args:
         sensor: a `Sensor`.
-        image: an `infomap_ros.mapping.scans.organised.OrganisedScan`.
+        image: an `infomap_ros.mapping.scans.organized.OrganizedScan`.
         v0: first row of the tile.
         u0: first column of the tile.
         margin: what is taken off a measured depth before space counts as empty [m].
         groups: a `TileGroups`.
-        tallies: see `infomap_ros.mapping.scans.organised.gather_organised`.
+        tallies: see `infomap_ros.mapping.scans.organized.gather_organized`.
     """
     points, covariances, columns = image.points, image.covariances, image.columns
     lower, upper = image.lower, image.upper

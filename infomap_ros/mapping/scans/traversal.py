@@ -20,7 +20,7 @@ from infomap_ros.mapping.scans.scan import (
     INSIDE,
     SUM_COLUMNS,
     add_group,
-    row_centre,
+    row_center,
     row_of,
     walk_through,
 )
@@ -43,7 +43,7 @@ def gather_cloud(
     columns: Any,
     tallies: Any,
 ) -> bool:
-    """Gather an unorganised scan.
+    """Gather an unorganized scan.
 
     Args:
         rows: a `ScanRows`.
@@ -54,7 +54,7 @@ def gather_cloud(
         points: shape (n, 3), float32, sensor frame [m], NaN = no measurement.
         covariances: shape (n, k), or (1, k) for one covariance for all [m^2].
         columns: columns of xx, xy, xz, yy, yz, zz in `covariances`.
-        tallies: int64, shape (4,), as in `gather_organised`.
+        tallies: int64, shape (4,), as in `gather_organized`.
 
     Returns:
         False when the scratch storage is full.
@@ -216,7 +216,7 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
 
 @njit(cache=True, nogil=True)
 def mark_free(marks: Any, rows: Any, far: Any, sensor: Any, gap: float) -> bool:
-    """Mark what the rays of an unorganised scan cross, one ray per end voxel.
+    """Mark what the rays of an unorganized scan cross, one ray per end voxel.
 
     A ray ends as evidence before it comes within reach of its surface: ``k sigma`` of its range,
     and where it would be within `gap` of the surface's tangent plane, so that a ray that grazes a
@@ -232,22 +232,22 @@ def mark_free(marks: Any, rows: Any, far: Any, sensor: Any, gap: float) -> bool:
     Returns:
         False when the scratch storage is full.
     """
-    start, end, centre = np.empty(3), np.empty(3), np.empty(3)
+    start, end, center = np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
         start[i] = sensor.position[i] * sensor.inverse_size
     for row in range(far.used[0]):
-        row_centre(far.keys[row], 1.0, centre)
-        if not mark_ray(marks, start, centre, 1.0):
+        row_center(far.keys[row], 1.0, center)
+        if not mark_ray(marks, start, center, 1.0):
             return False
     for row in range(rows.used[0]):
         if rows.sums[row, INSIDE] == 0.0:
             continue
         count = np.float64(rows.sums[row, 0])
-        row_centre(rows.keys[row], 1.0, centre)
+        row_center(rows.keys[row], 1.0, center)
         length, along = 0.0, 0.0
         for i in range(3):
-            end[i] = centre[i] + rows.sums[row, 1 + i] / count * sensor.inverse_size
-            end[i] = min(max(end[i], centre[i] - 0.4999), centre[i] + 0.4999)
+            end[i] = center[i] + rows.sums[row, 1 + i] / count * sensor.inverse_size
+            end[i] = min(max(end[i], center[i] - 0.4999), center[i] + 0.4999)
             length += (end[i] - start[i]) ** 2
         length = np.sqrt(length)
         for i in range(3):

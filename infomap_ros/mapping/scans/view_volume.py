@@ -51,7 +51,7 @@ def view_volume(
 
     Args:
         T_map_sensor: pose of the sensor, shape (4, 4).
-        camera: of an organised scan, None for a cloud, which may look everywhere.
+        camera: of an organized scan, None for a cloud, which may look everywhere.
         farthest: distance of the farthest point [m].
         config: of the map.
     """

@@ -73,7 +73,7 @@ def _gather_block(blocks: Any, slot: int, places: Any, occupied: float, cubes: A
 
 @njit(cache=True, nogil=True)
 def drop_specks(cubes: Any, largest: int) -> None:
-    """Open the solid cubes of connected groups (26 neighbours) of at most `largest` cubes."""
+    """Open the solid cubes of connected groups (26 neighbors) of at most `largest` cubes."""
     if largest <= 0:
         return
     members = np.empty((largest + 1, 3), np.int64)
@@ -126,7 +126,7 @@ def refine_heights(
 
     A Gaussian's height is its conditional mean of z at the middle of its voxel's column, so that
     a slope is read where the column is: with information matrix A and vector b about the voxel's
-    centre, z = b_z / A_zz with variance 1 / A_zz. Gaussians of a cell are weighted by A_zz, and
+    center, z = b_z / A_zz with variance 1 / A_zz. Gaussians of a cell are weighted by A_zz, and
     their deviation is not divided by their number, as their errors are correlated.
 
     Scans from doubtful poses make voxels above a surface solid in which no surface comes to lie:

@@ -1,7 +1,7 @@
 """Which of the surfaces in a column of the map is the ground of the robot's level.
 
 The ground grows from the robot outwards, always next where it changes least (Prim's order), and
-takes in each column the surface nearest to the height of the neighbour from which it came. So it
+takes in each column the surface nearest to the height of the neighbor from which it came. So it
 follows ramps under ceilings and floors under tables, and climbs a box only from its edge.
 """
 

@@ -15,7 +15,7 @@ _RING = 5  # known cells around a hole without which nothing is said of it
 def fill_holes(
     heights: Any, sigmas: Any, forbidden: Any, largest: int, tolerance: float, filled: Any
 ) -> None:
-    """Fill groups (4 neighbours) of at most `largest` cells without ground by interpolation.
+    """Fill groups (4 neighbors) of at most `largest` cells without ground by interpolation.
 
     A hole is filled when every cell around it has ground, these fit one plane within `tolerance`,
     and no cell of the hole is forbidden. Its deviation is then the larger of the plane's worst
@@ -79,7 +79,7 @@ def _is_in(cells: Any, count: int, a: int, b: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def _ring(heights: Any, members: Any, count: int, ring: Any) -> int:
-    """Cells with ground next to a hole (8 neighbours); their number."""
+    """Cells with ground next to a hole (8 neighbors); their number."""
     found = 0
     for n in range(count):
         x, y = members[n, 0], members[n, 1]
@@ -115,7 +115,7 @@ def _fill(
 
 @njit(cache=True, nogil=True)
 def largest_steps(heights: Any, steps: Any) -> None:
-    """Largest difference in height to one of the 8 neighbours [m]; NaN without ground."""
+    """Largest difference in height to one of the 8 neighbors [m]; NaN without ground."""
     nx, ny = heights.shape
     for i in range(nx):
         for j in range(ny):

@@ -83,9 +83,9 @@ class Terrain:
     Attributes:
         heights: z of the supporting surface at the cell's middle [m, map]; NaN where unknown.
         sigma: standard deviation of it [m].
-        roughness: root mean square distance in z from the plane that fits the neighbourhood,
+        roughness: root mean square distance in z from the plane that fits the neighborhood,
             without what is higher or lower than it is wide [m].
-        step: largest difference in height to a neighbouring cell [m].
+        step: largest difference in height to a neighboring cell [m].
         floor: z from which on the column is open [m, map]: a cell's edge above the ground, or
             where that is unknown the lowest open space seen; inf where it is not open.
         overhead: z of the lowest obstacle above `floor` [m, map], inf where there is none.
@@ -111,7 +111,7 @@ class Terrain:
         xy = np.asarray(points, dtype=np.float64)[..., :2]
         return np.floor((xy - self.origin) / self.resolution).astype(np.int64)
 
-    def centres_of(self, cells: ArrayLike) -> FloatArray:
+    def centers_of(self, cells: ArrayLike) -> FloatArray:
         """Middles of cells, shape (..., 2) -> (..., 2) [m, map]."""
         return np.asarray((np.asarray(cells) + 0.5) * self.resolution + self.origin)
 

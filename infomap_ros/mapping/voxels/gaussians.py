@@ -1,7 +1,7 @@
 """Gaussians in information form, and symmetric 3x3 matrices, for kernels.
 
 Information is a matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and a vector [1/m] of a surface point
-relative to its voxel's centre. Merging two estimates is a sum (eq. 4 of Sujan and Dubowsky 2005,
+relative to its voxel's center. Merging two estimates is a sum (eq. 4 of Sujan and Dubowsky 2005,
 https://doi.org/10.1177/0278364905051774, in its symmetric form ``C = (C1^-1 + C2^-1)^-1``).
 """
 
@@ -51,7 +51,7 @@ def inverse_symmetric(a: Any) -> Any:
 
 @kernel
 def gaussian_of(information: Any) -> Any:
-    """Covariance and mean relative to the voxel's centre from a row, shape (9,); two tuples.
+    """Covariance and mean relative to the voxel's center from a row, shape (9,); two tuples.
 
     Zeros when the information is not positive definite.
     """

@@ -113,7 +113,7 @@ def is_surface(
         information: of its Gaussian, shape (9,) or more.
         half: half a voxel [m].
         work: receives the covariance, shape (6,).
-        mean: receives the mean relative to the voxel's centre, shape (3,).
+        mean: receives the mean relative to the voxel's center, shape (3,).
     """
     if quanta_at(blocks, voxel >> 9, voxel & 511)[1] <= 0:
         return False

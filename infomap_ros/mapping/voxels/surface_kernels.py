@@ -23,7 +23,7 @@ PAGE_COUNT, ROW_COUNT = 0, 1
 """Places in `SurfaceArrays.counts`."""
 
 _TOLERANCE = 1.2
-"""How far from its voxel's centre a mean may lie, in half voxels."""
+"""How far from its voxel's center a mean may lie, in half voxels."""
 
 
 @kernel
@@ -229,7 +229,7 @@ def _mean_lies_in(row: Any, half: float) -> bool:
 
 @kernel
 def _is_near(mean: Any, half: float) -> bool:
-    """Whether a place relative to a voxel's centre [m] lies in the voxel, with the tolerance."""
+    """Whether a place relative to a voxel's center [m] lies in the voxel, with the tolerance."""
     return bool(max(abs(mean[0]), abs(mean[1]), abs(mean[2])) <= _TOLERANCE * half)
 
 
@@ -241,6 +241,6 @@ def lies_in_voxel(information: Any, half: float, work: Any, mean: Any) -> bool:
         information: matrix and vector, shape (9,) or more.
         half: half a voxel [m].
         work: receives the covariance, shape (6,).
-        mean: receives the mean relative to the voxel's centre, shape (3,).
+        mean: receives the mean relative to the voxel's center, shape (3,).
     """
     return bool(solve_mean(information, work, mean) and _is_near(mean, half))

@@ -37,7 +37,7 @@ class VoxelStates(NamedTuple):
         known: whether the voxel was ever observed, shape (K,), bool.
         quanta: evidence in units of LOG_ODDS_QUANTUM, 0 where unknown, shape (K,), int32.
         information: information matrix (xx, xy, xz, yy, yz, zz) [1/m^2] and vector [1/m] of the
-            surface point relative to the voxel's centre, 0 where there is none, shape (K, 9),
+            surface point relative to the voxel's center, 0 where there is none, shape (K, 9),
             float32.
     """
 

@@ -1,4 +1,4 @@
-"""A dense copy of a box of the map, for what looks at many voxels of one neighbourhood."""
+"""A dense copy of a box of the map, for what looks at many voxels of one neighborhood."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ class VoxelWindow:
         """
         return np.floor(np.asarray(points) / self.voxel_size).astype(np.int64) - self.first
 
-    def centres_of(self, positions: ArrayLike) -> FloatArray:
-        """Centres of voxels given by their array positions, (N, 3) -> (N, 3) [m, map]."""
+    def centers_of(self, positions: ArrayLike) -> FloatArray:
+        """Centers of voxels given by their array positions, (N, 3) -> (N, 3) [m, map]."""
         return np.asarray((np.asarray(positions) + self.first + 0.5) * self.voxel_size)
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:

@@ -107,7 +107,7 @@ def _bins(
 
 
 def _radii(positions: FloatArray, steepness: FloatArray, lowest: float) -> FloatArray:
-    """Largest radius in each bin and its neighbours, as few postures fall into one."""
+    """Largest radius in each bin and its neighbors, as few postures fall into one."""
     rows, columns = _bins(positions[:, 2], steepness, lowest)
     radii = np.zeros((int(rows.max(initial=0)) + 1, int(np.pi / _STEEPNESS_BIN) + 1))
     np.maximum.at(radii, (rows, columns), np.linalg.norm(positions[:, :2], axis=1))

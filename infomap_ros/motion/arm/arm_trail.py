@@ -81,7 +81,7 @@ class ArmTrail:
 
 
 def corners_of(positions: FloatArray) -> FloatArray:
-    """Leave out the configurations, of (K, n), that lie on the line between their neighbours."""
+    """Leave out the configurations, of (K, n), that lie on the line between their neighbors."""
     differs = np.abs(np.diff(positions, axis=0)).max(axis=1, initial=0.0) > _STRAIGHT
     positions = positions[np.append(True, differs)]
     kept = [0]

@@ -141,7 +141,7 @@ def knot_velocities(positions: FloatArray, times: FloatArray) -> FloatArray:
     """Velocities at knots of a motion that begins and ends at rest, shape (K, n).
 
     Between knots of constant acceleration they are exact. Else they are those of the parabola
-    through each knot and its neighbours, limited so that the cubic between two knots does not leave
+    through each knot and its neighbors, limited so that the cubic between two knots does not leave
     what lies between them: F. N. Fritsch and R. E. Carlson, Monotone Piecewise Cubic Interpolation,
     SIAM J. Numer. Anal. 17 (1980), doi:10.1137/0717021.
 

@@ -26,7 +26,7 @@ def driving_posture(body: CollisionBody) -> FloatArray:
     Least are the height of the arm's highest point and of its middle, above the base's origin,
     three times its overhang beyond the base's outline seen from above, and ten times what it lacks
     of a clearance over the base's lowest point, together: first of random postures without contact,
-    then of ever nearer neighbours of the best one.
+    then of ever nearer neighbors of the best one.
 
     Returns:
         Positions of the arm, shape (n,) [rad or m].

@@ -70,10 +70,10 @@ def why_not(
     return ", ".join(parts)
 
 
-def _length(metres: float) -> str:
-    if metres < 0.01:
-        return f"{1000.0 * metres:.2g} mm"
-    return f"{100.0 * metres:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+def _length(meters: float) -> str:
+    if meters < 0.01:
+        return f"{1000.0 * meters:.2g} mm"
+    return f"{100.0 * meters:.1f} cm" if meters < 1.0 else f"{meters:.2f} m"
 
 
 def _angle(radians: float) -> str:

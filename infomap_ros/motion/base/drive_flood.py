@@ -74,7 +74,7 @@ def flood(
             entries = _doubled(entries)
         i, j, h = node // (ny * 16), node // 16 % ny, node % 16
         for edge in range(edges):
-            a, b, g = _neighbour(arcs, i, j, h, edge)
+            a, b, g = _neighbor(arcs, i, j, h, edge)
             if not (0 <= a < nx and 0 <= b < ny):
                 continue
             other = (a * ny + b) * 16 + g
@@ -114,7 +114,7 @@ def _prices(turn_cost: float, arcs: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _neighbour(arcs: Any, i: int, j: int, h: int, edge: int) -> tuple[int, int, int]:
+def _neighbor(arcs: Any, i: int, j: int, h: int, edge: int) -> tuple[int, int, int]:
     """Node at the other end of an edge.
 
     Edges 0, 1 turn left, right (forwards, if on an arc); 2, 3 drive forwards, backwards; 4, 5 go

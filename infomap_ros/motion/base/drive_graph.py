@@ -1,6 +1,6 @@
 """Complete search over a lattice of cells (x, y, heading): compiled kernels.
 
-16 headings point exactly at neighbouring cells, up to a knight's move away, so that every way in
+16 headings point exactly at neighboring cells, up to a knight's move away, so that every way in
 the graph can be driven as it is: one move forwards or backwards, or a turn to the next heading, in
 place or on an arc that leads to another cell's middle. Stances in between are asked too, one per
 edge of a cell and per step of a turn.

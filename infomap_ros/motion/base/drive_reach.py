@@ -76,7 +76,7 @@ class DriveReach:
         if not len(nodes):
             return None
         cells = np.column_stack(np.divmod(nodes // 16, self._graph.costs.shape[1]))
-        middles = self._space.terrain.centres_of(cells)
+        middles = self._space.terrain.centers_of(cells)
         best = (np.inf, np.inf, 0, 0)
         for index, goal in enumerate(goals):
             left = np.hypot(*(middles - goal[:2]).T)
@@ -162,5 +162,5 @@ class DriveReach:
     def _place_of(self, node: int) -> FloatArray:
         """x, y, yaw of a node, shape (3,)."""
         cell, heading = divmod(int(node), len(HEADINGS))
-        x, y = self._space.terrain.centres_of(divmod(cell, self._graph.costs.shape[1]))
+        x, y = self._space.terrain.centers_of(divmod(cell, self._graph.costs.shape[1]))
         return np.array([x, y, HEADINGS[heading]])

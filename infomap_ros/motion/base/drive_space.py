@@ -113,7 +113,7 @@ class DriveSpace:
 
 
 def standing_on(poses: FloatArray, stances: FloatArray) -> FloatArray:
-    """Stances with those that are not known taken from their nearest neighbours on the way.
+    """Stances with those that are not known taken from their nearest neighbors on the way.
 
     A robot that leaves a place where it should not stand may come by ground that the map does not
     know. Where no stance is known the ground counts as level, at height zero.

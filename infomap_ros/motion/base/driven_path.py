@@ -3,7 +3,7 @@
 The lattice says whether and where a base can go, and how, in 16 headings from cell to cell. OMPL's
 PathSimplifier shortens that path, and RRT-Connect (Kuffner and LaValle 2000,
 https://doi.org/10.1109/ROBOT.2000.844730) looks for others where a shorter one can be. What they
-insert lies up to a millimetre beside a straight line, as OMPL turns on curves of a small radius,
+insert lies up to a millimeter beside a straight line, as OMPL turns on curves of a small radius,
 and a vehicle stops for each of these bends: places that cost more than passing them by are left
 out. The best path is driven, the lattice's where none is better. Every motion is judged by the same
 stances as the lattice's, in steps half as long. The effort is a number of samples: a clock would

@@ -56,13 +56,13 @@ class Allowance(NamedTuple):
 def allowance_of(vehicle: VehicleArrays) -> Allowance:
     """What a vehicle bears."""
     travel, slope, step, roughness, margin, _ = vehicle.limits
-    design = np.column_stack([np.ones(len(vehicle.centres)), vehicle.centres[:, :2]])
+    design = np.column_stack([np.ones(len(vehicle.centers)), vehicle.centers[:, :2]])
     fit = np.linalg.pinv(design)
     lowest = vehicle.contacts[:, :, 2].min(axis=1)
     plane = fit @ lowest
     places = np.column_stack([np.ones(len(vehicle.columns)), vehicle.columns[:, :2]])
     ground = places @ plane
-    offsets = vehicle.contacts - vehicle.centres[:, None]
+    offsets = vehicle.contacts - vehicle.centers[:, None]
     return Allowance(
         reach=vehicle.reach,
         amplification=float(np.abs(places @ fit).sum(axis=1).max(initial=0.0)),
@@ -87,7 +87,7 @@ def steepest_balanced(vehicle: VehicleArrays, margin: float) -> float:
         for angle in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
             rise = math.tan(slope)
             tilt_to(pose, 0.0, rise * math.cos(angle), rise * math.sin(angle))
-            smallest = min(smallest, tip_margin(pose, vehicle.support, vehicle.centre_of_mass))
+            smallest = min(smallest, tip_margin(pose, vehicle.support, vehicle.center_of_mass))
         low, high = (slope, high) if smallest >= margin + _ANGLE_RESERVE else (low, slope)
     return low
 

@@ -69,14 +69,14 @@ class Ground(NamedTuple):
 
 def ground_of(terrain: TerrainArrays, vehicle: VehicleArrays, spacing: float) -> Ground:
     """Prepare a terrain for a vehicle whose columns are `spacing` apart [m]."""
-    scratch = np.eye(4), np.empty(len(vehicle.centres)), np.empty(MEASURES)
+    scratch = np.eye(4), np.empty(len(vehicle.centers)), np.empty(MEASURES)
     return Ground(terrain, vehicle, _quick_arrays(terrain, vehicle, spacing), scratch)
 
 
 def _quick_arrays(terrain: TerrainArrays, vehicle: VehicleArrays, spacing: float) -> QuickArrays:
     cells = math.ceil((spacing / math.sqrt(2.0) + _STEEPEST * _SPREAD) / terrain.resolution + 0.5)
     around = 2 * cells + 1
-    treads = np.linalg.norm(vehicle.contacts - vehicle.centres[:, None], axis=2)
+    treads = np.linalg.norm(vehicle.contacts - vehicle.centers[:, None], axis=2)
     beside = 2 * math.ceil(float(treads.max()) / terrain.resolution + 0.5) + 1
     _, slope, step, roughness, margin, _ = vehicle.limits
     with np.errstate(invalid="ignore"):
@@ -135,8 +135,8 @@ def is_good(ground: Any, x: float, y: float, yaw: float) -> bool:
 def _on_soft_ground(terrain: Any, vehicle: Any, quick: Any, pose: Any) -> bool:
     """Whether no step or roughness beyond the limits is near a wheel."""
     inverse = 1.0 / terrain.resolution
-    for w in range(len(vehicle.centres)):
-        a, b, c = vehicle.centres[w, 0], vehicle.centres[w, 1], vehicle.centres[w, 2]
+    for w in range(len(vehicle.centers)):
+        a, b, c = vehicle.centers[w, 0], vehicle.centers[w, 1], vehicle.centers[w, 2]
         x = pose[0, 3] + pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c
         y = pose[1, 3] + pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c
         if quick.hard[int((x - terrain.x) * inverse), int((y - terrain.y) * inverse)]:

@@ -51,7 +51,7 @@ def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
     Returns:
         -1, or the wheel under which the ground is unknown.
     """
-    heights, centres, contacts = terrain.heights, vehicle.centres, vehicle.contacts
+    heights, centers, contacts = terrain.heights, vehicle.centers, vehicle.contacts
     inverse, x0, y0 = 1.0 / terrain.resolution, terrain.x, terrain.y
     wheels, samples = contacts.shape[0], contacts.shape[1]
     slope_x, slope_y, pose[2, 3] = 0.0, 0.0, 0.0
@@ -71,35 +71,35 @@ def settle(terrain: Any, vehicle: Any, yaw: float, pose: Any, gaps: Any) -> int:
                     return w
                 highest = max(highest, gap)
             gaps[w] = highest
-        lift, rise_x, rise_y = _fit_plane((r00, r01, r02), (r10, r11, r12), centres, gaps)
+        lift, rise_x, rise_y = _fit_plane((r00, r01, r02), (r10, r11, r12), centers, gaps)
         slope_x, slope_y = slope_x + rise_x, slope_y + rise_y
         tilt_to(pose, yaw, slope_x, slope_y)
         pose[2, 3] += lift
         for w in range(wheels):
-            x, y = _across((r00, r01, r02), centres, w), _across((r10, r11, r12), centres, w)
+            x, y = _across((r00, r01, r02), centers, w), _across((r10, r11, r12), centers, w)
             gaps[w] -= lift + rise_x * x + rise_y * y
     return -1
 
 
 @kernel
-def _across(axis: Any, centres: Any, w: int) -> float:
+def _across(axis: Any, centers: Any, w: int) -> float:
     """Where the middle of a wheel is along an axis from the base [m]."""
-    return float(axis[0] * centres[w, 0] + axis[1] * centres[w, 1] + axis[2] * centres[w, 2])
+    return float(axis[0] * centers[w, 0] + axis[1] * centers[w, 1] + axis[2] * centers[w, 2])
 
 
 @kernel
-def _fit_plane(along_x: Any, along_y: Any, centres: Any, gaps: Any) -> tuple[float, float, float]:
+def _fit_plane(along_x: Any, along_y: Any, centers: Any, gaps: Any) -> tuple[float, float, float]:
     """Least-squares plane through the wheels' gaps: value at the origin, slopes."""
     n = len(gaps)
     mx, my, mz = 0.0, 0.0, 0.0
     for w in range(n):
-        mx, my = mx + _across(along_x, centres, w), my + _across(along_y, centres, w)
+        mx, my = mx + _across(along_x, centers, w), my + _across(along_y, centers, w)
         mz += gaps[w]
     mx, my, mz = mx / n, my / n, mz / n
     xx, xy, yy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0
     for w in range(n):
-        x = _across(along_x, centres, w) - mx
-        y, z = _across(along_y, centres, w) - my, gaps[w] - mz
+        x = _across(along_x, centers, w) - mx
+        y, z = _across(along_y, centers, w) - my, gaps[w] - mz
         xx, xy, yy, xz, yz = xx + x * x, xy + x * y, yy + y * y, xz + x * z, yz + y * z
     scale = 1.0 / (xx * yy - xy * xy)
     rise_x, rise_y = (yy * xz - xy * yz) * scale, (xx * yz - xy * xz) * scale

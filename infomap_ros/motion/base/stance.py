@@ -48,29 +48,29 @@ class VehicleArrays(NamedTuple):
     """A `Vehicle` as the kernels take it, base frame [m].
 
     Attributes:
-        centres: of the W wheels, shape (W, 3).
+        centers: of the W wheels, shape (W, 3).
         contacts: points of each wheel that may touch ground, shape (W, S, 3).
         columns: (x, y, lowest z, highest z) of the body's columns, shape (B, 4).
         needs_ground: columns between the wheels, shape (B,).
         support: corners of the support polygon, counter-clockwise from above, shape (E, 3).
-        centre_of_mass: shape (3,).
+        center_of_mass: shape (3,).
         reach: from the base to the farthest point, horizontally, on the steepest slope [m].
         limits: suspension travel [m], slope [rad], step [m], roughness [m], tip margin [rad], and
             whether unseen space is free (0 or 1), shape (6,).
     """
 
-    centres: FloatArray
+    centers: FloatArray
     contacts: FloatArray
     columns: FloatArray
     needs_ground: NDArray[np.bool_]
     support: FloatArray
-    centre_of_mass: FloatArray
+    center_of_mass: FloatArray
     reach: float
     limits: FloatArray
 
 
 @kernel
-def tip_margin(pose: Any, support: Any, centre_of_mass: Any) -> float:
+def tip_margin(pose: Any, support: Any, center_of_mass: Any) -> float:
     """Smallest angle by which the body must turn about an edge of its support to fall over [rad].
 
     The static case of the force-angle measure of Papadopoulos and Rey 1996,
@@ -88,9 +88,9 @@ def tip_margin(pose: Any, support: Any, centre_of_mass: Any) -> float:
         norm = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
         ax, ay, az = ax * norm, ay * norm, az * norm
         lx, ly, lz = (
-            support[m, 0] - centre_of_mass[0],
-            support[m, 1] - centre_of_mass[1],
-            support[m, 2] - centre_of_mass[2],
+            support[m, 0] - center_of_mass[0],
+            support[m, 1] - center_of_mass[1],
+            support[m, 2] - center_of_mass[2],
         )
         along_l, along_d = ax * lx + ay * ly + az * lz, ax * dx + ay * dy + az * dz
         lx, ly, lz = lx - along_l * ax, ly - along_l * ay, lz - along_l * az
@@ -218,7 +218,7 @@ def judge(terrain: Any, vehicle: Any, pose: Any, gaps: Any, measures: Any) -> in
     if measures[SLOPE] > limits[1]:
         return STEEP
     _under_wheels(terrain, vehicle, pose, measures)
-    measures[TIP] = tip_margin(pose, vehicle.support, vehicle.centre_of_mass)
+    measures[TIP] = tip_margin(pose, vehicle.support, vehicle.center_of_mass)
     if measures[STEP] > limits[2]:
         return STEPPED
     if measures[MISFIT] > limits[0]:
@@ -235,7 +235,7 @@ def stand_all(
     terrain: Any, vehicle: Any, places: Any, poses: Any, outcomes: Any, measures: Any
 ) -> None:
     """Outcomes of many stances (x, y, yaw), shape (N, 3); see `stand`."""
-    gaps = np.empty(len(vehicle.centres))
+    gaps = np.empty(len(vehicle.centers))
     for n in range(len(places)):
         outcomes[n] = stand(
             terrain, vehicle, places[n, 0], places[n, 1], places[n, 2], poses[n], gaps, measures[n]

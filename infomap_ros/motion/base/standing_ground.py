@@ -64,7 +64,7 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     if up[2] < _FLATTEST:
         raise InvalidInputError("T_map_bases", "a robot that stands is not tilted by 78 degrees")
     cells = np.argwhere(np.ones(terrain.heights.shape, np.bool_))
-    middle = terrain.centres_of(cells)
+    middle = terrain.centers_of(cells)
     # Heights of the wheels' plane at the cells' middles, then those places in the base frame.
     on_plane = T_map_base[:3, 3] + z * up
     heights = on_plane[2] - (middle - on_plane[:2]) @ up[:2] / up[2]
@@ -123,7 +123,7 @@ def standing_pose(terrain: Terrain, vehicle: Vehicle, place: FloatArray) -> Floa
     pose[:3, 3] = x, y, terrain.near[2]
     radius = np.hypot(*vehicle.undercarriage.outline.T).max() + _AROUND
     cells = np.argwhere(np.isfinite(terrain.heights))
-    offsets = terrain.centres_of(cells) - (x, y)
+    offsets = terrain.centers_of(cells) - (x, y)
     around = np.hypot(*offsets.T) <= radius
     slope_x, slope_y = 0.0, 0.0
     if around.sum() >= _ENOUGH and np.ptp(offsets[around], axis=0).min() >= radius:

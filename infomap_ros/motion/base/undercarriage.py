@@ -25,7 +25,7 @@ class Undercarriage:
 
     Attributes:
         names: of the wheels or corners.
-        centres: shape (W, 3) [m].
+        centers: shape (W, 3) [m].
         contacts: points that may touch ground, shape (W, S, 3) [m].
         outline: corners of the ground between the wheels seen from above, counter-clockwise,
             shape (E, 2) [m].
@@ -34,7 +34,7 @@ class Undercarriage:
     """
 
     names: tuple[str, ...]
-    centres: FloatArray
+    centers: FloatArray
     contacts: FloatArray
     outline: FloatArray
     support: FloatArray
@@ -64,17 +64,17 @@ def wheels_of(robot: RobotModel, patterns: str, solids: Sequence[PlacedSolid]) -
             f"robot '{robot.name}' has {len(names)} links with a collision shape that match "
             f"'{patterns}', expected at least 3 wheels: give another pattern or a footprint"
         )
-    centres, treads = [], []
+    centers, treads = [], []
     for name in names:
         own = [solid for solid in solids if solid.name == name]
         low, high = (np.array(x) for x in zip(*(solid_extent(solid) for solid in own), strict=True))
         low, high = low.min(axis=0), high.max(axis=0)
-        centres.append(0.5 * (low + high))
+        centers.append(0.5 * (low + high))
         treads.append(_tread(0.5 * (high[2] - low[2]), 0.5 * (high[1] - low[1])))
     most = max(len(tread) for tread in treads)
     padded = [np.concatenate([t, np.repeat(t[:1], most - len(t), axis=0)]) for t in treads]
-    contacts = np.array(centres)[:, None] + np.array(padded)
-    return _undercarriage(names, np.array(centres), contacts)
+    contacts = np.array(centers)[:, None] + np.array(padded)
+    return _undercarriage(names, np.array(centers), contacts)
 
 
 def footprint_of(corners: Sequence[float], height: float) -> Undercarriage:
@@ -90,19 +90,19 @@ def footprint_of(corners: Sequence[float], height: float) -> Undercarriage:
     if len(corners) < 6 or len(corners) % 2:
         raise RobotModelError(f"a footprint of {len(corners)} numbers, expected 3 or more x, y")
     points = np.array(corners, dtype=np.float64).reshape(-1, 2)
-    centres = np.column_stack([points, np.full(len(points), height)])
+    centers = np.column_stack([points, np.full(len(points), height)])
     names = tuple(f"corner {index}" for index in range(len(points)))
-    return _undercarriage(names, centres, centres[:, None])
+    return _undercarriage(names, centers, centers[:, None])
 
 
 def _undercarriage(
-    names: tuple[str, ...], centres: FloatArray, contacts: FloatArray
+    names: tuple[str, ...], centers: FloatArray, contacts: FloatArray
 ) -> Undercarriage:
     lowest = contacts[np.arange(len(contacts)), contacts[:, :, 2].argmin(axis=1)].copy()
-    lowest[:, :2] = centres[:, :2]
+    lowest[:, :2] = centers[:, :2]
     support = lowest[_hull(lowest[:, :2])]
     touching = contacts.reshape(-1, 3)[:, :2]
-    return Undercarriage(names, centres, contacts, touching[_hull(touching)], support)
+    return Undercarriage(names, centers, contacts, touching[_hull(touching)], support)
 
 
 def _hull(points: FloatArray) -> NDArray[np.int64]:
@@ -116,7 +116,7 @@ def _hull(points: FloatArray) -> NDArray[np.int64]:
 
 
 def _tread(radius: float, half_width: float) -> FloatArray:
-    """Points of the lower half of a wheel that rolls along x, about its centre, shape (S, 3)."""
+    """Points of the lower half of a wheel that rolls along x, about its center, shape (S, 3)."""
     along = np.linspace(-_ALONG, _ALONG, 2 * max(1, round(_ALONG * radius / _SAMPLE_SPACING)) + 1)
     across = np.linspace(-1.0, 1.0, max(1, int(np.ceil(2.0 * half_width / _SAMPLE_SPACING))) + 1)
     x, y = (grid.ravel() for grid in np.meshgrid(along * radius, across * half_width))

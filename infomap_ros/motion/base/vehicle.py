@@ -134,14 +134,14 @@ class Vehicle:
         columns = np.concatenate(
             [columns, _wheel_columns(solids, wheels, carriage, settings, wider)]
         )
-        mass, centre = mass_of(robot, joints)
+        mass, center = mass_of(robot, joints)
         arrays = VehicleArrays(
-            carriage.centres,
+            carriage.centers,
             np.ascontiguousarray(carriage.contacts),
             columns,
             _inside_polygon(columns[:, :2], carriage.outline),
             carriage.support,
-            centre,
+            center,
             _reach(columns, carriage, settings.max_slope),
             limits,
         )
@@ -201,7 +201,7 @@ class Vehicle:
         arrays = self.arrays
         if q is not None:
             joints = {**self.joint_positions, **self.robot.arm.by_name(q)}
-            arrays = arrays._replace(centre_of_mass=mass_of(self.robot, joints)[1])
+            arrays = arrays._replace(center_of_mass=mass_of(self.robot, joints)[1])
         poses = np.full((len(rows), 4, 4), np.nan)
         poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
         outcomes = np.empty(len(rows), np.int64)
@@ -233,10 +233,10 @@ def _wheel_columns(
 ) -> FloatArray:  # fmt: skip
     """Upper halves of the wheels: what stands beside a wheel higher than its axle is touched."""
     columns = []
-    for name, centre in zip(carriage.names, carriage.centres, strict=True):
+    for name, center in zip(carriage.names, carriage.centers, strict=True):
         own = [solid for solid in solids if solid.name == name and name in wheels]
         part = body_columns(own, config.column_spacing, config.margin, wider)
-        part[:, 2] = np.maximum(part[:, 2], centre[2])
+        part[:, 2] = np.maximum(part[:, 2], center[2])
         columns.append(part[part[:, 3] > part[:, 2]])
     return np.concatenate([np.zeros((0, 4)), *columns])
 
@@ -244,7 +244,7 @@ def _wheel_columns(
 def _smallest_radius(carriage: Undercarriage) -> float:
     """Height of the axle above the lowest point of the smallest wheel [m]."""
     lowest = carriage.contacts[:, :, 2].min(axis=1)
-    return float((carriage.centres[:, 2] - lowest).min())
+    return float((carriage.centers[:, 2] - lowest).min())
 
 
 def _reach(columns: FloatArray, carriage: Undercarriage, slope: float) -> float:

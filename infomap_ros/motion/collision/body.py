@@ -134,7 +134,7 @@ class CollisionBody:
         return np.empty((len(self.tree.arrays.parents) + 1, 3, 4))
 
     def spheres(self, q: FloatArray, T_map_base: FloatArray) -> FloatArray:
-        """Centres in the map and radii of all spheres, shape (S, 4) [m].
+        """Centers in the map and radii of all spheres, shape (S, 4) [m].
 
         Args:
             q: positions of the arm, shape (n,).

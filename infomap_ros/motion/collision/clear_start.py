@@ -35,8 +35,8 @@ class ClearStart:
     def space(self, robot: RobotModel) -> PlacedSolid:
         """The clear space: from the ground to above the highest camera, map frame."""
         height = camera_heights(robot)[1] + _ABOVE
-        centre = make_transform(np.eye(3), (0.0, 0.0, robot_bottom(robot) + 0.5 * height))
-        return PlacedSolid(Cylinder(self.radius, height), self.T_map_base @ centre, "start")
+        center = make_transform(np.eye(3), (0.0, 0.0, robot_bottom(robot) + 0.5 * height))
+        return PlacedSolid(Cylinder(self.radius, height), self.T_map_base @ center, "start")
 
     def ground(self, terrain: Terrain, vehicle: Vehicle) -> Terrain:
         """The terrain with the plane of the wheels where the map knows no ground."""

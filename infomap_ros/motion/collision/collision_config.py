@@ -11,7 +11,7 @@ from infomap_ros.geometry.config import check_config, parameter, setting
 
 @dataclass(frozen=True)
 class CollisionConfig:
-    """How the body is modelled and what counts as in its way.
+    """How the body is modeled and what counts as in its way.
 
     Raises:
         ConfigError: a value is out of its range.

@@ -24,10 +24,10 @@ class BodyArrays(NamedTuple):
 
     Attributes:
         bodies: body of each link, shape (L,).
-        balls: a sphere that holds all spheres of the link: centre in the body's frame and radius,
+        balls: a sphere that holds all spheres of the link: center in the body's frame and radius,
             shape (L, 4) [m].
         starts: link l has the spheres [starts[l], starts[l + 1]), shape (L + 1,).
-        spheres: centre in the body's frame and radius, shape (S, 4) [m].
+        spheres: center in the body's frame and radius, shape (S, 4) [m].
         pairs: links that must not touch each other, shape (P, 2).
         reach: bound of the way of any point of a link, per unit of each of the arm's positions,
             shape (L, n) [m/rad or 1].
@@ -82,7 +82,7 @@ def place_bodies(tree: Any, q: Any, T_map_base: Any, places: Any) -> None:
 
 @njit(cache=True, nogil=True, inline="always")
 def placed(place: Any, ball: Any) -> tuple[float, float, float]:
-    """Centre of a sphere, given in the frame of a body that is placed at `place`."""
+    """Center of a sphere, given in the frame of a body that is placed at `place`."""
     x, y, z = ball[0], ball[1], ball[2]
     return (
         place[0, 0] * x + place[0, 1] * y + place[0, 2] * z + place[0, 3],
@@ -191,7 +191,7 @@ def first_contact(space: Any, q: Any) -> tuple[int, int, float, float, float]:
 
 @njit(cache=True, nogil=True)
 def sphere_clearances(space: Any, q: Any, limits: Any, found: Any) -> None:
-    """Distance of each sphere's centre to what is blocked, at most its limit, shapes (S,) [m]."""
+    """Distance of each sphere's center to what is blocked, at most its limit, shapes (S,) [m]."""
     distances, first, size, outside_is_free = space.field
     places = np.empty((len(space.tree.parents) + 1, 3, 4))
     place_bodies(space.tree, q, space.T_map_base, places)
@@ -218,7 +218,7 @@ def pair_gaps(space: Any, q: Any, limits: Any, found: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def place_spheres(tree: Any, body: Any, q: Any, T_map_base: Any, out: Any) -> None:
-    """Centres and radii of all spheres in the map, shape (S, 4)."""
+    """Centers and radii of all spheres in the map, shape (S, 4)."""
     places = np.empty((len(tree.parents) + 1, 3, 4))
     place_bodies(tree, q, T_map_base, places)
     for link in range(len(body.bodies)):

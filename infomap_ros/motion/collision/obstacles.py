@@ -77,7 +77,7 @@ def _close(terrain: Terrain, obstacle: Obstacle) -> None:
     low = np.clip(terrain.cells_of(corner)[0], 0, terrain.heights.shape)
     high = np.clip(terrain.cells_of(corner + 2.0 * reach)[0] + 1, 0, terrain.heights.shape)
     cells = np.argwhere(np.ones(np.maximum(high - low, 0), np.bool_)) + low
-    away = np.linalg.norm(terrain.centres_of(cells) - (obstacle.x, obstacle.y), axis=1)
+    away = np.linalg.norm(terrain.centers_of(cells) - (obstacle.x, obstacle.y), axis=1)
     i, j = cells[away <= reach].T
     ground = terrain.heights[i, j]
     level = np.isnan(ground)

@@ -2,7 +2,7 @@
 
 A sphere about a point at depth d inside the solid may have the radius d + tolerance, as it then
 stays within the solid grown by the tolerance. The solid is cut into cells, small ones near its
-surface and larger ones in its depth, so that the sphere about each cell's own centre would hold the
+surface and larger ones in its depth, so that the sphere about each cell's own center would hold the
 cell. Of these spheres, and those of the larger cells that were cut, enough are chosen that each
 cell is wholly in one, greedily the sphere that holds most cells not yet held (set cover); each is
 then shrunk to what it must hold.
@@ -24,7 +24,7 @@ from infomap_ros.motion.robot.solid_extent import solid_extent
 
 _CELLS = 4000
 _GROWTH = 1.25
-_SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its centre
+_SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its center
 _SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
 
 
@@ -37,7 +37,7 @@ def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
             many cells for this is covered with the least larger tolerance that needs fewer.
 
     Returns:
-        Centres in the solid's frame and radii, shape (K, 4) [m].
+        Centers in the solid's frame and radii, shape (K, 4) [m].
 
     Raises:
         InvalidInputError: the tolerance is not positive.
@@ -57,7 +57,7 @@ def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
 def _cut(
     solid: Solid, extent: tuple[FloatArray, FloatArray], tolerance: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Cells (centre and half diagonal, shape (N, 4)), and centres (M, 3) and radii (M,) of spheres.
+    """Cells (center and half diagonal, shape (N, 4)), and centers (M, 3) and radii (M,) of spheres.
 
     None where there are too many cells.
     """
@@ -65,36 +65,36 @@ def _cut(
     size = np.maximum(high - low, 1e-3 * tolerance) + _SLACK
     counts = np.maximum(np.round(size / max(size.min(), tolerance)), 1).astype(int)
     axes = [a + w * (np.arange(n) + 0.5) / n for a, w, n in zip(low, size, counts, strict=True)]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     edges, cells, candidates, radii = size / counts, [], [], []
-    while len(centres):
+    while len(centers):
         half = 0.5 * float(np.linalg.norm(edges)) + _SLACK
-        allowed = tolerance - solid.signed_distance(centres)
-        centres, allowed = (
-            centres[allowed >= tolerance - half],
+        allowed = tolerance - solid.signed_distance(centers)
+        centers, allowed = (
+            centers[allowed >= tolerance - half],
             allowed[allowed >= tolerance - half],
         )
-        candidates.append(centres[allowed > 0.0])
+        candidates.append(centers[allowed > 0.0])
         radii.append(allowed[allowed > 0.0])
         done = half <= _SHARE * allowed
-        cells.append(np.column_stack([centres[done], np.full(np.count_nonzero(done), half)]))
+        cells.append(np.column_stack([centers[done], np.full(np.count_nonzero(done), half)]))
         if sum(map(len, cells)) + np.count_nonzero(~done) > _CELLS:
             return None
-        centres, edges = _halved(centres[~done], edges)
+        centers, edges = _halved(centers[~done], edges)
     return np.concatenate(cells), np.concatenate(candidates), np.concatenate(radii)
 
 
-def _halved(centres: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Cut boxes in half along their long axes; new centres, shape (N, 3), and edges, (3,)."""
+def _halved(centers: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut boxes in half along their long axes; new centers, shape (N, 3), and edges, (3,)."""
     long = edges > 0.6 * edges.max()
     edges = np.where(long, 0.5 * edges, edges)
     signs = [(-0.5, 0.5) if is_long else (0.0,) for is_long in long]
     offsets = np.array(list(product(*signs))) * edges
-    return (centres[:, None] + offsets).reshape(-1, 3), edges
+    return (centers[:, None] + offsets).reshape(-1, 3), edges
 
 
 @njit(cache=True, nogil=True)
-def _chosen(cells: Any, centres: Any, radii: Any) -> Any:
+def _chosen(cells: Any, centers: Any, radii: Any) -> Any:
     """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,); shape (K, 4).
 
     Of spheres that hold equally many cells, the smallest is taken.
@@ -103,7 +103,7 @@ def _chosen(cells: Any, centres: Any, radii: Any) -> Any:
     held, gains = np.zeros(count, np.bool_), np.zeros(len(radii), np.int64)
     for m in range(len(radii)):
         for n in range(count):
-            gains[m] += _radius_to_hold(centres[m], cells[n]) <= radii[m] + _SLACK
+            gains[m] += _radius_to_hold(centers[m], cells[n]) <= radii[m] + _SLACK
     spheres = np.empty((count, 4))
     chosen = 0
     while left > 0:
@@ -111,21 +111,21 @@ def _chosen(cells: Any, centres: Any, radii: Any) -> Any:
         for m in range(1, len(radii)):
             if gains[m] > gains[best] or (gains[m] == gains[best] and radii[m] < radii[best]):
                 best = m
-        spheres[chosen, :3], spheres[chosen, 3] = centres[best], 0.0
+        spheres[chosen, :3], spheres[chosen, 3] = centers[best], 0.0
         for n in range(count):
-            needed = _radius_to_hold(centres[best], cells[n])
+            needed = _radius_to_hold(centers[best], cells[n])
             if held[n] or needed > radii[best] + _SLACK:
                 continue
             held[n] = True
             left -= 1
             spheres[chosen, 3] = max(spheres[chosen, 3], needed)
             for m in range(len(radii)):
-                gains[m] -= _radius_to_hold(centres[m], cells[n]) <= radii[m] + _SLACK
+                gains[m] -= _radius_to_hold(centers[m], cells[n]) <= radii[m] + _SLACK
         chosen += 1
     return spheres[:chosen].copy()
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _radius_to_hold(centre: Any, cell: Any) -> float:
-    x, y, z = centre[0] - cell[0], centre[1] - cell[1], centre[2] - cell[2]
+def _radius_to_hold(center: Any, cell: Any) -> float:
+    x, y, z = center[0] - cell[0], center[1] - cell[1], center[2] - cell[2]
     return math.sqrt(x * x + y * y + z * z) + cell[3]

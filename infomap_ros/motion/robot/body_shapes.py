@@ -107,8 +107,8 @@ def _hull(vertices: FloatArray) -> ConvexPolytope:
     """Convex hull with the coplanar triangles of a facet counted once; a flat mesh is a plate."""
     if len(vertices) < 3:
         raise InvalidInputError("mesh", f"has {len(vertices)} vertices")
-    centred = vertices - vertices.mean(axis=0)
-    _, extents, directions = np.linalg.svd(centred, full_matrices=False)
+    centered = vertices - vertices.mean(axis=0)
+    _, extents, directions = np.linalg.svd(centered, full_matrices=False)
     if extents[2] < _FLAT * extents[0]:
         half = 0.5 * PLATE_THICKNESS * directions[2]
         vertices = np.concatenate([vertices - half, vertices + half])

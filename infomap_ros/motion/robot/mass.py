@@ -1,4 +1,4 @@
-"""Mass and centre of mass of a robot with its arm in any posture."""
+"""Mass and center of mass of a robot with its arm in any posture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from infomap_ros.motion.robot.robot_model import RobotModel
 
 
 def mass_of(robot: RobotModel, joint_positions: Mapping[str, float]) -> tuple[float, FloatArray]:
-    """Mass [kg] and centre of mass, shape (3,) [m, base frame]; all joints must be there.
+    """Mass [kg] and center of mass, shape (3,) [m, base frame]; all joints must be there.
 
     Raises:
         RobotModelError: the robot has no inertials, or a joint is missing.
@@ -23,11 +23,11 @@ def mass_of(robot: RobotModel, joint_positions: Mapping[str, float]) -> tuple[fl
     pinocchio.forwardKinematics(model, data, robot.configuration(joint_positions))
     masses = np.array([float(inertia.mass) for inertia in model.inertias])
     if masses.sum() <= 0.0:
-        raise RobotModelError(f"robot '{robot.name}' has no inertials, so no centre of mass")
-    centres = np.array(
+        raise RobotModelError(f"robot '{robot.name}' has no inertials, so no center of mass")
+    centers = np.array(
         [pose.act(i.lever) for pose, i in zip(data.oMi, model.inertias, strict=True)]
     ).reshape(-1, 3)
-    centre = (masses @ np.where(masses[:, None] > 0.0, centres, 0.0)) / masses.sum()
+    center = (masses @ np.where(masses[:, None] > 0.0, centers, 0.0)) / masses.sum()
     root = str(model.frames[1].name)
     T_base_root = robot.forward_kinematics(joint_positions, root)
-    return float(masses.sum()), T_base_root[:3, :3] @ centre + T_base_root[:3, 3]
+    return float(masses.sum()), T_base_root[:3, :3] @ center + T_base_root[:3, 3]

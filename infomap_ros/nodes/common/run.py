@@ -32,7 +32,7 @@ def run_node(
     arguments: Sequence[str] | None = None,
     until: Callable[[NodeType], Future] | None = None,
 ) -> int:
-    """Initialise ROS, spin one node in one thread until shut down, and clean up.
+    """Initialize ROS, spin one node in one thread until shut down, and clean up.
 
     ROS's own handling of signals is left out, because it closes the context at once: a node could
     not tell a robot to stop. `infomap_ros.nodes.common.interrupts` says what is done instead.

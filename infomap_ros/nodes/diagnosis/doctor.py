@@ -104,7 +104,7 @@ class Doctor(Node):
         """What was found so far."""
         found = [self._presence(topic) for topic in self.topics]
         found += [Finding(False, self._full(t), text) for t, text in self.errors.items()]
-        found += self._cameras() + self._poses() + self._localisation() + unconnected(self)
+        found += self._cameras() + self._poses() + self._localization() + unconnected(self)
         return found
 
     def _full(self, topic: str) -> str:
@@ -130,13 +130,13 @@ class Doctor(Node):
             return ": start fiducial_localization, or dead_reckoning on a robot with odometry alone"
         return f"; remap it: -r {topic}:={others[0]}" if others else ""
 
-    def _localisation(self) -> list[Finding]:
+    def _localization(self) -> list[Finding]:
         """What a node that locates the camera says of its pose."""
         found = []
         for name, status in self.conditions.items():
             values = {pair.key: pair.value for pair in status.values}
             if "state" in values and "fiducials tracked" in values:
-                found.append(findings.check_localisation(name, values))
+                found.append(findings.check_localization(name, values))
         return found
 
     def _last(self, topic: str) -> Any:

@@ -146,7 +146,7 @@ def _gray(image: ImageRecord) -> np.ndarray:
     return pixels if pixels.ndim == 2 else pixels[..., :3].mean(axis=-1).astype(np.uint8)
 
 
-def check_localisation(name: str, values: Mapping[str, str]) -> Finding:
+def check_localization(name: str, values: Mapping[str, str]) -> Finding:
     """Whether the camera is located.
 
     Args:

@@ -12,7 +12,7 @@ from infomap_ros.geometry import (
     PoseRecord,
     Sphere,
 )
-from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
@@ -62,7 +62,7 @@ def _warm_up_corrections(config: VoxelMapConfig, points: NDArray[np.float32]) ->
     camera = fit_pinhole_camera(points)
     measured = DepthCameraSensor(camera).measure(points[..., 2]) if camera else None
     if measured is not None:
-        cloud = measured.organised_points
+        cloud = measured.organized_points
         correctable.integrate(0, cloud, np.eye(4), measured.covariance_triangles, None, camera)
     correctable.integrate(1, points.reshape(-1, 3), np.eye(4))
     for stamp, pose in enumerate((np.eye(4), elsewhere)):

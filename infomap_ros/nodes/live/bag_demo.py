@@ -56,7 +56,7 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     start = time.monotonic()
     fusion = {"voxel_size": voxel_size}
     map_file = out / MAP_FILE
-    with LiveRun(bag, out, player, fusion=fusion, map_file=map_file, localisation={}) as run:
+    with LiveRun(bag, out, player, fusion=fusion, map_file=map_file, localization={}) as run:
         pictures, poses = LivePictures(run), PoseComparison(run)
         console.print("starting stereo_range, fiducial_localization and map_fusion")
         run.start(_START_TIMEOUT)

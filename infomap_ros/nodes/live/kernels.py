@@ -69,12 +69,12 @@ STEPS: Mapping[str, Callable[[], object]] = {
     "range": _measure,
     "map": lambda: map_warm_up.warm_up(1),
     "sharing": _share,
-    "localisation": localization_warm_up.warm_up,
+    "localization": localization_warm_up.warm_up,
     "planning": lambda: plan_warm_up.warm_up(ViewPlannerConfig(threads=1)),
 }
-"""What is compiled, by name. Localisation and map use range; sharing and planning use the map."""
+"""What is compiled, by name. Localization and map use range; sharing and planning use the map."""
 
-SENSING: Stages = ((("range",),), (("map",), ("localisation",)))
+SENSING: Stages = ((("range",),), (("map",), ("localization",)))
 """What the nodes need that make a map: stages, one after the other, of groups, each a process."""
 PLANNING = ("planning",)
 """What choosing a view needs, after `SENSING`."""

@@ -1,4 +1,4 @@
-"""An exploration as processes over DDS: simulator, driver, localisation, range, map, choice, loop.
+"""An exploration as processes over DDS: simulator, driver, localization, range, map, choice, loop.
 
 The robot is driven by actions where their packages are installed, else by topics.
 """
@@ -18,15 +18,15 @@ from infomap_ros.nodes.simulated.simulated_driver import (
     has_actions,
     simulated_driver,
 )
-from infomap_ros.nodes.simulated.simulated_localisation import (
-    simulated_localisation,
+from infomap_ros.nodes.simulated.simulated_localization import (
+    simulated_localization,
     simulated_motion_noise,
 )
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
-LOCALISATION_FILE = "localisation.infomap"
+LOCALIZATION_FILE = "localization.infomap"
 _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
@@ -38,16 +38,16 @@ Parameters = Mapping[str, object]
 
 
 def robot_parameters(
-    out: Path, namespace: str = "/", *, localised: bool = True, lockstep: bool = False
+    out: Path, namespace: str = "/", *, localized: bool = True, lockstep: bool = False
 ) -> dict[str, dict[str, object]]:
     """Parameters of the nodes of one simulated robot that explores, by node name.
 
-    It keeps map, mission, localisation and its place in files, and goes on from them.
+    It keeps map, mission, localization and its place in files, and goes on from them.
 
     Args:
         out: folder of its files, an absolute path.
         namespace: of the robot.
-        localised: by fiducial_localization; else the simulator tells the camera's pose.
+        localized: by fiducial_localization; else the simulator tells the camera's pose.
         lockstep: simulated time waits for the nodes, and the robot is driven by topics.
     """
 
@@ -61,14 +61,14 @@ def robot_parameters(
             "image_rate": IMAGE_RATE,
             "state_file": out / ROBOT_FILE,
             "resume": True,
-            "publish_camera_pose": not localised,
+            "publish_camera_pose": not localized,
         },
         "fiducial_localization": {
             "rectify": True,
             "motion": "odometry",
-            "state_file": out / LOCALISATION_FILE,
+            "state_file": out / LOCALIZATION_FILE,
             "resume": True,
-            **simulated_localisation(),
+            **simulated_localization(),
             **reliable(*_IMAGES, "odom", "joint_states"),
         },
         "stereo_range": {"rectify": True, **reliable(*_IMAGES)},
@@ -93,7 +93,7 @@ def robot_parameters(
         # A motion is late by the time of the robot that carries it out.
         driver = {"use_sim_time": True, **simulated_driver()}
         nodes["robot_driver"] = {**driver, **reliable("joint_states")}
-    if not localised:
+    if not localized:
         del nodes["fiducial_localization"]
     if lockstep:
         nodes["simulator"]["lockstep_nodes"] = [name for name in nodes if name != "simulator"]
@@ -107,7 +107,7 @@ class LiveExploration(LiveGraph):
     Args:
         out: folder for map, mission, log of the run and logs of the nodes.
         parameters: further parameters by node name.
-        localised: by fiducial_localization; else the simulator tells the camera's pose.
+        localized: by fiducial_localization; else the simulator tells the camera's pose.
         lockstep: simulated time waits for the nodes.
 
     Attributes:
@@ -121,14 +121,14 @@ class LiveExploration(LiveGraph):
         out: Path,
         parameters: Mapping[str, Parameters] | None = None,
         *,
-        localised: bool = True,
+        localized: bool = True,
         lockstep: bool = False,
     ) -> None:
         super().__init__(out)
         out = out.absolute()
         self.figures: dict[str, str] = {}
         self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
-        own = robot_parameters(out, localised=localised, lockstep=lockstep)
+        own = robot_parameters(out, localized=localized, lockstep=lockstep)
         given = parameters or {}
         self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
 

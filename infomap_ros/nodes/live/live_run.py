@@ -32,7 +32,7 @@ class LiveRun(LiveGraph):
         stereo: further parameters of stereo_range.
         fusion: further parameters of map_fusion.
         map_file: where map_fusion saves; ``map.infomap`` in `out` where not given.
-        localisation: further parameters of fiducial_localization, which then makes camera_pose
+        localization: further parameters of fiducial_localization, which then makes camera_pose
             anew; where not given, the bag's own poses are played.
     """
 
@@ -46,12 +46,12 @@ class LiveRun(LiveGraph):
         stereo: Mapping[str, object] | None = None,
         fusion: Mapping[str, object] | None = None,
         map_file: Path | None = None,
-        localisation: Mapping[str, object] | None = None,
+        localization: Mapping[str, object] | None = None,
     ) -> None:
         super().__init__(out)
         self.map_file = (map_file or out / "map.infomap").absolute()
         pair = [LEFT, RIGHT, "left/camera_info", "right/camera_info"]
-        listeners = 1 if localisation is None else 2  # of the images
+        listeners = 1 if localization is None else 2  # of the images
         self._player: dict[str, Any] = {
             "bag": bag.absolute(),
             "wait_for_subscribers": [*pair * listeners, "camera_pose"],
@@ -63,11 +63,11 @@ class LiveRun(LiveGraph):
         self._player |= results
         self._stereo = {"rectify": True, **images, **(stereo or {})}
         self._fusion = {"map_file": self.map_file, **clouds, **(fusion or {})}
-        self._localisation: dict[str, object] | None = None
-        if localisation is not None:
+        self._localization: dict[str, object] | None = None
+        if localization is not None:
             self._player |= {"left_out": ["/camera_pose"], "wait_for_publishers": ["camera_pose"]}
             motion = reliable_inputs(("odom", "joint_states"))
-            self._localisation = {"rectify": True, **images, **motion, **localisation}
+            self._localization = {"rectify": True, **images, **motion, **localization}
 
     def watch_updates(self) -> None:
         """Note when the map updates of each stamp arrive."""
@@ -105,9 +105,9 @@ class LiveRun(LiveGraph):
         """Start stereo_range and map_fusion."""
         self.pids["map_fusion"] = self._processes.start("map_fusion", self._fusion)
         self.pids["stereo_range"] = self._processes.start("stereo_range", self._stereo)
-        if self._localisation is not None:
+        if self._localization is not None:
             name = "fiducial_localization"
-            self.pids[name] = self._processes.start(name, self._localisation)
+            self.pids[name] = self._processes.start(name, self._localization)
 
     def start_player(self) -> None:
         """Start bag_player; it waits for the nodes, and for this process if it watches images."""

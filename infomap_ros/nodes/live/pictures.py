@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.live.live_run import LiveRun
 from infomap_ros.replay.mapping.range_pictures import draw_depth, draw_sigma

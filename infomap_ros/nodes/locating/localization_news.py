@@ -6,7 +6,7 @@ import numpy as np
 
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.localization.localizer import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.locating.base_topics import BaseOdometry
 from infomap_ros.nodes.locating.camera_root import CameraRoot
@@ -47,7 +47,7 @@ class LocalizationNews:
 
     def tell(
         self,
-        result: Localisation,
+        result: LocalizedCamera,
         camera_frame: str,
         posture: RobotPosture | None,
         odom_frame: str,
@@ -83,7 +83,7 @@ class LocalizationNews:
         elif not odom_frame and (below := self._root.below_map(pose)) is not None:
             self._publish_frame(below)
 
-    def _tell_keyframes(self, result: Localisation) -> None:
+    def _tell_keyframes(self, result: LocalizedCamera) -> None:
         """Keyframes, where there is a new one or one has moved."""
         kept = self._changes.after(result, self._localizer.keyframes())
         if kept is not None:
@@ -99,7 +99,7 @@ class LocalizationNews:
             self._told_fiducials = stamp
             self._outputs.publish_fiducials(stamp, fiducials)
 
-    def _note(self, result: Localisation) -> None:
+    def _note(self, result: LocalizedCamera) -> None:
         """Say in diagnostics, and where the state is another one in the log, how it goes."""
         health, sentence = self._node.health, _sentence(result)
         health.note("stamp", str(result.stamp))
@@ -122,5 +122,5 @@ class LocalizationNews:
 _PARTS = (slice(0, 3), slice(3, 6))
 
 
-def _sentence(result: Localisation) -> str:
+def _sentence(result: LocalizedCamera) -> str:
     return f"{result.state}: {result.reason}" if result.reason else result.state

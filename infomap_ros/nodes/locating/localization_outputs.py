@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.filter.records import Fiducials, KeptPoses
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.messages import encode_pose
 from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
 from infomap_ros.messages.keyframes import (
@@ -48,7 +48,7 @@ class LocalizationOutputs:
         self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
         self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
 
-    def publish_status(self, result: Localisation) -> None:
+    def publish_status(self, result: LocalizedCamera) -> None:
         """Publish what became of a view; latched, so that who comes late knows it too."""
         self._status.publish(status_message(result))
 
@@ -90,7 +90,7 @@ class LocalizationOutputs:
             self._markers.publish(MarkerArray(markers=[marker]))
 
     def _marker(self, stamp: int, rows: NDArray[np.void]) -> Marker:
-        """All fiducials as balls: green where they are known to a centimetre, red from 10 cm on."""
+        """All fiducials as balls: green where they are known to a centimeter, red from 10 cm on."""
         marker = Marker(ns="fiducials", id=0, type=Marker.SPHERE_LIST, action=Marker.ADD)
         marker.header.frame_id = self._map
         marker.header.stamp.sec, marker.header.stamp.nanosec = divmod(stamp, 1_000_000_000)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from infomap_ros.errors import MalformedMessageError
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 
 LOCALIZATION_STATUS = "localization_status"
 _NAME = "localization"
@@ -26,7 +26,7 @@ class LocalizationState:
 
     Attributes:
         stamp: of the view [ns].
-        state: ``tracking``, ``coasting``, ``lost`` or ``searching``, as of `Localisation`.
+        state: ``tracking``, ``coasting``, ``lost`` or ``searching``, as of `LocalizedCamera`.
         reason: why it is not tracking; may be empty.
     """
 
@@ -35,7 +35,7 @@ class LocalizationState:
     reason: str
 
 
-def status_message(result: Localisation) -> DiagnosticStatus:
+def status_message(result: LocalizedCamera) -> DiagnosticStatus:
     """What became of a view, as a message."""
     values = {"stamp": result.stamp, "state": result.state, "reason": result.reason}
     return DiagnosticStatus(

@@ -1,4 +1,4 @@
-"""Kernels of localisation that are ready before the first image."""
+"""Kernels of localization that are ready before the first image."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def warm_up() -> None:
 
 
 def _texture(height: int, width: int) -> np.ndarray:
-    """Grey blobs, shape (height, width), uint8."""
+    """Gray blobs, shape (height, width), uint8."""
     noise = np.random.default_rng(1).normal(size=(height, width))
     blobs = cv2.GaussianBlur(noise, (0, 0), 2.0)
     return np.clip(128.0 + 60.0 * blobs / blobs.std(), 0.0, 255.0).astype(np.uint8)

@@ -21,7 +21,7 @@ from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.team.teammate_places import TeammatePlaces, TeammatePlacesConfig
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
-from infomap_ros.localization.localisation import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
 from infomap_ros.localization.target.robot_tags import RobotTagFinder
 from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
@@ -96,7 +96,7 @@ class TeammateSight:
         self._places.keep([agent.robot for agent in remembered])
         return self._places.about(stamp)
 
-    def look(self, view: RangeView, result: Localisation) -> None:
+    def look(self, view: RangeView, result: LocalizedCamera) -> None:
         """Look for teammates in a view.
 
         Args:

@@ -71,13 +71,13 @@ class PlanOutputs:
     def _markers(
         self, stamp: int, candidates: Sequence[Mapping[str, Any]], chosen: FloatArray | None
     ) -> MarkerArray:
-        """Candidates as arrows, coloured by rating; rejected ones grey, with the reason."""
+        """Candidates as arrows, colored by rating; rejected ones gray, with the reason."""
         forget = Marker(action=Marker.DELETEALL)
         array = MarkerArray(markers=[forget])
         shares = _shares([each["rating"] for each in candidates])
         for number, (each, share) in enumerate(zip(candidates, shares, strict=True)):
             marker = self._marker(stamp, "rejected" if each["rejection"] else "candidates", number)
-            marker.color = _REJECTED if each["rejection"] else _colour(share)
+            marker.color = _REJECTED if each["rejection"] else _color(share)
             marker.text = each["rejection"] or _terms(each)
             start = np.asarray(each["position"], dtype=float)
             end = start + _ARROW[0] * np.asarray(each["direction"], dtype=float)
@@ -109,7 +109,7 @@ def _shares(ratings: Sequence[float | None]) -> FloatArray:
     return np.nan_to_num((values - low) / max(high - low, 1e-9))
 
 
-def _colour(share: float) -> ColorRGBA:
+def _color(share: float) -> ColorRGBA:
     stops = np.linspace(0.0, 1.0, len(_RATINGS))
     r, g, b = (float(np.interp(share, stops, channel)) for channel in _RATINGS.T)
     return ColorRGBA(r=r, g=g, b=b, a=0.9)

@@ -35,7 +35,7 @@ class TargetSight:
 
     @property
     def found(self) -> bool:
-        """Whether localisation says anything else than that it searches."""
+        """Whether localization says anything else than that it searches."""
         return self._last.state not in ("", "searching")
 
     @property

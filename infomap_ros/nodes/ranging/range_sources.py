@@ -13,6 +13,6 @@ def stereo_topics(*, rectify: bool) -> ImageSources:
 
 
 def depth_topics(*, color: bool) -> ImageSources:
-    """Topics of a depth camera; with `color`, each depth image waits for its colour image."""
+    """Topics of a depth camera; with `color`, each depth image waits for its color image."""
     images = ("depth/image_rect", "rgb/image_rect") if color else ("depth/image_rect",)
     return ImageSources(images, ("depth/camera_info",))

@@ -1,7 +1,7 @@
 """The map of the whole team, as map_fusion shows it.
 
 It exists from the first word of another robot on. It is a replica as every robot has it: the own
-contribution enters as others hear it, quantised, so that all robots show the same map.
+contribution enters as others hear it, quantized, so that all robots show the same map.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from pathlib import Path
 from infomap_ros.replay.bags.source import Channel
 
 RawMessage = tuple[int, int, bytes]
-"""Receive time [ns], number of the channel, serialised message."""
+"""Receive time [ns], number of the channel, serialized message."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Salvage:
         problems: what is damaged, in sentences.
         start: receive time of the first message [ns].
         end: receive time of the last message [ns].
-        is_ros1: True for the serialisation of ROS 1.
+        is_ros1: True for the serialization of ROS 1.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)

@@ -55,7 +55,7 @@ def find_images(
         given: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
             ``right_info``, ``depth``, ``info``, ``color``.
         make_estimator: called with ``stereo`` or ``depth`` and whether the images are raw.
-        color: whether a depth image waits for its colour image.
+        color: whether a depth image waits for its color image.
 
     Raises:
         BagError: there is no stereo pair and no depth camera, or not the one that is wanted.

@@ -31,7 +31,7 @@ class BagMessage:
         topic: absolute name.
         type_name: ROS 2 form.
         stamp: when it was received [ns].
-        data: serialised as CDR (those of ROS 1 bags are converted).
+        data: serialized as CDR (those of ROS 1 bags are converted).
     """
 
     topic: str
@@ -166,7 +166,7 @@ class BagReader:
             try:
                 content = to_cdr(data, channel.type_name)
             except DAMAGE as error:
-                self.skipped[f"{channel.topic}: cannot be deserialised ({error})"] += 1
+                self.skipped[f"{channel.topic}: cannot be deserialized ({error})"] += 1
                 continue
             yield BagMessage(channel.topic, type_name, stamp, content)
 
@@ -207,7 +207,7 @@ class BagReader:
             else:
                 message = self._store.deserialize_cdr(data, name)
         except DAMAGE as error:
-            problem = f"cannot be deserialised ({error})"
+            problem = f"cannot be deserialized ({error})"
             raise MalformedMessageError(name, problem) from error
         is_static = channel.topic.endswith("tf_static")
         return decode(name, message, stamp=stamp, is_static=is_static)

@@ -80,7 +80,7 @@ class BagSource(Protocol):
 
     Attributes:
         channels: what the bag holds.
-        is_ros1: True where messages are serialised as in ROS 1, False for CDR.
+        is_ros1: True where messages are serialized as in ROS 1, False for CDR.
         start: receive time of the first message [ns].
         end: receive time of the last message [ns].
         problems: what is damaged, one sentence each; grows while reading.
@@ -93,7 +93,7 @@ class BagSource(Protocol):
     problems: list[str]
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, int, bytes]]:
-        """Channel, receive time [ns] and serialised message of every message on `topics`."""
+        """Channel, receive time [ns] and serialized message of every message on `topics`."""
 
     def close(self) -> None:
         """Release the files."""

@@ -59,7 +59,7 @@ class DepthTopics:
     Attributes:
         depth: depth image.
         info: its camera info.
-        color: colour image of the same pixels, None where there is none.
+        color: color image of the same pixels, None where there is none.
     """
 
     depth: str
@@ -104,9 +104,9 @@ def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -
 
 
 def find_depth_topics(topics: Topics, given: Mapping[str, str] | None = None) -> DepthTopics:
-    """Find a depth image, its camera info, and colours for it.
+    """Find a depth image, its camera info, and colors for it.
 
-    A depth image that is aligned to the colour image goes first; colours are used only when they
+    A depth image that is aligned to the color image goes first; colors are used only when they
     are, or when a topic is given.
 
     Args:

@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from infomap_ros.localization.localizer import Localisation
+from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.pipeline.pipeline import Located
 from infomap_ros.replay.localizing.trajectory import Trajectory, TrajectoryRecorder
 
@@ -15,11 +15,11 @@ class LocalizationLog:
     """Collects what became of each view.
 
     Attributes:
-        localisations: one for each view, in order.
+        localizations: one for each view, in order.
     """
 
     def __init__(self) -> None:
-        self.localisations: list[Localisation] = []
+        self.localizations: list[LocalizedCamera] = []
         self._recorder = TrajectoryRecorder()
 
     def add(self, done: object) -> None:
@@ -27,7 +27,7 @@ class LocalizationLog:
         if not isinstance(done, Located):
             return
         result = done.result
-        self.localisations.append(result)
+        self.localizations.append(result)
         if result.T_map_camera is not None and result.covariance is not None:
             self._recorder.add(result.stamp, result.T_map_camera, result.covariance, done.kept)
 
@@ -43,20 +43,20 @@ class LocalizationLog:
 
     def figures(self) -> dict[str, int | float | str]:
         """Counts of the views, length of the path and final standard deviations."""
-        states = Counter(one.state for one in self.localisations)
+        states = Counter(one.state for one in self.localizations)
         trajectory = self.trajectory
         steps = np.diff(trajectory.transforms[:, :3, 3], axis=0)
         last = trajectory.covariances[-1] if len(trajectory) else np.full((6, 6), np.nan)
-        tracked = [one.tracked for one in self.localisations]
+        tracked = [one.tracked for one in self.localizations]
         return {
-            "views": len(self.localisations),
+            "views": len(self.localizations),
             "poses": len(trajectory),
             "tracking": states["tracking"],
             "coasting": states["coasting"],
             "lost": states["lost"],
             "searching": states["searching"],
-            "keyframes": sum(one.is_keyframe for one in self.localisations),
-            "target_sightings": sum(one.target_seen for one in self.localisations),
+            "keyframes": sum(one.is_keyframe for one in self.localizations),
+            "target_sightings": sum(one.target_seen for one in self.localizations),
             "mean_fiducials": round(float(np.mean(tracked)) if tracked else 0.0, 1),
             "path_length": round(float(np.linalg.norm(steps, axis=1).sum()), 4),
             "final_position_sigma": round(float(np.sqrt(np.trace(last[:3, :3]))), 6),

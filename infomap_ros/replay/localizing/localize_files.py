@@ -1,4 +1,4 @@
-"""What localisation of a bag leaves behind."""
+"""What localization of a bag leaves behind."""
 
 from __future__ import annotations
 
@@ -109,14 +109,14 @@ def _draw_path(axes: Axes, then: Trajectory, now: Trajectory, which: tuple[int, 
 
 
 def _draw_certainty(axes: Axes, run: LocalizeRun, trajectory: Trajectory) -> None:
-    start = run.log.localisations[0].stamp
+    start = run.log.localizations[0].stamp
     times = _times(trajectory.stamps, start)
     spread: NDArray[Any] = np.trace(trajectory.covariances[:, :3, :3], axis1=1, axis2=2)
     axes.plot(times, 1e3 * np.sqrt(spread), color="tab:blue")
     axes.set_xlabel("time [s]")
     axes.set_ylabel("position sigma [mm]")
     for state, color in _STATES.items():
-        stamps = np.array([o.stamp for o in run.log.localisations if o.state == state], np.int64)
+        stamps = np.array([o.stamp for o in run.log.localizations if o.state == state], np.int64)
         if len(stamps):
             label = "dead reckoning" if state == "coasting" else state
             axes.plot(_times(stamps, start), np.zeros(len(stamps)), "|", color=color, label=label)

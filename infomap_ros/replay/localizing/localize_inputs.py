@@ -1,4 +1,4 @@
-"""What a bag offers for localisation: views, and what the robot knows of its motion."""
+"""What a bag offers for localization: views, and what the robot knows of its motion."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class LocalizeInputConfig(MotionInputConfig, ImageInputConfig):
 
 @dataclass(frozen=True)
 class LocalizeOptions:
-    """All settings of localisation in a bag.
+    """All settings of localization in a bag.
 
     Attributes:
         topics: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
@@ -117,7 +117,7 @@ class LocalizeInputs:
 def find_localize_inputs(
     bag: Recording, options: LocalizeOptions, *, is_dense: bool = False
 ) -> LocalizeInputs:
-    """Look through a bag for what localisation needs; `is_dense` where range clouds are wanted too.
+    """Look through a bag for what localization needs; `is_dense` where range clouds are wanted too.
 
     Raises:
         BagError: it has no images with range, or lacks odometry that is asked for.

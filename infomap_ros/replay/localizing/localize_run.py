@@ -44,7 +44,7 @@ class LocalizeRun:
         """Look through the bag.
 
         Raises:
-            BagError: it lacks what localisation needs.
+            BagError: it lacks what localization needs.
             RobotModelError: its robot description cannot be used.
         """
         self._bag, settings = bag, options or LocalizeOptions()
@@ -77,13 +77,13 @@ class LocalizeRun:
             for done in chain(work, self._pipeline.finish()):
                 self.log.add(done)
                 if progress is not None:
-                    progress(len(self.log.localisations), self.inputs.frames)
+                    progress(len(self.log.localizations), self.inputs.frames)
         self.seconds = time.perf_counter() - start
         if not len(self.log.trajectory):
             raise BagError(f"the camera was never located: {self._why_never()}")
 
     def _why_never(self) -> str:
-        reasons = Counter(one.reason for one in self.log.localisations) + self.refused
+        reasons = Counter(one.reason for one in self.log.localizations) + self.refused
         reasons += self.inputs.perception.dropped + self.dropped
         listed = "; ".join(f"{n} x {reason}" for reason, n in reasons.most_common(3))
         return listed or "the bag has no views"

@@ -62,7 +62,7 @@ class MapInputConfig(ImageInputConfig):
 
     poses: str = parameter(
         "auto",
-        "Where poses come from: the bag, or localisation by its images; auto takes the bag's where "
+        "Where poses come from: the bag, or localization by its images; auto takes the bag's where "
         "it has some.",
         choices=("auto", "bag", "localize"),
     )
@@ -81,7 +81,7 @@ class MapOptions:
 
     Attributes:
         topics: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
-            ``right_info``, ``depth``, ``info``, ``pose``, ``joints``; for localisation also
+            ``right_info``, ``depth``, ``info``, ``pose``, ``joints``; for localization also
             ``color`` and ``odometry``.
         robot: path or text of a URDF; the bag's robot description where empty.
     """
@@ -112,9 +112,9 @@ class MapInputs:
 
     Attributes:
         perception: turns images into range clouds, or into views where they locate the camera.
-        pose_topic: what tells the pose; empty where that is localisation.
+        pose_topic: what tells the pose; empty where that is localization.
         poses: of the camera.
-        located: what localisation uses; None where the bag tells the poses.
+        located: what localization uses; None where the bag tells the poses.
         camera_frame: optical frame of the camera.
         body: of the robot.
         body_note: why no body is removed, empty where one is.
@@ -171,7 +171,7 @@ def find_inputs(bag: Recording, options: MapOptions) -> MapInputs:
 
 
 def _pose_topic(types: Topics, options: MapOptions) -> str:
-    """The topic that tells the pose; empty where localisation does."""
+    """The topic that tells the pose; empty where localization does."""
     if options.input.poses == "localize":
         return ""
     try:
@@ -230,7 +230,7 @@ def _find_body(
 
 
 def localize_options(options: MapOptions) -> LocalizeOptions:
-    """The settings of localising the camera of a bag that is to be mapped."""
+    """The settings of localizing the camera of a bag that is to be mapped."""
     given = options.input
     motion = {name: getattr(options.motion, name) for name in parameters_of(MotionInputConfig)}
     return LocalizeOptions(

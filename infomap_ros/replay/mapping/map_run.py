@@ -202,17 +202,17 @@ class MapRun:
             "voxel_size": self.map.config.voxel_size,
             "map_frame": self.inputs.map_frame,
             "range_topic": self.inputs.perception.sources.images[0],
-            "pose_topic": self.inputs.pose_topic or "(localisation)",
+            "pose_topic": self.inputs.pose_topic or "(localization)",
             "assumed_poses": self.builder.assumed_poses,
             "poses_refused": sum(self.refused.values()),
             "body_points_dropped": self.builder.points_cut,
             "messages_skipped": sum(self._bag.skipped.values()),
             "bag_problems": len(self._bag.problems),
         }
-        if self.log.localisations:
+        if self.log.localizations:
             located = self.log.figures()
             names = ("tracking", "coasting", "lost", "keyframes", "path_length")
-            figures |= {f"localisation_{name}": located[name] for name in names}
+            figures |= {f"localization_{name}": located[name] for name in names}
             figures["corrections"] = self.builder.corrections
         figures |= {f"dropped: {reason}": count for reason, count in self.dropped.items()}
         return figures

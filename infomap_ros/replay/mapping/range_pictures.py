@@ -17,7 +17,7 @@ _WIDTH = 9.0  # of a picture [in]
 
 
 def draw_depth(cloud: RangeCloud, path: Path) -> None:
-    """Draw the depth of every pixel; what was not measured stays grey.
+    """Draw the depth of every pixel; what was not measured stays gray.
 
     Args:
         cloud: a measurement.

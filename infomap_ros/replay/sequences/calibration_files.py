@@ -34,7 +34,7 @@ _MODELS = {
 }
 """Distortion models by the names that files give them."""
 
-_LONGEST_BASELINE = 5.0  # of a pair on a robot or car; more means another unit than metres [m]
+_LONGEST_BASELINE = 5.0  # of a pair on a robot or car; more means another unit than meters [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +253,8 @@ def _kitti(text: str, size: Size, path: Path) -> Calibration:
     rows = [numbers for _, numbers in sorted(found)] or text.strip().splitlines()
     projections = [np.reshape([*map(float, row.split())], (3, 4)) for row in rows]
     is_color = any((path.parent / name).is_dir() for name in ("image_2", "image_02"))
-    has_grey = any((path.parent / name).is_dir() for name in ("image_0", "image_00"))
-    first = 2 if is_color and not has_grey and len(projections) > 3 else 0
+    has_gray = any((path.parent / name).is_dir() for name in ("image_0", "image_00"))
+    first = 2 if is_color and not has_gray and len(projections) > 3 else 0
     chosen = projections[first : first + 2]
     origin = chosen[0][0, 3]
     cameras = tuple(_pinhole(P[:, :3], size, P[0, 3] - origin) for P in chosen)

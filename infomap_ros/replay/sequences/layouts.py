@@ -362,7 +362,7 @@ def _depth_sequence(
     calibration, _ = _calibration(folder, options, depth, known)
     unit = options.depth_unit or 1e-3
     camera, T_color_depth = calibration.cameras[0], calibration.T_second_first
-    change = lambda pixels: _in_metres(pixels, unit)  # noqa: E731
+    change = lambda pixels: _in_meters(pixels, unit)  # noqa: E731
     shift = np.eye(4)
     if len(calibration.cameras) > 1 and T_color_depth is not None and color:
         seen_by = ColorCamera(_pinhole(calibration.cameras[1]), tuple(T_color_depth[:3, 3]))
@@ -388,7 +388,7 @@ def _pinhole(camera: CameraCalibration) -> PinholeCamera:
     return PinholeCamera(camera.width, camera.height, k[0, 0], k[1, 1], k[0, 2], k[1, 2])
 
 
-def _in_metres(pixels: Pixels, unit: float) -> Pixels:
+def _in_meters(pixels: Pixels, unit: float) -> Pixels:
     """Depth as ROS has it: mm in 16 bits, or m in floats, NaN where there is none.
 
     Raises:
@@ -400,9 +400,9 @@ def _in_metres(pixels: Pixels, unit: float) -> Pixels:
         return pixels
     if np.issubdtype(pixels.dtype, np.floating):
         return pixels.astype(np.float32)
-    metres = pixels.astype(np.float32) * np.float32(unit)
-    metres[pixels == 0] = np.nan
-    return metres
+    meters = pixels.astype(np.float32) * np.float32(unit)
+    meters[pixels == 0] = np.nan
+    return meters
 
 
 def _counts(pixels: Pixels) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:

@@ -1,4 +1,4 @@
-"""Depth images taken over to the colour camera beside the depth camera."""
+"""Depth images taken over to the color camera beside the depth camera."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from infomap_ros.geometry.transforms import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ColorCamera:
-    """The colour camera of a depth camera, parallel to it.
+    """The color camera of a depth camera, parallel to it.
 
     Attributes:
         camera: its undistorted image.
@@ -37,7 +37,7 @@ class ColorCamera:
 def register_depth(
     depth: NDArray[np.uint16], camera: PinholeCamera, color: ColorCamera
 ) -> NDArray[np.uint16]:
-    """The depth image that the colour camera would have seen.
+    """The depth image that the color camera would have seen.
 
     Args:
         depth: shape (H, W) [mm], 0 where not measured.
@@ -45,7 +45,7 @@ def register_depth(
         color: where it is to be seen from.
 
     Returns:
-        Shape of the colour image [mm]; of several points in one pixel the nearest.
+        Shape of the color image [mm]; of several points in one pixel the nearest.
     """
     v, u = np.nonzero(depth)
     z = 1e-3 * depth[v, u].astype(np.float64)

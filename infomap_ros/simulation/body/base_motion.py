@@ -77,7 +77,7 @@ class BaseMotion:
         self._start()
 
     def correct(self, T_odom_path: FloatArray) -> None:
-        """Localisation has found the frame of the path to be here in odom, shape (4, 4)."""
+        """Localization has found the frame of the path to be here in odom, shape (4, 4)."""
         self._path_frame = planar(T_odom_path)
 
     def drive(self, speed: float, turn_rate: float) -> None:

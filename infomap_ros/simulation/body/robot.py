@@ -151,7 +151,7 @@ def add_robot(
         spec: the world.
         description: URDF text, read by `load_robot`.
         prefix: put before the names of all bodies and joints, so that several robots fit.
-        material: name of a material of `spec` that textures the robot's own colours.
+        material: name of a material of `spec` that textures the robot's own colors.
 
     Returns:
         The robot's root body.

@@ -75,7 +75,7 @@ class RobotSensors:
         return self._odometry.estimate().transform @ T_base_camera
 
     def camera_pose(self) -> PoseRecord:
-        """Left optical frame in the map, as a good localisation would measure it."""
+        """Left optical frame in the map, as a good localization would measure it."""
         config = self.config
         sigma = np.repeat([config.position_noise, config.rotation_noise], 3)
         measured = perturb_transform(

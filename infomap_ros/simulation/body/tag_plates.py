@@ -59,7 +59,7 @@ def add_tag_plates(spec: mujoco.MjSpec, link: str, tags: TagBoardConfig) -> None
 
 
 def _faces(tags: TagBoardConfig, tag: int, cell: float) -> tuple[Image, ...]:
-    """The print on the face +x, with a white rim of one cell; the others are grey."""
+    """The print on the face +x, with a white rim of one cell; the others are gray."""
     one = TagBoardConfig(
         family=tags.family, side=tags.side, columns=1, rows=1, margin=cell, first_id=tag
     )
@@ -68,5 +68,5 @@ def _faces(tags: TagBoardConfig, tag: int, cell: float) -> tuple[Image, ...]:
         draw_board(one, 2.0 * _TEXTURE / width), (_TEXTURE, _TEXTURE), interpolation=cv2.INTER_AREA
     )
     pixels = (drawn.astype(np.float64) * (_WHITE / 255.0)).astype(np.uint8)
-    grey = np.full((_TEXTURE, _TEXTURE, 3), 128, np.uint8)
-    return (np.rot90(np.repeat(pixels[..., None], 3, axis=-1)), *[grey] * 5)
+    gray = np.full((_TEXTURE, _TEXTURE, 3), 128, np.uint8)
+    return (np.rot90(np.repeat(pixels[..., None], 3, axis=-1)), *[gray] * 5)

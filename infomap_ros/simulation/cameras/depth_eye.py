@@ -1,7 +1,7 @@
 """A depth camera at the place of the left camera of a simulated robot.
 
 Noise along the ray follows Nguyen, Izadi and Lovell (2012, doi:10.1109/3DIMPVT.2012.84):
-``sigma_base + sigma_quadratic (z - sigma_depth)^2``; part of it is the same for neighbouring
+``sigma_base + sigma_quadratic (z - sigma_depth)^2``; part of it is the same for neighboring
 pixels. Across the ray, each pixel reads the depth of a place beside it.
 """
 
@@ -20,7 +20,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot_body import RobotBody
 from infomap_ros.simulation.cameras.rendering import Renderer
 
-_PATCH = 2.5  # [px] standard deviation of what neighbouring pixels share
+_PATCH = 2.5  # [px] standard deviation of what neighboring pixels share
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class DepthEyeConfig:
     sigma_depth: ClassVar[float] = 0.4
     """Depth at which the noise is smallest [m]."""
     shared: ClassVar[float] = 0.3
-    """Share of the variance that neighbouring pixels have in common."""
+    """Share of the variance that neighboring pixels have in common."""
     pixel_sigma: float = setting(
         0.5, "Standard deviation of the ray across the image.", unit="px", low=0.0, high=5.0
     )
-    quantisation: float = setting(
+    quantization: float = setting(
         0.001, "Step of the depth values; 0 for none.", unit="m", low=0.0, high=0.1
     )
 
@@ -110,8 +110,8 @@ class DepthEye:
         z = self._beside(truth)
         spread = config.sigma_base + config.sigma_quadratic * (z - config.sigma_depth) ** 2
         z = z + spread * self._noise(z.shape)
-        if config.quantisation:
-            z = np.rint(z / config.quantisation) * config.quantisation
+        if config.quantization:
+            z = np.rint(z / config.quantization) * config.quantization
         in_range = (z >= config.nearest) & (z <= config.farthest)
         return np.where(in_range, z, np.nan).astype(np.float32)
 

@@ -23,7 +23,7 @@ class StereoPair(NamedTuple):
 
     Attributes:
         stamp: [ns].
-        left: grey values, shape (H, W), uint8.
+        left: gray values, shape (H, W), uint8.
         right: likewise.
     """
 

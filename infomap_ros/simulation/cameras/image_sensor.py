@@ -1,4 +1,4 @@
-"""From light to grey values: exposure, vignetting, shot noise, read noise, quantisation."""
+"""From light to gray values: exposure, vignetting, shot noise, read noise, quantization."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ImageSensorConfig:
     """Parameters of the image sensor."""
 
     full_well: float = setting(
-        9000.0, "Electrons at grey value 255; fewer means more shot noise", low=50.0, high=1e6
+        9000.0, "Electrons at gray value 255; fewer means more shot noise", low=50.0, high=1e6
     )
     read_noise: float = setting(
         14.0, "Standard deviation of the read noise, in electrons", low=0.0, high=1000.0
@@ -25,7 +25,7 @@ class ImageSensorConfig:
         0.25, "Share of light that is lost in the corners", low=0.0, high=0.95
     )
     target_level: float = setting(
-        115.0, "Median grey value that the exposure control aims at", low=1.0, high=254.0
+        115.0, "Median gray value that the exposure control aims at", low=1.0, high=254.0
     )
     exposure_step: float = setting(
         0.125, "Step of the exposure control, as power of two", low=0.001, high=2.0
@@ -77,7 +77,7 @@ class ImageSensor:
             gain: sensitivity of this sensor relative to nominal.
 
         Returns:
-            Grey values, shape (H, W), uint8.
+            Gray values, shape (H, W), uint8.
         """
         config = self.config
         electrons = config.full_well * self.exposure * gain * light * self._falloff(light.shape)

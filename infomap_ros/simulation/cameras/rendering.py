@@ -1,4 +1,4 @@
-"""Drawing a world through any pinhole camera: colour, depth, and what each pixel belongs to."""
+"""Drawing a world through any pinhole camera: color, depth, and what each pixel belongs to."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Renderer:
     def color(
         self, data: mujoco.MjData, T_world_camera: FloatArray, camera: PinholeCamera
     ) -> NDArray[np.uint8]:
-        """Colour image, shape (H, W, 3), uint8 RGB, seen from an optical frame."""
+        """Color image, shape (H, W, 3), uint8 RGB, seen from an optical frame."""
         self._aim(data, T_world_camera, camera)
         image: NDArray[np.uint8] = self._renderer.render()
         return image
@@ -96,7 +96,7 @@ class Renderer:
         return np.where(depth < 0.99 * far, depth, np.float32(np.nan))
 
     def view(self, data: mujoco.MjData, T_world_camera: FloatArray, camera: PinholeCamera) -> View:
-        """Colour and depth from the same place."""
+        """Color and depth from the same place."""
         return View(
             self.color(data, T_world_camera, camera), self.depth(data, T_world_camera, camera)
         )

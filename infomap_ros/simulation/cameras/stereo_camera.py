@@ -69,7 +69,7 @@ class StereoCamera:
 
     Args:
         config: the parameters.
-        baseline: distance of the optical centres [m].
+        baseline: distance of the optical centers [m].
     """
 
     def __init__(self, config: StereoCameraConfig, baseline: float) -> None:
@@ -120,11 +120,11 @@ class StereoCamera:
         rays: FloatArray,
     ) -> FloatArray:
         T_world_raw = T_world_rectified @ make_transform(calibration.rectification, np.zeros(3))
-        grey = renderer.color(data, T_world_raw, self.render_camera) @ _LUMINANCE / 255.0
+        gray = renderer.color(data, T_world_raw, self.render_camera) @ _LUMINANCE / 255.0
         wide = self.render_camera
         u = (wide.fx * rays[..., 0] + wide.cx).astype(np.float32)
         v = (wide.fy * rays[..., 1] + wide.cy).astype(np.float32)
-        fine = cv2.remap(grey, u, v, cv2.INTER_LINEAR)
+        fine = cv2.remap(gray, u, v, cv2.INTER_LINEAR)
         size = (self.config.width, self.config.height)
         return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
 

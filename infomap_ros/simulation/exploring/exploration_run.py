@@ -286,15 +286,15 @@ def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = Non
 
 
 def map_frame(world: World, robot: SimulatedRobotConfig) -> FloatArray:
-    """Where the frame of a robot's map truly is, shape (4, 4): at the target, if it localises.
+    """Where the frame of a robot's map truly is, shape (4, 4): at the target, if it localizes.
 
     Raises:
-        InvalidInputError: there is no target to localise by.
+        InvalidInputError: there is no target to localize by.
     """
     if not robot.localizes:
         return np.eye(4)
     if world.T_world_target is None:
-        raise InvalidInputError("world", "has no target to localise by")
+        raise InvalidInputError("world", "has no target to localize by")
     T_target_map = invert_transform(robot.localization.target.T_map_target)
     return np.asarray(world.T_world_target @ T_target_map)
 

@@ -31,7 +31,7 @@ class AuditedPose:
 
     @property
     def nees(self) -> float:
-        """Normalised estimation error squared: 6 on average where the covariance is true."""
+        """Normalized estimation error squared: 6 on average where the covariance is true."""
         assert self.pose.covariance is not None
         return float(self.error @ np.linalg.solve(self.pose.covariance, self.error))
 

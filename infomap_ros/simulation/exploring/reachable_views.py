@@ -45,7 +45,7 @@ class ReachableViewsConfig:
         0.12, "Distance that the camera keeps from everything.", unit="m", low=0.0, high=5.0
     )
     spacing: float = parameter(
-        0.3, "Distance of neighbouring base places.", unit="m", low=0.05, high=5.0
+        0.3, "Distance of neighboring base places.", unit="m", low=0.05, high=5.0
     )
     max_cameras: int = parameter(
         800, "Of more camera positions so many are kept, by chance.", low=1, high=1000000

@@ -31,7 +31,7 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.localization.localizer_config import LocalizerConfig
-from infomap_ros.localization.saved_localisation import SavedLocalisation
+from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.mapping import VoxelMap
@@ -93,9 +93,9 @@ def _board_of_the_worlds() -> TargetConfig:
 
 def _rover_on_rough_ground() -> DeadReckoningConfig:
     return DeadReckoningConfig(
-        position_per_metre=0.08,
+        position_per_meter=0.08,
         position_per_radian=0.05,
-        rotation_per_metre=0.02,
+        rotation_per_meter=0.02,
         rotation_per_radian=0.02,
         kinematics_position_sigma=0.003,
         kinematics_rotation_sigma=0.004,
@@ -363,7 +363,7 @@ class SimulatedLink:
             MapFileError: the file cannot be used.
         """
         if self._localizer is not None:
-            self._localizer.resume(SavedLocalisation.load(path))
+            self._localizer.resume(SavedLocalization.load(path))
 
     def _use(self, measured: Measured) -> None:
         """What becomes of records, in the order in which they come."""

@@ -30,7 +30,7 @@ class VisibleSurfaceConfig:
     """When a point of the surface counts as visible."""
 
     spacing: float = parameter(
-        0.04, "Distance of neighbouring points of the surface.", unit="m", low=0.005, high=1.0
+        0.04, "Distance of neighboring points of the surface.", unit="m", low=0.005, high=1.0
     )
     nearest: float = parameter(
         0.25, "Smallest distance from the camera.", unit="m", low=0.0, high=10.0
@@ -189,18 +189,18 @@ class MapErrors:
     sigmas: FloatArray
 
     @property
-    def normalised(self) -> FloatArray:
+    def normalized(self) -> FloatArray:
         """Distances in sigmas, shape (N,)."""
         return self.distances / self.sigmas
 
     def share_within(self, sigmas: float) -> float:
         """Share of surface voxels within so many sigmas of the true surface."""
-        return float((self.normalised <= sigmas).mean())
+        return float((self.normalized <= sigmas).mean())
 
     @property
     def root_mean_square(self) -> float:
-        """Root mean square of the normalised distances: 1 where the map is as good as it says."""
-        return float(np.sqrt(np.mean(self.normalised**2)))
+        """Root mean square of the normalized distances: 1 where the map is as good as it says."""
+        return float(np.sqrt(np.mean(self.normalized**2)))
 
 
 def map_errors(

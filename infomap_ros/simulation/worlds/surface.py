@@ -181,7 +181,7 @@ def _closest(queries, triangles, starts, members, low, shape, cell):  # type: ig
     """Search shells of cells around each query until no farther shell can hold a nearer one."""
     nearest = np.full(queries.shape, np.nan)
     found = np.full(len(queries), -1, np.int64)
-    centre = np.empty(3, np.int64)
+    center = np.empty(3, np.int64)
     best_point = np.empty(3)
     for n in range(len(queries)):
         query = queries[n]
@@ -189,13 +189,13 @@ def _closest(queries, triangles, starts, members, low, shape, cell):  # type: ig
             continue
         for axis in range(3):
             index = np.floor((query[axis] - low[axis]) / cell)
-            centre[axis] = int(min(max(index, 0.0), shape[axis] - 1.0))
+            center[axis] = int(min(max(index, 0.0), shape[axis] - 1.0))
         best, chosen, shell = np.inf, -1, 0
         # A cell beyond shell s is at least s cells away from the query (or from its projection
         # onto the grid's box, which is nearer to all that the box holds).
         while shell == 0 or best > (shell - 1) * cell:
             best, chosen, inside = _search_shell(
-                query, shell, centre, triangles, starts, members, shape, best, chosen, best_point
+                query, shell, center, triangles, starts, members, shape, best, chosen, best_point
             )
             if not inside:
                 break
@@ -206,14 +206,14 @@ def _closest(queries, triangles, starts, members, low, shape, cell):  # type: ig
 
 
 @njit(nogil=True, cache=True)
-def _search_shell(query, shell, centre, triangles, starts, members, shape, best, chosen, nearest):  # type: ignore[no-untyped-def]
+def _search_shell(query, shell, center, triangles, starts, members, shape, best, chosen, nearest):  # type: ignore[no-untyped-def]
     """Look at the triangles of one cubic shell of cells; False when it is outside the grid."""
     inside = False
-    for i in range(max(centre[0] - shell, 0), min(centre[0] + shell, shape[0] - 1) + 1):
-        for j in range(max(centre[1] - shell, 0), min(centre[1] + shell, shape[1] - 1) + 1):
-            rim = abs(i - centre[0]) == shell or abs(j - centre[1]) == shell
+    for i in range(max(center[0] - shell, 0), min(center[0] + shell, shape[0] - 1) + 1):
+        for j in range(max(center[1] - shell, 0), min(center[1] + shell, shape[1] - 1) + 1):
+            rim = abs(i - center[0]) == shell or abs(j - center[1]) == shell
             step = 1 if rim or shell == 0 else 2 * shell
-            for k in range(centre[2] - shell, centre[2] + shell + 1, step):
+            for k in range(center[2] - shell, center[2] + shell + 1, step):
                 if k < 0 or k >= shape[2]:
                     continue
                 inside = True

@@ -52,7 +52,7 @@ def seen_by_count(  # type: ignore[no-untyped-def]
     origin, way = np.empty(3), np.empty(3)
     for n in range(len(points)):
         asked = 0
-        stride = 7919  # so that neighbours in the list, which see alike, are not asked in a row
+        stride = 7919  # so that neighbors in the list, which see alike, are not asked in a row
         for m in range(len(cameras)):
             c = (m * stride + n) % len(cameras)
             squared = incidence = 0.0

@@ -41,7 +41,7 @@ def stand_board(builder: SceneBuilder, places: Places, x: float, y: float, yaw: 
     places.take(x, y, 0.5 * width)
     foot = middle @ _shift(-0.5 * _THICKNESS, -0.5 * (height + _LIFT) - 0.05)
     size = (_THICKNESS, 0.6 * width, _LIFT + 0.1)
-    builder.add_material("target_foot", _grey(64))
+    builder.add_material("target_foot", _gray(64))
     builder.add_box("target_foot", size, foot, "target_foot")
     hang_board(builder, middle)
 
@@ -78,7 +78,7 @@ def _shift(x: float, z: float) -> FloatArray:
     return upright(x, 0.0, z, 0.0)
 
 
-def _grey(size: int) -> Image:
+def _gray(size: int) -> Image:
     return np.full((size, size, 3), 128, np.uint8)
 
 
@@ -89,4 +89,4 @@ def _face_images() -> tuple[Image, ...]:
     print_ = cv2.resize(print_, (_TEXTURE, _TEXTURE), interpolation=cv2.INTER_AREA)
     pixels = (print_.astype(np.float64) * (_WHITE / 255.0)).astype(np.uint8)
     front = np.repeat(pixels[..., None], 3, axis=-1)
-    return (front, *[_grey(_TEXTURE)] * 5)
+    return (front, *[_gray(_TEXTURE)] * 5)

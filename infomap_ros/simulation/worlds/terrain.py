@@ -29,7 +29,7 @@ class Terrain:
 
     @property
     def spacing(self) -> float:
-        """Distance between neighbouring nodes [m]."""
+        """Distance between neighboring nodes [m]."""
         return 2.0 * self.half / (len(self.heights) - 1)
 
     def height(self, points: ArrayLike) -> FloatArray:

@@ -34,7 +34,7 @@ def spectral_noise(size: int, exponent: float, rng: np.random.Generator) -> Floa
 
 
 def colorize(values: FloatArray, dark: Color, light: Color) -> Image:
-    """Blend two colours by values of unit standard deviation; shape (H, W, 3), uint8 RGB."""
+    """Blend two colors by values of unit standard deviation; shape (H, W, 3), uint8 RGB."""
     blend = (0.5 + np.tanh(0.6 * values) * 0.5)[..., None]
     mixed = np.asarray(dark) * (1.0 - blend) + np.asarray(light) * blend
     return np.asarray(np.clip(255.0 * mixed, 0, 255), dtype=np.uint8)
@@ -94,13 +94,13 @@ def solar_cells(size: int, rng: np.random.Generator, columns: int = 8, rows: int
 
 
 def worn_paint(size: int, rng: np.random.Generator) -> Image:
-    """Bright paint with stains and chips, to be multiplied with a part's own colour."""
+    """Bright paint with stains and chips, to be multiplied with a part's own color."""
     stains = 0.8 * spectral_noise(size, 1.1, rng) + 0.7 * spectral_noise(size, 0.3, rng)
     return colorize(stains + 0.8, (0.35, 0.34, 0.33), (1.0, 1.0, 1.0))
 
 
 def carpet(size: int, rng: np.random.Generator) -> Image:
-    """A worn carpet of coloured fibres with stains."""
+    """A worn carpet of colored fibres with stains."""
     fibres = 0.9 * spectral_noise(size, 0.25, rng) + 0.9 * spectral_noise(size, 0.9, rng)
     return colorize(fibres, (0.22, 0.26, 0.30), (0.74, 0.74, 0.72))
 

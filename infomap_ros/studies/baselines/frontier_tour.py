@@ -138,15 +138,15 @@ def _covering_views(
 
 
 def _spots(frontier: Frontier, situation: Situation, surroundings: Surroundings) -> FloatArray:
-    """Places around a cluster that can be reached; its centre at least, shape (n, 3)."""
+    """Places around a cluster that can be reached; its center at least, shape (n, 3)."""
     angles = 2.0 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(_AZIMUTHS)])
-    rings = [frontier.centre + ring * situation.max_range * around for ring in _RINGS[1:]]
+    rings = [frontier.center + ring * situation.max_range * around for ring in _RINGS[1:]]
     size = surroundings.voxel_size
     spots = (np.floor(np.concatenate(rings) / size) + 0.5) * size
     places, inside = surroundings.in_box(spots)
     inside[inside] = surroundings.reached[tuple(places[inside].T)]
-    return np.concatenate([frontier.centre[None], spots[inside]])
+    return np.concatenate([frontier.center[None], spots[inside]])
 
 
 def _in_sight(

@@ -22,7 +22,7 @@ class Frontier:
     """One group of frontier cells.
 
     Attributes:
-        places: centres of its cells, shape (n, 3) [m, map].
+        places: centers of its cells, shape (n, 3) [m, map].
     """
 
     places: FloatArray
@@ -33,14 +33,14 @@ class Frontier:
         return np.asarray(self.places.mean(axis=0))
 
     @property
-    def centre(self) -> FloatArray:
+    def center(self) -> FloatArray:
         """The cell nearest to the mean, shape (3,) [m, map]."""
         gaps = np.linalg.norm(self.places - self.middle, axis=1)
         return np.asarray(self.places[gaps.argmin()])
 
 
 def frontier_cells(situation: Situation, surroundings: Surroundings) -> NDArray[np.bool_]:
-    """Free cells that can be reached and have an unknown neighbour over an edge.
+    """Free cells that can be reached and have an unknown neighbor over an edge.
 
     Of the camera's layer of the window, shape (nx, ny).
     """
@@ -48,7 +48,7 @@ def frontier_cells(situation: Situation, surroundings: Surroundings) -> NDArray[
     layer = int(window.positions_of(situation.position[None])[0, 2])
     plane = np.pad(states[:, :, layer], 1, constant_values=UNKNOWN)
     region = situation.region
-    edges = window.centres_of(np.column_stack([np.arange(max(states.shape))] * 3))
+    edges = window.centers_of(np.column_stack([np.arange(max(states.shape))] * 3))
     unknown = plane == UNKNOWN
     for axis in (0, 1):
         outside = (edges[: states.shape[axis], axis] < region.low[axis]) | (
@@ -86,7 +86,7 @@ def find_frontiers(
     splits = np.cumsum(np.bincount(labels[cells], minlength=count + 1)[1:])[:-1]
     for part in np.split(places, splits) if len(places) else []:
         index = np.column_stack([part, np.full(len(part), layer)])
-        found += _halved(surroundings.window.centres_of(index), largest)
+        found += _halved(surroundings.window.centers_of(index), largest)
     kept = [frontier for frontier in found if len(frontier.places) >= least]
     return kept or found
 

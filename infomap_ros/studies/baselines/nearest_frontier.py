@@ -22,7 +22,7 @@ _NOTHING = 0.002  # a view that tells less shows nothing of a frontier [full vie
 
 
 class NearestFrontier:
-    """Goes to the frontier with the shortest way to its centre, and looks where most is unknown.
+    """Goes to the frontier with the shortest way to its center, and looks where most is unknown.
 
     The paper's robot looks all around when it has arrived. A sensor with a narrower field of view
     looks at what tells most, and again as long as a frontier is left there.
@@ -36,9 +36,9 @@ class NearestFrontier:
     def propose(
         self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
     ) -> FloatArray:
-        """The centres of all frontiers, with directions all around."""
+        """The centers of all frontiers, with directions all around."""
         found = find_frontiers(situation, surroundings)
-        places = np.array([frontier.centre for frontier in found]).reshape(-1, 3)
+        places = np.array([frontier.center for frontier in found]).reshape(-1, 3)
         self._proposed = turned_views(places, _TURNS)
         return self._proposed
 

@@ -75,7 +75,7 @@ def grow_tree(
     flat = np.flatnonzero(surroundings.reached)
     if np.isfinite(radius):
         flat = surroundings.reached_near(radius)
-    for sample in surroundings.centres(rng.choice(flat, 4 * nodes)) if len(flat) else ():
+    for sample in surroundings.centers(rng.choice(flat, 4 * nodes)) if len(flat) else ():
         if len(places) >= nodes:
             break
         gaps = np.linalg.norm(np.array(places) - sample, axis=1)

@@ -21,7 +21,7 @@ from infomap_ros.views.situation import Situation
 
 _NODES, _MORE_NODES = 100, 400
 _EDGE = 0.5  # [ranges]
-_DECAY = 2.5  # of the gain over one range of way: 0.5 per metre and 5 m of range in the paper
+_DECAY = 2.5  # of the gain over one range of way: 0.5 per meter and 5 m of range in the paper
 _NOTHING = 0.01  # a best branch of less gives rise to a larger tree [full views]
 
 

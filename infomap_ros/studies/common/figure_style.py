@@ -1,4 +1,4 @@
-"""How the figures of the studies look: colours for all eyes, curves with bands, PNG and SVG."""
+"""How the figures of the studies look: colors for all eyes, curves with bands, PNG and SVG."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from matplotlib.figure import Figure
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.studies.common.bands import CONFIDENCE, curve_band
 
-_COLOURS = (
+_COLORS = (
     "#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#999999",
     "#6A3D9A", "#B15928",
 )  # fmt: skip
-"""After M. Okabe and K. Ito, told apart by the colour-blind; the last three added."""
+"""After M. Okabe and K. Ito, told apart by the color-blind; the last three added."""
 
 _DASHES = ("-", "--", "-.", ":")
 _LEAST_WORLDS = 3  # that a band is drawn for
 
 
 def style_of(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and dashes by name of the curve; the same in all figures of a study."""
+    """Color and dashes by name of the curve; the same in all figures of a study."""
     return {
         name: {
-            "color": _COLOURS[index % len(_COLOURS)],
+            "color": _COLORS[index % len(_COLORS)],
             "linestyle": _DASHES[index // 5 % len(_DASHES)],
             "linewidth": 1.6,
         }

@@ -73,7 +73,7 @@ class Row:
         scans: taken.
         fraction: mapped at the end.
         area_scans: mean fraction mapped over the scans of the study.
-        area_way: mean fraction mapped over the first `reach` metres.
+        area_way: mean fraction mapped over the first `reach` meters.
         distance: moved until the end [m].
         bits: by which the entropy of the mappable cells has fallen at the end [1000 bits].
         wrong: share of the mapped cells that are on the wrong side of p = 1/2 at the end.

@@ -161,7 +161,7 @@ _IMAGE: dict[str, Any] = {"origin": "lower", "cmap": "gray", "vmin": 0.0, "vmax"
 
 
 def _shades(world: PlanarWorld, known: BoolArray) -> FloatArray:
-    """Black obstacles, grey empty space and white unknown, as in Fig. 13; rows along y."""
+    """Black obstacles, gray empty space and white unknown, as in Fig. 13; rows along y."""
     shades = np.where(world.occupied, 0.0, 0.75)
     return np.asarray(np.where(known, shades, 1.0).T)
 

@@ -25,7 +25,7 @@ def fraction_at(distance: FloatArray, fraction: FloatArray, at: FloatArray) -> F
 
 
 def area_under_coverage(distance: FloatArray, fraction: FloatArray, reach: float) -> float:
-    """Mean fraction mapped over the first `reach` metres, in [0, 1]; see `fraction_at`."""
+    """Mean fraction mapped over the first `reach` meters, in [0, 1]; see `fraction_at`."""
     edges = np.concatenate([distance[distance < reach], [reach]])
     steps = np.diff(edges)
     return float(fraction[: len(steps)] @ steps / reach)
@@ -60,7 +60,7 @@ def saving(own: tuple[float, float], other: tuple[float, float]) -> Saving:
         other: the same of the other exploration.
 
     Returns:
-        What is saved. Not to arrive never counts in one's favour: "at most" is at most 0.
+        What is saved. Not to arrive never counts in one's favor: "at most" is at most 0.
     """
     arrived, came = np.isfinite(own[0]), np.isfinite(other[0])
     if arrived and came:

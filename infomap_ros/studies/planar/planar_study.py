@@ -150,7 +150,7 @@ class Row:
         scans: taken.
         fraction: mapped after the scans of the figures, or `share` where that came before.
         fraction_end: mapped at the end.
-        area: mean fraction mapped over the first `reach` metres, no more than `share` counted.
+        area: mean fraction mapped over the first `reach` meters, no more than `share` counted.
         distance: moved until the end [m].
         distance_to_share: moved until `share` was mapped [m]; inf where it never was.
         seconds: of the choice of a view, mean time of the processor [s].

@@ -139,13 +139,13 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
     if not records:
         return
     worlds = len({str(record.task.world) for record in records})
-    scans, metres = Axis("scans", config.scans), Axis("distance", config.reach)
+    scans, meters = Axis("scans", config.scans), Axis("distance", config.reach)
     kinds = list(dict.fromkeys(record.task.world.kind for record in records))
     note = band_note(worlds)
     _draw_comparison(records, config, out)
-    panels = [("all", scans, "fraction"), ("all", scans, "distance"), ("all", metres, "fraction")]
+    panels = [("all", scans, "fraction"), ("all", scans, "distance"), ("all", meters, "fraction")]
     draw_curves(records, panels, out / "planar_curves", f"Fig. 11 over many worlds: {note}")
-    by_kind = [(kind, metres, "fraction") for kind in kinds]
+    by_kind = [(kind, meters, "fraction") for kind in kinds]
     draw_curves(
         records,
         by_kind,

@@ -36,10 +36,10 @@ def draw_savings(
     for place, other in enumerate(others):
         for kind, shift in zip(kinds, np.linspace(-0.5, 0.5, len(kinds)) * _SPREAD, strict=True):
             for saved in savings_of(rows, own, other, kind):
-                marker, colour = _MARKERS.get(saved.kind), styles[kind]["color"]
+                marker, color = _MARKERS.get(saved.kind), styles[kind]["color"]
                 bounds.add(saved.kind)
                 if marker:
-                    axes.plot(place + shift, 100.0 * saved.share, marker, color=colour, ms=5)
+                    axes.plot(place + shift, 100.0 * saved.share, marker, color=color, ms=5)
         known = [one.share for one in savings_of(rows, own, other) if one.kind in _MARKERS]
         mean = band(100.0 * np.array(known))
         axes.errorbar(place + 0.4, mean.mean, np.nan_to_num(mean.half), fmt="ks", capsize=4)

@@ -31,7 +31,7 @@ class SensorConfig:
     field_of_view: float = parameter(90.0, "Opening.", unit="deg", low=1.0, high=170.0)
     max_range: float = parameter(15.0, "Depth of field.", unit="m", low=0.1, high=1000.0)
     ray_spacing: float = parameter(
-        0.0125, "Largest angle between neighbouring rays.", unit="rad", low=1e-4, high=0.1
+        0.0125, "Largest angle between neighboring rays.", unit="rad", low=1e-4, high=0.1
     )
 
     def __post_init__(self) -> None:

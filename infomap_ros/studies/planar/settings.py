@@ -21,7 +21,7 @@ def planar_choice(
     """The choice for a sensor of this range [m] in a world with cells of this edge [m].
 
     The sensor has no body, no noise and knows its pose, so that neither room, margins nor the
-    localisation error count. All of the world is searched at once.
+    localization error count. All of the world is searched at once.
 
     Args:
         max_range: see above.

@@ -85,8 +85,8 @@ class PlanarWorld:
 
     def known_cells(self, voxel_map: VoxelMap) -> BoolArray:
         """Which cells a map knows, shape (nx, ny)."""
-        centres = np.argwhere(np.ones(self.occupied.shape, np.bool_)) + 0.5
-        places = np.column_stack([centres, np.full(len(centres), 0.5)]) * self.cell
+        centers = np.argwhere(np.ones(self.occupied.shape, np.bool_)) + 0.5
+        places = np.column_stack([centers, np.full(len(centers), 0.5)]) * self.cell
         return voxel_map.is_known(places).reshape(self.occupied.shape)
 
     def fraction_mapped(self, voxel_map: VoxelMap) -> float:

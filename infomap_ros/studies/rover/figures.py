@@ -87,16 +87,16 @@ def draw_regions(results: Results, path: Path) -> None:
 def _add_legend(figure: Figure) -> None:
     marks = ((_MAPPED, "mapped surface"), (_UNMAPPED, "not mapped"), (_VIEWS, "views, way between"))
     handles = [
-        Line2D([], [], linestyle="", marker="o", markersize=5, color=colour, label=name)
-        for colour, name in marks
+        Line2D([], [], linestyle="", marker="o", markersize=5, color=color, label=name)
+        for color, name in marks
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(marks), fontsize=8)
 
 
 def _draw_region(axes: Any, task: RoverTask, result: RoverExploration) -> None:
     mapped = result.first_seen > 0
-    for chosen, colour in ((~mapped, _UNMAPPED), (mapped, _MAPPED)):
-        _dots(axes, result.surface[chosen], colour)
+    for chosen, color in ((~mapped, _UNMAPPED), (mapped, _MAPPED)):
+        _dots(axes, result.surface[chosen], color)
     cameras = result.cameras[:, :3, 3]
     axes.plot(cameras[:, 0], cameras[:, 1], "-", color=_VIEWS, linewidth=0.6)
     axes.plot(cameras[:, 0], cameras[:, 1], "o", color=_VIEWS, markersize=3)
@@ -106,8 +106,8 @@ def _draw_region(axes: Any, task: RoverTask, result: RoverExploration) -> None:
     axes.set_aspect("equal")
 
 
-def _dots(axes: Any, points: NDArray[np.float32], colour: str) -> None:
-    axes.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=0.8, rasterized=True)
+def _dots(axes: Any, points: NDArray[np.float32], color: str) -> None:
+    axes.plot(points[:, 0], points[:, 1], ".", color=color, markersize=0.8, rasterized=True)
 
 
 def all_figures(results: Results, config: RoverStudyConfig, out: Path) -> Sequence[Path]:

@@ -20,7 +20,7 @@ class VoxelRaster(Raster):
     """Every voxel is a place, by the letter of the paper.
 
     It takes "the next free location in the known environment from which measurements have not yet
-    been made", and the centre of each voxel that is known to be free is a location.
+    been made", and the center of each voxel that is known to be free is a location.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""A team of rovers explores one simulated world: views and metres until most of it is mapped.
+"""A team of rovers explores one simulated world: views and meters until most of it is mapped.
 
 All in one process, without ROS: the world, the robots' software and the channel between them. The
 messages are those of the wire, a share of their packets is lost, and one robot's software may be
@@ -66,7 +66,7 @@ class TeamExploration:
     Attributes:
         world: with the simulated robots.
         T_world_map: where the frame of all maps truly is, shape (4, 4): at the target, if they
-            localise themselves by it.
+            localize themselves by it.
         audits: how wrong the poses of the robots' scans were.
         robots: their software, as it runs now.
         looks: what the views brought.

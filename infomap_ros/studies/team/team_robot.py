@@ -36,7 +36,7 @@ from infomap_ros.team import TeamMember, version_at
 from infomap_ros.team.sent import message_bytes
 
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
-LOCALISATION_FILE = "localisation.infomap"
+LOCALIZATION_FILE = "localization.infomap"
 _BUSY = 1.0  # [s] until a robot that had nothing to do asks again
 _TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
 
@@ -95,7 +95,7 @@ class TeamRobot:
             simulator, outfit.model, self.map, options.robot, outfit.observer, self._bodies
         )
         self._link = self._robot.link
-        if (located := outfit.folder / LOCALISATION_FILE).exists():
+        if (located := outfit.folder / LOCALIZATION_FILE).exists():
             self._link.resume(located)
         planning = dataclasses.replace(
             options.planner, seed=options.planner.seed + 1000 * outfit.number
@@ -167,7 +167,7 @@ class TeamRobot:
             TeammatesBusyError: the exploration is asked to stop while it waits for others.
         """
         self.map.save(self.outfit.folder / MAP_FILE)
-        self._link.save(self.outfit.folder / LOCALISATION_FILE)
+        self._link.save(self.outfit.folder / LOCALIZATION_FILE)
         self.let_pass(_TELLING)
         self.outfit.on_view(self)
         around = Surrounding.of(self.mission)

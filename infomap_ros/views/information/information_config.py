@@ -23,8 +23,7 @@ class InformationConfig:
 
     ray_spacing: float = parameter(
         0.0125,
-        "Largest angle between neighbouring rays. Finer rays change nothing but the sampling "
-        "error.",
+        "Largest angle between neighboring rays. Finer rays change nothing but the sampling error.",
         unit="rad",
         low=1e-4,
         high=0.5,
@@ -90,7 +89,7 @@ class InformationConfig:
     )
     predict_unknown: bool = parameter(
         False,
-        "Whether unknown voxels near known ones have the average probability of their neighbours "
+        "Whether unknown voxels near known ones have the average probability of their neighbors "
         "instead of 0.5. They then tell less than 1 bit, and hide what is behind them where they "
         "are more likely occupied than not.",
     )
@@ -117,7 +116,7 @@ class InformationConfig:
         "The map is one layer of voxels, along which the camera looks: a ray stands for a sector "
         "of the layer, not for a pyramid, and near space counts accordingly more.",
     )
-    grey_levels: int = parameter(
+    gray_levels: int = parameter(
         32, "Levels of probability that eqs. (7) to (9) as printed tell apart.", low=2, high=1000
     )
     proximity: int = parameter(

@@ -17,7 +17,7 @@ From afar the chance is smaller that a voxel is told anything. Where pixels are 
 voxels are wide only that share of the voxels is looked at. And the surface is told in the voxel in
 which it lies only as far as its range is known: the mean of the n pixels that see the voxel's face
 has, by eq. (1) of Sujan and Dubowsky (2005, doi:10.1177/0278364905051774) and with the correlation
-c of the errors of neighbouring pixels, the variance along the ray
+c of the errors of neighboring pixels, the variance along the ray
 
     sigma^2 = (S L^n)^2 (c + (1 - c) / n_pixels)
 
@@ -71,7 +71,7 @@ def observed_share(
 
     Args:
         distances: from the camera, any shape [m].
-        grid: of the map: voxel size, correlation of the range errors of neighbouring pixels.
+        grid: of the map: voxel size, correlation of the range errors of neighboring pixels.
         config: noise law and angle between pixels.
     """
     sigma, seen = voxel_observation(distances, grid, config)

@@ -1,9 +1,9 @@
 """The new information of a view as Sujan and Dubowsky (2005) print it, eqs. (5) to (9).
 
 Kept for reproduction, doi:10.1177/0278364905051774. All three are entropies of the picture that the
-map gives of the view, of the frequencies q_i = f_i / N of grey levels (eq. 6): f_i voxels in view
+map gives of the view, of the frequencies q_i = f_i / N of gray levels (eq. 6): f_i voxels in view
 have level i, N is the largest number of voxels that field of view and depth of field can hold, and
-known obstacles hide what is behind them. The unknown take the average of their neighbours'
+known obstacles hide what is behind them. The unknown take the average of their neighbors'
 probabilities (`mapping.prediction`).
 
 They do not have the properties that the paper states of them: the entropy of a histogram is 0 when
@@ -12,7 +12,7 @@ all visible voxels have the same level, so that a wholly unknown view scores 0, 
 
 f_i is counted as the volume in view, as in `views.ray_kernels`, so that it does not depend on the
 number of rays. Where the result does, it is by the levels: 1 bit of these metrics means something
-else with another ``grey_levels``.
+else with another ``gray_levels``.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class SeenVolumes(NamedTuple):
 
 
 def scene_entropy(query: ViewQuery) -> FloatArray:
-    """Eq. (7): entropy of the grey levels of known plus that of unknown voxels, shape (M,) [bits].
+    """Eq. (7): entropy of the gray levels of known plus that of unknown voxels, shape (M,) [bits].
 
-    A grey level is one of ``grey_levels`` equal parts of the range of p.
+    A gray level is one of ``gray_levels`` equal parts of the range of p.
     """
-    count = query.config.grey_levels
+    count = query.config.gray_levels
 
     def rate(seen: SeenVolumes) -> float:
         levels = np.broadcast_to(seen.probabilities, seen.shares.shape)
@@ -64,14 +64,14 @@ def scene_entropy(query: ViewQuery) -> FloatArray:
 
 
 def stretched_scene_entropy(query: ViewQuery) -> FloatArray:
-    """Eq. (7) with the grey levels of eq. (8), shape (M,) [bits].
+    """Eq. (7) with the gray levels of eq. (8), shape (M,) [bits].
 
     As printed, p' = 1 / (1 - p) 1/d for p < 1/2 and 1/p 1/d otherwise leaves [1, 2] unless d = 1,
     and p'' leaves [0, 1]. Here d is the distance in units of the range, so that p' is at least 1
     and nearer voxels are stretched more, and p'' is clipped to the half of [0, 1] that it is meant
     for: [0, 1/2] for p < 1/2, [1/2, 1] otherwise.
     """
-    count = query.config.grey_levels
+    count = query.config.gray_levels
 
     def rate(seen: SeenVolumes) -> float:
         levels = stretched(seen.probabilities, seen.distances[:, None])
@@ -85,7 +85,7 @@ def weighted_scene_entropy(query: ViewQuery) -> FloatArray:
 
     The weight is that of the middle of the level.
     """
-    count = query.config.grey_levels
+    count = query.config.gray_levels
     middles = (np.arange(count) + 0.5) / count
 
     def rate(seen: SeenVolumes) -> float:
@@ -106,7 +106,7 @@ def stretched(probability: ArrayLike, distance: ArrayLike) -> FloatArray:
 def _histogram_entropy(
     seen: SeenVolumes, levels: FloatArray, count: int, weights: FloatArray
 ) -> float:
-    """Weighted entropy of the histogram of grey levels, known and unknown apart [bits]."""
+    """Weighted entropy of the histogram of gray levels, known and unknown apart [bits]."""
     bins = np.clip((levels * count).astype(np.int64), 0, count - 1)
     total = 0.0
     for codes in (seen.known, ~seen.known):

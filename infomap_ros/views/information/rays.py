@@ -19,7 +19,7 @@ def camera_rays(
 
     Args:
         camera: only its opening matters, not its number of pixels.
-        spacing: largest angle between neighbouring rays [rad].
+        spacing: largest angle between neighboring rays [rad].
         planar: one row of rays in the plane of x and z of the camera.
 
     Returns:

@@ -2,7 +2,7 @@
 
 A direction lies on the face that its largest component names; the other two, divided by it, are in
 [-1, 1] and are stretched by w(u) = u (1.2 - 0.2 u^2), which makes a cell at the middle of a face as
-wide, seen from the centre, as one at its edge.
+wide, seen from the center, as one at its edge.
 """
 
 from __future__ import annotations

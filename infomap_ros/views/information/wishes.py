@@ -48,7 +48,7 @@ def wishes_of(situation: Situation, surroundings: Surroundings) -> Wishes:
     for interest in situation.interests:
         middle = interest.place.transform[:3, 3]
         places = painter.around(middle, interest.place.solid.bounding_radius)
-        inside = points_inside(surroundings.window.centres_of(places), [interest.place])
+        inside = points_inside(surroundings.window.centers_of(places), [interest.place])
         painter.multiply(places[inside], 0, interest.weight)
     for mate in goals:
         painter.multiply(_about_to_see(surroundings, painter, mate, situation.camera), 1, 0.0)
@@ -94,8 +94,8 @@ def _about_to_see(
     assert mate.goal is not None
     camera, origin = mate.camera or own, mate.goal[:3, 3]
     places = painter.around(origin, mate.max_range)
-    centres = surroundings.window.centres_of(places)
-    in_camera = transform_points(invert_transform(mate.goal), centres)
+    centers = surroundings.window.centers_of(places)
+    in_camera = transform_points(invert_transform(mate.goal), centers)
     pixels = camera.project(in_camera)
     with np.errstate(invalid="ignore"):
         held = (pixels >= -0.5) & (pixels <= np.array([camera.width, camera.height]) - 0.5)

@@ -1,4 +1,4 @@
-"""How much localisation suffers on the way to a view."""
+"""How much localization suffers on the way to a view."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class OdometryDriftConfig:
         ConfigError: a value is out of its range.
     """
 
-    position_per_metre: float = parameter(
-        0.03, "Position sigma after one metre.", unit="m", low=0.0, high=10.0
+    position_per_meter: float = parameter(
+        0.03, "Position sigma after one meter.", unit="m", low=0.0, high=10.0
     )
     position_per_radian: float = parameter(
         0.005, "Position sigma after turning by one radian.", unit="m", low=0.0, high=10.0
     )
-    rotation_per_metre: float = parameter(
-        0.01, "Rotation sigma after one metre.", unit="rad", low=0.0, high=3.0
+    rotation_per_meter: float = parameter(
+        0.01, "Rotation sigma after one meter.", unit="rad", low=0.0, high=3.0
     )
     rotation_per_radian: float = parameter(
         0.02, "Rotation sigma after turning by one radian.", unit="rad", low=0.0, high=3.0
@@ -45,7 +45,7 @@ class OdometryDriftConfig:
 
 
 class OdometryDrift:
-    """Localisation error LE of eq. (11), until landmarks on the way can be predicted.
+    """Localization error LE of eq. (11), until landmarks on the way can be predicted.
 
     The pose covariance at the end of the way is the present one, turned into the position error
     that a heading error causes over the way, plus what odometry adds.
@@ -65,8 +65,8 @@ class OdometryDrift:
         before = float(np.trace(situation.pose_covariance[:3, :3]))
         turns = rotation_angles(situation.T_map_camera, poses)
         config = self.config
-        position = config.position_per_metre**2 * lengths + config.position_per_radian**2 * turns
-        added = config.rotation_per_metre**2 * lengths + config.rotation_per_radian**2 * turns
+        position = config.position_per_meter**2 * lengths + config.position_per_radian**2 * turns
+        added = config.rotation_per_meter**2 * lengths + config.rotation_per_radian**2 * turns
         # A heading error moves the end of a way of length s by s; one that grows on the way in
         # proportion to it, by s / sqrt(3).
         heading = situation.pose_covariance[5, 5]

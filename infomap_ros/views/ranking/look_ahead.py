@@ -158,8 +158,8 @@ def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing
     )
     indices = np.empty((len(keys), 3), np.int64)
     unpack_all(keys, len(keys), indices)
-    centres = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
-    wishes = options.wishes.of(options.surroundings, centres).prod(axis=1)
+    centers = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
+    wishes = options.wishes.of(options.surroundings, centers).prod(axis=1)
     places = np.ravel(places).astype(np.int64)
     values = np.concatenate([gain.gains for gain in gains] or [np.empty(0)]) * wishes[places]
     starts = np.cumsum([0, *(len(gain.keys) for gain in gains)])

@@ -178,7 +178,7 @@ class LocalizationErrorTerm:
         self._model = model or OdometryDrift()
 
     def __call__(self, options: Options) -> FloatArray:
-        """Accumulated localisation error of each view, shape (M,)."""
+        """Accumulated localization error of each view, shape (M,)."""
         straight = np.linalg.norm(options.positions - options.situation.position, axis=1)
         lengths = np.where(np.isfinite(options.path_lengths), options.path_lengths, straight)
         return self._model(options.situation, options.poses, lengths)

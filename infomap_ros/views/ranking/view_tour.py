@@ -56,7 +56,7 @@ class ViewTour:
 
         sum_i p_i exp(-D_i / patience) - w_d D_last
 
-    with D the distance of eq. (10) and w_d its weight in eq. (11): the prize-collecting travelling
+    with D the distance of eq. (10) and w_d its weight in eq. (11): the prize-collecting traveling
     salesman (E. Balas 1989, doi:10.1002/net.3230190602), with a mild preference for what comes
     soon. A look ahead over few views takes the large gains one after the other and leaves small
     ones behind, to which the way back is long; a tour takes them as it passes.

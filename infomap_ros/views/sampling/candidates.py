@@ -125,7 +125,7 @@ def _draw(
         missing = round(wanted * share) - len(accepted)
         drawn = rng.permutation(source[_sample(len(source), _OVERSAMPLED * missing, rng)])
         if source.ndim == 1:
-            drawn = surroundings.centres(drawn)
+            drawn = surroundings.centers(drawn)
         against = _tests(situation, surroundings, drawn, settings)
         passed = np.array([not reason for reason in against], np.bool_)
         enough = np.searchsorted(np.cumsum(passed), missing) + 1
@@ -193,8 +193,8 @@ def _near_periphery(
 def _height_band(situation: Situation, surroundings: Surroundings) -> NDArray[np.bool_]:
     """Voxels of the box at heights that the camera can be brought to; broadcasts to its shape."""
     nx, ny, nz = surroundings.reached.shape
-    columns = surroundings.centres(np.arange(nx * ny) * nz)
-    z = surroundings.centres(np.arange(nz))[:, 2]
+    columns = surroundings.centers(np.arange(nx * ny) * nz)
+    z = surroundings.centers(np.arange(nz))[:, 2]
     if situation.ground_height is None:
         return np.asarray((z >= situation.heights[0]) & (z <= situation.heights[1]))
     above = z - situation.ground_height(columns[:, :2]).reshape(nx, ny, 1)

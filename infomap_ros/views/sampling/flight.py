@@ -19,7 +19,7 @@ NO_WAY = "no way through known free space"
 class FreeFlight:
     """Reaches every view to which a way leads through known free voxels; tells that way.
 
-    The way is the shortest one over the voxels and their neighbours, then pulled straight. For a
+    The way is the shortest one over the voxels and their neighbors, then pulled straight. For a
     robot without a body, as the sensors of Figs. 10 to 14 of Sujan and Dubowsky (2005,
     doi:10.1177/0278364905051774); a `Reachability`.
 

@@ -12,7 +12,7 @@ from infomap_ros.mapping import FREE, OCCUPIED, UNCERTAIN, UNKNOWN
 _FAR = np.int32(1 << 14)
 
 SIX = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
-"""Steps to the neighbours that share a face."""
+"""Steps to the neighbors that share a face."""
 
 
 @njit(cache=True, nogil=True)
@@ -107,7 +107,7 @@ def flood(passable: Any, start: Any, reached: Any, stack: Any) -> int:
 
 @njit(cache=True, nogil=True)
 def path_lengths(open_cells: Any, start: Any, lengths: Any, queue: Any, queued: Any) -> None:
-    """Length of the shortest way over the 26 neighbours from `start` to every cell, in cells.
+    """Length of the shortest way over the 26 neighbors from `start` to every cell, in cells.
 
     Args:
         open_cells: shape (nx, ny, nz), bool.
@@ -155,7 +155,7 @@ def any_in_cells(voxels: Any, edge: int, out: Any) -> None:
 def count_targets(states: Any, edge: int, low: Any, high: Any, counts: Any, sums: Any) -> None:
     """Count what is worth looking at in cells of ``edge^3`` voxels.
 
-    That is voxels on the periphery of the known (free, with an unknown neighbour) and uncertain
+    That is voxels on the periphery of the known (free, with an unknown neighbor) and uncertain
     ones, within the positions from `low` to `high`; obstacles are counted apart. What is unknown
     beyond these positions makes no periphery.
 
@@ -186,7 +186,7 @@ def count_targets(states: Any, edge: int, low: Any, high: Any, counts: Any, sums
 
 @njit(cache=True, nogil=True)
 def _is_periphery(states: Any, x: int, y: int, z: int, low: Any, high: Any) -> bool:
-    """A free voxel with an unknown neighbour that counts; the outermost layer is not judged."""
+    """A free voxel with an unknown neighbor that counts; the outermost layer is not judged."""
     nx, ny, nz = states.shape
     if states[x, y, z] != FREE:
         return False

@@ -74,10 +74,10 @@ class Surroundings:
         states[inside] = self.states[tuple(places[inside].T)]
         return states
 
-    def centres(self, flat: IntArray) -> FloatArray:
-        """Centres of voxels given by their flat index in the box, (N,) -> (N, 3) [m, map]."""
+    def centers(self, flat: IntArray) -> FloatArray:
+        """Centers of voxels given by their flat index in the box, (N,) -> (N, 3) [m, map]."""
         places = np.stack(np.unravel_index(flat, self.reached.shape), axis=1)
-        return self.window.centres_of(places + self.first)
+        return self.window.centers_of(places + self.first)
 
     def reached_near(self, radius: float) -> IntArray:
         """Flat indices in the box of what is reached within `radius` [m] of the camera."""
@@ -92,7 +92,7 @@ class Surroundings:
     def path_lengths(self, points: FloatArray) -> FloatArray:
         """Way through free space from the camera to points, (N, 3) [m, map] -> (N,) [m].
 
-        Over cells and their 26 neighbours: right within a cell and 8 %, never shorter than the
+        Over cells and their 26 neighbors: right within a cell and 8 %, never shorter than the
         straight line; inf where no way is known.
         """
         places, inside = self.in_box(points)

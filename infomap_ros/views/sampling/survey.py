@@ -209,7 +209,7 @@ def _clear(
             continue
         places = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1)
         flat = places.reshape(-1, 3)
-        inside = points_inside(window.centres_of(flat), [placed], 0.5 * window.voxel_size)
+        inside = points_inside(window.centers_of(flat), [placed], 0.5 * window.voxel_size)
         chosen = tuple(flat[inside].T)
         states[chosen] = FREE if where is None else np.where(where[chosen], FREE, states[chosen])
 
@@ -271,13 +271,13 @@ def _things_to_see(
     shape = -(-np.array(states.shape) // edge)
     counts, sums = np.zeros((*shape, 2), np.int32), np.zeros((*shape, 3))
     bounds = np.stack([situation.region.low, situation.region.high])
-    limits = np.clip(bounds, window.centres_of(np.zeros(3)), window.centres_of(states.shape))
+    limits = np.clip(bounds, window.centers_of(np.zeros(3)), window.centers_of(states.shape))
     low = window.positions_of(limits[:1])[0]
     end = np.ceil(limits[1] / window.voxel_size - 1e-9).astype(np.int64) - window.first
     space_kernels.count_targets(states, edge, low, end, counts, sums)
     cells = np.nonzero(counts[..., 0])
     number = counts[..., 0][cells].astype(np.int64)
-    places = window.centres_of(sums[cells] / number[:, None])
+    places = window.centers_of(sums[cells] / number[:, None])
     seen = counts.any(axis=-1)
     size = edge * window.voxel_size
     gaps = distance_transform_edt(~seen) * size if seen.any() else np.full(tuple(shape), np.inf)

@@ -1,4 +1,4 @@
-"""The run from above as SVG: the map as a picture, paths and views over it, axes in metres."""
+"""The run from above as SVG: the map as a picture, paths and views over it, axes in meters."""
 
 from __future__ import annotations
 

@@ -22,13 +22,13 @@ from infomap_ros.exploration.reports.report_page.surface import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.ranking import terms
 
-COLOUR_MAPS = {
+COLOR_MAPS = {
     "height": "viridis",
     "sigma": "cividis",
     "probability": "cividis",
     "rating": "plasma",
 }
-"""Colour maps by what they show; all of even steps of lightness, readable for the colour-blind."""
+"""Color maps by what they show; all of even steps of lightness, readable for the color-blind."""
 
 BASE_ACTIONS = ("drive", "home")
 """Motions whose path is the base's; that of others is the camera's."""
@@ -55,15 +55,15 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
     Returns:
         ``manifest``, plain values for JSON, and ``arrays``, numpy arrays by name.
     """
-    centres = surface.centres[surface.evidence >= surface.least_evidence]
+    centers = surface.centers[surface.evidence >= surface.least_evidence]
     manifest: dict[str, Any] = {
         "voxel": surface.size,
         "merged": surface.merged,
         "first": surface.first.tolist(),
-        "bounds": _bounds(centres, surface.size, 0.1),
-        "focus": _bounds(centres, surface.size, 2.0),
+        "bounds": _bounds(centers, surface.size, 0.1),
+        "focus": _bounds(centers, surface.size, 2.0),
         "cut": cut,
-        "heights": _heights(centres, cut),
+        "heights": _heights(centers, cut),
         "sigma": {"scale": SIGMA_RANGE, "shown": _sigma_limits(surface)},
         "logOdds": LOG_ODDS_RANGE,
         "least": surface.least_evidence / 255.0,
@@ -74,9 +74,9 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
         "sigmas": surface.sigmas,
         "evidence": surface.evidence,
     }
-    for name in set(COLOUR_MAPS.values()):
-        arrays[f"map_{name}"] = _colours(name)
-    manifest["colourMaps"] = COLOUR_MAPS
+    for name in set(COLOR_MAPS.values()):
+        arrays[f"map_{name}"] = _colors(name)
+    manifest["colorMaps"] = COLOR_MAPS
     if run is not None:
         _add_run(manifest, arrays, run)
     return {"manifest": manifest, "arrays": arrays}
@@ -188,17 +188,17 @@ def _corner_rays(matrix: FloatArray, camera: Any) -> list[list[float]]:
     return [[float(f"{value:.5g}") for value in ray] for ray in rays]
 
 
-def _bounds(centres: FloatArray, size: float, outside: float = 0.0) -> list[list[float]]:
+def _bounds(centers: FloatArray, size: float, outside: float = 0.0) -> list[list[float]]:
     """Box of the voxels [m]; without the outermost percents at each end where `outside` is set."""
-    if not len(centres):
+    if not len(centers):
         return [[-1.0] * 3, [1.0] * 3]
-    low, high = np.percentile(centres, [outside, 100.0 - outside], axis=0)
+    low, high = np.percentile(centers, [outside, 100.0 - outside], axis=0)
     return [[round(float(x), 4) for x in corner] for corner in (low - size / 2, high + size / 2)]
 
 
-def _heights(centres: FloatArray, cut: float | None) -> list[float]:
-    """Range of heights below the cut that the colours span [m]."""
-    shown = centres[:, 2] if cut is None else centres[centres[:, 2] <= cut, 2]
+def _heights(centers: FloatArray, cut: float | None) -> list[float]:
+    """Range of heights below the cut that the colors span [m]."""
+    shown = centers[:, 2] if cut is None else centers[centers[:, 2] <= cut, 2]
     if not len(shown):
         return [0.0, 1.0]
     low, high = np.percentile(shown, [1.0, 99.0])
@@ -206,7 +206,7 @@ def _heights(centres: FloatArray, cut: float | None) -> list[float]:
 
 
 def _sigma_limits(surface: DrawnSurface) -> list[float]:
-    """Range of standard deviations that the colours span [m]."""
+    """Range of standard deviations that the colors span [m]."""
     if not len(surface.sigmas):
         return list(SIGMA_RANGE)
     low, high = np.log(SIGMA_RANGE)
@@ -232,6 +232,6 @@ def _stack(parts: Sequence[FloatArray], columns: int) -> FloatArray:
     return np.concatenate([np.empty((0, columns)), *parts])
 
 
-def _colours(name: str) -> NDArray[np.uint8]:
-    colours = matplotlib.colormaps[name](np.linspace(0.0, 1.0, 256))[:, :3]
-    return np.asarray(np.rint(colours * 255.0), dtype=np.uint8)
+def _colors(name: str) -> NDArray[np.uint8]:
+    colors = matplotlib.colormaps[name](np.linspace(0.0, 1.0, 256))[:, :3]
+    return np.asarray(np.rint(colors * 255.0), dtype=np.uint8)

@@ -50,8 +50,8 @@ class DrawnSurface:
         return int(LEAST_EVIDENCE * np.median(self.evidence)) if len(self.evidence) else 0
 
     @property
-    def centres(self) -> FloatArray:
-        """Centres of the drawn voxels, shape (K, 3) [m, map]."""
+    def centers(self) -> FloatArray:
+        """Centers of the drawn voxels, shape (K, 3) [m, map]."""
         return np.asarray((self.cells + self.first + 0.5) * self.size)
 
 

@@ -2,33 +2,33 @@
 const VOXEL_SHADER = `#version 300 es
 in vec3 corner; in vec3 cell; in vec3 normal; in vec2 value;
 uniform mat4 matrix; uniform vec3 eye, first; uniform float size, grown, cut, least;
-uniform int mode; uniform vec2 range; uniform sampler2D colours;
-out vec3 colour; out vec3 local;
+uniform int mode; uniform vec2 range; uniform sampler2D colors;
+out vec3 color; out vec3 local;
 void main() {
-  vec3 centre = (cell + first + 0.5) * size;
-  if (centre.z > cut || value.y < least) { gl_Position = vec4(0.0, 0.0, 2.0, 1.0); return; }
-  vec3 side = mix(vec3(-1.0), vec3(1.0), greaterThanEqual(eye, centre)); // the three faces that are seen
+  vec3 center = (cell + first + 0.5) * size;
+  if (center.z > cut || value.y < least) { gl_Position = vec4(0.0, 0.0, 2.0, 1.0); return; }
+  vec3 side = mix(vec3(-1.0), vec3(1.0), greaterThanEqual(eye, center)); // the three faces that are seen
   local = corner;
-  gl_Position = matrix * vec4(centre + 0.5 * grown * corner * side, 1.0);
-  float shown = mode == 0 ? centre.z : mode == 1 ? value.x : value.y;
+  gl_Position = matrix * vec4(center + 0.5 * grown * corner * side, 1.0);
+  float shown = mode == 0 ? center.z : mode == 1 ? value.x : value.y;
   float share = clamp((shown - range.x) / (range.y - range.x), 0.0, 1.0);
-  vec3 view = normalize(eye - centre), n = normalize(normal + 1e-4);
+  vec3 view = normalize(eye - center), n = normalize(normal + 1e-4);
   n *= dot(n, view) < 0.0 ? -1.0 : 1.0;
   float light = 0.55 + 0.38 * max(dot(n, vec3(0.35, 0.25, 0.9)), 0.0) + 0.22 * dot(n, view);
-  colour = texture(colours, vec2(share * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb * light;
+  color = texture(colors, vec2(share * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb * light;
 }`;
 const VOXEL_PIXEL = `#version 300 es
 precision highp float;
-in vec3 colour; in vec3 local; out vec4 pixel;
+in vec3 color; in vec3 local; out vec4 pixel;
 void main() { // faces differ a little, so that a voxel is seen as a cube from near
   vec3 a = abs(local);
   float face = a.z >= a.x && a.z >= a.y ? 1.0 : a.x >= a.y ? 0.94 : 0.88;
-  pixel = vec4(colour * face, 1.0);
+  pixel = vec4(color * face, 1.0);
 }`;
 const LINE_SHADER = `#version 300 es
 in vec2 corner; in vec3 a; in vec3 b; in vec4 tint; in float width;
 uniform mat4 matrix; uniform vec2 screen; uniform float fade, ratio;
-out vec4 colour;
+out vec4 color;
 void main() {
   vec4 p = matrix * vec4(a, 1.0), q = matrix * vec4(b, 1.0);
   const float near = 1e-3;
@@ -41,32 +41,32 @@ void main() {
   gl_Position = corner.x < 0.5 ? p : q;
   gl_Position.xy += 2.0 * offset / screen * gl_Position.w;
   gl_Position.z -= 2e-4 * gl_Position.w;
-  colour = vec4(tint.rgb, tint.a * fade);
+  color = vec4(tint.rgb, tint.a * fade);
 }`;
 const LINE_PIXEL = `#version 300 es
 precision highp float;
-in vec4 colour; out vec4 pixel;
-void main() { pixel = vec4(colour.rgb * colour.a, colour.a); }`;
+in vec4 color; out vec4 pixel;
+void main() { pixel = vec4(color.rgb * color.a, color.a); }`;
 const MARK_SHADER = `#version 300 es
 in vec2 corner; in vec3 a; in vec4 tint; in float width;
 uniform mat4 matrix; uniform vec2 screen; uniform float fade, ratio;
-out vec4 colour; out vec2 local; out float radius;
+out vec4 color; out vec2 local; out float radius;
 void main() {
   radius = 0.5 * width * ratio;
   local = corner * (radius + 1.0);
-  colour = vec4(tint.rgb, tint.a * fade);
+  color = vec4(tint.rgb, tint.a * fade);
   gl_Position = matrix * vec4(a, 1.0);
   gl_Position.xy += 2.0 * local / screen * gl_Position.w;
   gl_Position.z -= 2e-4 * gl_Position.w;
 }`;
 const MARK_PIXEL = `#version 300 es
 precision highp float;
-in vec4 colour; in vec2 local; in float radius; out vec4 pixel;
+in vec4 color; in vec2 local; in float radius; out vec4 pixel;
 void main() {
-  float d = length(local), alpha = colour.a * clamp(radius - d + 0.5, 0.0, 1.0);
+  float d = length(local), alpha = color.a * clamp(radius - d + 0.5, 0.0, 1.0);
   if (alpha < 0.01) discard;
   float rim = radius > 3.0 ? clamp(d - radius + 2.0, 0.0, 1.0) : 0.0;
-  pixel = vec4(mix(colour.rgb, vec3(0.08), 0.75 * rim) * alpha, alpha);
+  pixel = vec4(mix(color.rgb, vec3(0.08), 0.75 * rim) * alpha, alpha);
 }`;
 // The seven corners of the three faces of a cube that its nearest corner shares, as triangles.
 const CUBE_CORNERS = [1, 1, 1, 1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, -1, -1, 1, 1, -1, -1, 1];
@@ -100,16 +100,16 @@ class Program {
     }
   }
 
-  // fields: {name: [data or null, size, type, normalised, once per instance]}
+  // fields: {name: [data or null, size, type, normalized, once per instance]}
   arrays(fields, triangles) {
     const { gl } = this, vao = gl.createVertexArray();
     gl.bindVertexArray(vao);
-    for (const [name, [data, size, type, normalised, perInstance]] of Object.entries(fields)) {
+    for (const [name, [data, size, type, normalized, perInstance]] of Object.entries(fields)) {
       const place = gl.getAttribLocation(this.program, name);
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, size, type, normalised, 0, 0);
+      gl.vertexAttribPointer(place, size, type, normalized, 0, 0);
       gl.vertexAttribDivisor(place, perInstance ? 1 : 0);
     }
     if (triangles) {
@@ -126,7 +126,7 @@ class Program {
     for (const [name, value] of Object.entries(values)) {
       const place = gl.getUniformLocation(this.program, name);
       if (name === "matrix") gl.uniformMatrix4fv(place, false, value);
-      else if (name === "mode" || name === "colours") gl.uniform1i(place, value);
+      else if (name === "mode" || name === "colors") gl.uniform1i(place, value);
       else if (typeof value === "number") gl.uniform1f(place, value);
       else gl[`uniform${value.length}fv`](place, value);
     }
@@ -143,7 +143,7 @@ class Painter {
     this.lines = new Program(gl, LINE_SHADER, LINE_PIXEL);
     this.marks = new Program(gl, MARK_SHADER, MARK_PIXEL);
     this.textures = {};
-    for (const name of Object.values(manifest.colourMaps)) this.textures[name] = this.texture(arrays[`map_${name}`]);
+    for (const name of Object.values(manifest.colorMaps)) this.textures[name] = this.texture(arrays[`map_${name}`]);
     this.count = arrays.cells.length / 3;
     const order = shuffled(this.count);
     const values = new Uint8Array(2 * this.count), cells = new Uint16Array(3 * this.count), normals = new Int8Array(3 * this.count);
@@ -163,10 +163,10 @@ class Painter {
     }, CUBE_TRIANGLES);
   }
 
-  texture(colours) {
+  texture(colors) {
     const { gl } = this, texture = gl.createTexture();
     const texels = new Uint8Array(256 * 4).fill(255);
-    for (let i = 0; i < 256; i++) texels.set(colours.subarray(3 * i, 3 * i + 3), 4 * i);
+    for (let i = 0; i < 256; i++) texels.set(colors.subarray(3 * i, 3 * i + 3), 4 * i);
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, texels);
     for (const key of ["MIN_FILTER", "MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}`], gl.NEAREST);
@@ -211,10 +211,10 @@ class Painter {
   }
 
   // A share of the voxels, drawn larger to close the gaps, is enough while the map turns.
-  drawSurface(values, colours, share) {
+  drawSurface(values, colors, share) {
     const { gl } = this;
-    this.voxels.use({ ...values, colours: 0, grown: values.size / Math.sqrt(share) });
-    gl.bindTexture(gl.TEXTURE_2D, this.textures[colours]);
+    this.voxels.use({ ...values, colors: 0, grown: values.size / Math.sqrt(share) });
+    gl.bindTexture(gl.TEXTURE_2D, this.textures[colors]);
     gl.bindVertexArray(this.surface);
     gl.drawElementsInstanced(gl.TRIANGLES, CUBE_TRIANGLES.length, gl.UNSIGNED_BYTE, 0, Math.ceil(share * this.count));
   }

@@ -4,14 +4,14 @@ const toRgb = (text) => {
   return [0, 2, 4].map((i) => parseInt(hex.slice(i, i + 2), 16) / 255);
 };
 
-function themeColours() {
+function themeColors() {
   const style = getComputedStyle(document.documentElement);
   const names = ["stage", "ink", "soft", "line", "base", "camera", "view", "view-text", "rejected", "accent", "paper"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-function axisItems(bounds, colours) {
-  const [low, high] = bounds, tint = [...toRgb(colours.soft), 0.35], items = [];
+function axisItems(bounds, colors) {
+  const [low, high] = bounds, tint = [...toRgb(colors.soft), 0.35], items = [];
   const size = Math.max(high[0] - low[0], high[1] - low[1]);
   const ticks = [0, 1].map((i) => roundTicks(low[i], high[i], Math.max(2, Math.round((8 * (high[i] - low[i])) / size))));
   for (const x of ticks[0]) items.push({ a: [x, low[1], low[2]], b: [x, high[1], low[2]], tint, width: 1 });
@@ -24,8 +24,8 @@ function axisItems(bounds, colours) {
   return items;
 }
 
-function pathItems(arrays, who, colours) {
-  const items = [], tint = [...toRgb(colours[who]), 1];
+function pathItems(arrays, who, colors) {
+  const items = [], tint = [...toRgb(colors[who]), 1];
   const point = (i) => [...arrays.path_points.subarray(3 * i, 3 * i + 3)];
   (manifest.paths || []).forEach((path, n) => {
     if (path.who !== who) return;
@@ -50,12 +50,12 @@ function frustumItems(step, length, tint, width) {
   return items;
 }
 
-function viewItems(selected, size, colours) {
+function viewItems(selected, size, colors) {
   return steps.flatMap((step, n) => {
     if (!step.pose) return [];
     const chosen = n === selected;
     const name = chosen ? "accent" : step.taken ? "view" : "rejected";
-    return frustumItems(step, chosen ? 2.5 * size : size, [...toRgb(colours[name]), chosen ? 1 : 0.8], chosen ? 2.5 : 1.4);
+    return frustumItems(step, chosen ? 2.5 * size : size, [...toRgb(colors[name]), chosen ? 1 : 0.8], chosen ? 2.5 : 1.4);
   });
 }
 
@@ -83,14 +83,14 @@ function ratingRange(candidates) {
   return [low, high > low ? high : low + 1];
 }
 
-function candidateItems(candidates, size, colours, table) {
-  const range = ratingRange(candidates), grey = toRgb(colours.rejected);
+function candidateItems(candidates, size, colors, table) {
+  const range = ratingRange(candidates), gray = toRgb(colors.rejected);
   const marks = [], stubs = [];
   for (const candidate of candidates) {
     const rated = range && !candidate.rejection && Number.isFinite(candidate.rating);
     const share = rated ? (candidate.rating - range[0]) / (range[1] - range[0]) : 0;
     const index = 3 * Math.round(255 * Math.max(0, Math.min(1, share)));
-    const tint = rated ? [...[...table.subarray(index, index + 3)].map((v) => v / 255), 1] : [...grey, 0.55];
+    const tint = rated ? [...[...table.subarray(index, index + 3)].map((v) => v / 255), 1] : [...gray, 0.55];
     marks.push({ a: candidate.position, tint, width: rated ? 10 : 6 });
     const end = add(candidate.position, candidate.direction, 0.45 * size);
     stubs.push({ a: candidate.position, b: end, tint: [...tint.slice(0, 3), 0.8 * tint[3]], width: rated ? 2 : 1 });

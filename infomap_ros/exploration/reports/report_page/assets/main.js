@@ -48,7 +48,7 @@ function connectCharts() {
 function connectTheme() {
   const root = document.documentElement, button = byId("theme");
   const dark = () => (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
-  const show = () => { button.textContent = dark() ? "light" : "dark"; if (viewer) viewer.recolour(); };
+  const show = () => { button.textContent = dark() ? "light" : "dark"; if (viewer) viewer.recolor(); };
   button.hidden = false;
   button.addEventListener("click", () => { root.dataset.theme = dark() ? "light" : "dark"; show(); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", show);
@@ -84,7 +84,7 @@ function connectPointer() {
     if (found.candidate) showCandidate(found.candidate);
     else choose(found.step);
   };
-  listenToPointer(viewer.scene, viewer.orbit, hover, click, (x, y) => viewer.centre(x, y));
+  listenToPointer(viewer.scene, viewer.orbit, hover, click, (x, y) => viewer.center(x, y));
 }
 
 async function start() {

@@ -89,7 +89,7 @@ class Orbit {
   }
 }
 
-function listenToPointer(canvas, orbit, onHover, onClick, onCentre) {
+function listenToPointer(canvas, orbit, onHover, onClick, onCenter) {
   const pointers = new Map();
   let moved = 0;
   const spread = () => {
@@ -123,7 +123,7 @@ function listenToPointer(canvas, orbit, onHover, onClick, onCentre) {
   canvas.addEventListener("pointercancel", release);
   canvas.addEventListener("pointerleave", () => onHover(-1e4, -1e4));
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", (event) => onCentre(event.offsetX, event.offsetY));
+  canvas.addEventListener("dblclick", (event) => onCenter(event.offsetX, event.offsetY));
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     orbit.zoom(Math.exp(Math.max(-60, Math.min(60, event.deltaY * (event.deltaMode ? 30 : 1))) * 0.002));

@@ -11,7 +11,7 @@ function paintLabels(canvas, viewer, background) {
 }
 
 function paintViews(context, viewer) {
-  const { orbit, colours } = viewer;
+  const { orbit, colors } = viewer;
   const places = steps.map((step, n) => ({ step, n, at: step.pose && orbit.project(eyeOf(step)) })).filter((p) => p.at);
   places.sort((a, b) => (a.n === viewer.step) - (b.n === viewer.step) || b.at[2] - a.at[2]);
   context.textAlign = "center";
@@ -19,18 +19,18 @@ function paintViews(context, viewer) {
     const chosen = n === viewer.step;
     context.beginPath();
     context.arc(at[0], at[1], chosen ? 11 : 8.5, 0, 2 * Math.PI);
-    context.fillStyle = chosen ? colours.accent : step.taken ? colours.view : colours.rejected;
+    context.fillStyle = chosen ? colors.accent : step.taken ? colors.view : colors.rejected;
     context.fill();
     context.lineWidth = 1.5;
-    context.strokeStyle = colours["view-text"];
+    context.strokeStyle = colors["view-text"];
     context.stroke();
-    context.fillStyle = colours["view-text"];
+    context.fillStyle = colors["view-text"];
     context.fillText(String(step.view), at[0], at[1] + 0.5);
   }
 }
 
 function paintAxes(context, viewer) {
-  const { orbit, colours } = viewer, [low, high] = manifest.bounds;
+  const { orbit, colors } = viewer, [low, high] = manifest.bounds;
   const size = Math.max(high[0] - low[0], high[1] - low[1]);
   const nearer = [0, 1].map((i) => (orbit.eye[i] >= 0.5 * (low[i] + high[i]) ? high[i] : low[i]));
   const farther = [0, 1].map((i) => (nearer[i] === high[i] ? low[i] : high[i]));
@@ -46,7 +46,7 @@ function paintAxes(context, viewer) {
     const corner = corners.sort((a, b) => place(a) - place(b))[0];
     edges.push({ name: "z", at: (v) => [...corner, v], ticks: roundTicks(low[2], high[2], 3), end: high[2], left: true });
   }
-  context.fillStyle = colours.soft;
+  context.fillStyle = colors.soft;
   for (const edge of edges) paintEdge(context, orbit, edge, middle);
 }
 
@@ -65,9 +65,9 @@ function paintEdge(context, orbit, edge, middle) {
   };
   for (const tick of edge.ticks) text(tick, number(tick), 12);
   last = null;
-  const centre = 0.5 * (edge.ticks[0] + edge.ticks.at(-1));
+  const center = 0.5 * (edge.ticks[0] + edge.ticks.at(-1));
   if (edge.left) text(edge.end, `${edge.name} [m]`, 30);
-  else text(centre, `${edge.name} [m]`, 32);
+  else text(center, `${edge.name} [m]`, 32);
 }
 
 function paintLegend(viewer) {
@@ -76,7 +76,7 @@ function paintLegend(viewer) {
   const range = viewer.shown.candidates && ratingRange(viewer.candidates);
   if (range) {
     const ticks = roundTicks(range[0], range[1], 4).map((v) => [(v - range[0]) / (range[1] - range[0]), number(v)]);
-    box.append(scaleElement("rating", manifest.colourMaps.rating, ticks, viewer));
+    box.append(scaleElement("rating", manifest.colorMaps.rating, ticks, viewer));
   }
 }
 
@@ -97,7 +97,7 @@ function mapScale(viewer) {
     const [a, b] = manifest.logOdds;
     ticks = [0.5, 0.9, 0.99, 0.999].map((p) => [place((Math.log(p / (1 - p)) - a) / (b - a)), String(p)]);
   }
-  return scaleElement(title, manifest.colourMaps[mode], ticks, viewer);
+  return scaleElement(title, manifest.colorMaps[mode], ticks, viewer);
 }
 
 function scaleElement(title, name, ticks, viewer) {

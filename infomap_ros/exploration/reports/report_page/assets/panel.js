@@ -59,7 +59,7 @@ function tipText(found) {
 }
 
 function connectPanel(viewer, choose) {
-  for (const input of document.querySelectorAll('input[name="colour"]')) {
+  for (const input of document.querySelectorAll('input[name="color"]')) {
     input.addEventListener("change", () => { viewer.mode = input.value; paintLegend(viewer); viewer.redraw(); });
   }
   for (const input of byId("layers").querySelectorAll("input")) {

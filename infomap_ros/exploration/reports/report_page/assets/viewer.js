@@ -15,28 +15,28 @@ class Viewer {
     this.moving = this.busy = this.wanted = false;
     this.orbit = new Orbit(manifest.bounds, () => this.turned());
     this.size = Math.max(0.12, Math.min(0.6, 0.05 * this.orbit.radius));
-    this.recolour();
+    this.recolor();
     this.resize();
     this.orbit.home();
     new ResizeObserver(() => this.resize()).observe(this.scene);
   }
 
-  recolour() {
-    this.colours = themeColours();
-    const { painter, arrays, colours } = this;
+  recolor() {
+    this.colors = themeColors();
+    const { painter, arrays, colors } = this;
     this.groups = {
-      axes: painter.group(axisItems(manifest.bounds, colours), painter.lines),
-      base: painter.group(pathItems(arrays, "base", colours), painter.lines),
-      camera: painter.group(pathItems(arrays, "camera", colours), painter.lines),
+      axes: painter.group(axisItems(manifest.bounds, colors), painter.lines),
+      base: painter.group(pathItems(arrays, "base", colors), painter.lines),
+      camera: painter.group(pathItems(arrays, "camera", colors), painter.lines),
     };
     this.regroup();
   }
 
   regroup() {
-    const { painter, colours, size } = this;
-    const table = this.arrays[`map_${manifest.colourMaps.rating}`];
-    const { marks, stubs } = candidateItems(this.candidates, size, colours, table);
-    this.groups.views = painter.group(viewItems(this.step, size, colours), painter.lines);
+    const { painter, colors, size } = this;
+    const table = this.arrays[`map_${manifest.colorMaps.rating}`];
+    const { marks, stubs } = candidateItems(this.candidates, size, colors, table);
+    this.groups.views = painter.group(viewItems(this.step, size, colors), painter.lines);
     this.groups.candidates = painter.group(marks, painter.marks);
     this.groups.stubs = painter.group(stubs, painter.lines);
     paintLegend(this);
@@ -60,7 +60,7 @@ class Viewer {
   // the labels, also one that was asked for before.
   freeze() {
     this.frozen = true;
-    this.recolour();
+    this.recolor();
     this.draw();
   }
 
@@ -113,12 +113,12 @@ class Viewer {
   draw(share = 1) {
     const { painter, orbit, scene, shown, groups } = this;
     orbit.update(orbit.width, orbit.height);
-    painter.begin([...toRgb(this.colours.stage), 1], scene.width, scene.height);
+    painter.begin([...toRgb(this.colors.stage), 1], scene.width, scene.height);
     const { matrix, eye } = orbit;
     const mode = ["height", "sigma", "probability"].indexOf(this.mode);
     if (shown.surface) {
       const placed = { first: manifest.first, size: manifest.voxel, cut: Math.min(this.cut, 1e9), least: this.least - 0.002 };
-      painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colourMaps[this.mode], share);
+      painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colorMaps[this.mode], share);
     }
     const values = { matrix, screen: [scene.width, scene.height], ratio: this.ratio };
     if (shown.axes) painter.drawGroup(groups.axes, values, 0);
@@ -145,7 +145,7 @@ class Viewer {
   }
 
   // Turn about the voxel in sight at a place on the screen.
-  centre(x, y) {
+  center(x, y) {
     const { cells } = this.arrays, [fx, fy, fz] = manifest.first;
     let best = null, least = Infinity;
     for (let i = 0; i < cells.length; i += 3) {

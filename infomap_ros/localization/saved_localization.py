@@ -1,4 +1,4 @@
-"""What a localisation knows, in a file: the map's frame outlives the process.
+"""What a localization knows, in a file: the map's frame outlives the process.
 
 The file has the layout of a map file (`infomap_ros.mapping.files.map_file`): checked, and replaced
 at once or not at all.
@@ -19,11 +19,11 @@ from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.localization.localizer import Localizer
 from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
 
-_KIND = "localisation"
+_KIND = "localization"
 
 
 @dataclass(frozen=True, eq=False)
-class SavedLocalisation:
+class SavedLocalization:
     """The state of a localizer, and of the robot at its last view.
 
     Attributes:
@@ -57,7 +57,7 @@ class SavedLocalisation:
         write_map_file(path, {"kind": _KIND}, arrays)
 
     @classmethod
-    def load(cls, path: Path) -> SavedLocalisation:
+    def load(cls, path: Path) -> SavedLocalization:
         """Read what `save` wrote.
 
         Raises:
@@ -65,7 +65,7 @@ class SavedLocalisation:
         """
         config, arrays = read_map_file(path)
         if config.get("kind") != _KIND or "origin" not in arrays:
-            raise MapFileError(f"{path} holds no localisation")
+            raise MapFileError(f"{path} holds no localization")
         prefix = "localizer."
         state = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         posture = None
@@ -73,14 +73,14 @@ class SavedLocalisation:
             posture = RobotPosture(arrays["T_odom_base"], arrays["T_base_camera"])
         return cls(state, posture, int(arrays["origin"]))
 
-    def without_pose(self) -> SavedLocalisation:
+    def without_pose(self) -> SavedLocalization:
         """The same knowledge of the scene; where the camera is has to be found out.
 
         As for a camera that was carried elsewhere, or a clock that was set back.
         """
         anytime = {"stamp": np.array(-(2**62)), "was_known": np.array(False)}
         state = {**self.state, **anytime}
-        return SavedLocalisation(state, None, self.origin, has_keyframes=False)
+        return SavedLocalization(state, None, self.origin, has_keyframes=False)
 
     def resume(self, localizer: Localizer) -> None:
         """Have a localizer go on from here.
@@ -93,4 +93,4 @@ class SavedLocalisation:
             if not self.has_keyframes:
                 localizer.forget_keyframes()
         except (InfomapError, KeyError, ValueError, IndexError) as error:
-            raise MapFileError(f"the saved localisation does not fit: {error}") from error
+            raise MapFileError(f"the saved localization does not fit: {error}") from error

@@ -1,7 +1,7 @@
-"""Gathering an organised scan: normals from the image, and how far each pixel sees.
+"""Gathering an organized scan: normals from the image, and how far each pixel sees.
 
 The image is walked in tiles of 8 x 8 pixels. A tile shares one surface normal and one association
-reach, taken at its centre; every pixel adds its own point and covariance. Along the way each 2 x 2
+reach, taken at its center; every pixel adds its own point and covariance. Along the way each 2 x 2
 cell learns the depths up to which it is certainly empty: the ground level of the pyramid that
 `infomap_ros.mapping.scans.free_space` asks.
 """
@@ -27,8 +27,8 @@ from infomap_ros.mapping.scans.tiles import TILE, gather_tile
 _LARGEST_WINDOW = 24
 
 
-class OrganisedScan(NamedTuple):
-    """An organised scan, and what is learnt of the depths of its pixels, for the kernels.
+class OrganizedScan(NamedTuple):
+    """An organized scan, and what is learnt of the depths of its pixels, for the kernels.
 
     Attributes:
         points: shape (H, W, 3), float32, sensor frame [m], NaN = no measurement.
@@ -58,9 +58,9 @@ def _usable(points: Any, v: int, u: int) -> bool:
 
 @inlined_kernel
 def _bend(points: Any, v: int, u: int, dv: int, du: int) -> float:
-    """Deviation of the depth at a pixel from the line through its two neighbours [m].
+    """Deviation of the depth at a pixel from the line through its two neighbors [m].
 
-    Infinite where a neighbour is missing. Depth along a line on a plane is linear in 1 / z.
+    Infinite where a neighbor is missing. Depth along a line on a plane is linear in 1 / z.
     """
     height, width = points.shape[0], points.shape[1]
     if v - dv < 0 or u - du < 0 or v + dv >= height or u + du >= width:
@@ -81,7 +81,7 @@ def tile_normal(
     Where the surface is not smooth over that window the line of sight stands in.
 
     Args:
-        points: organised, shape (H, W, 3) [m].
+        points: organized, shape (H, W, 3) [m].
         v: row.
         u: column.
         focal: focal length [px].
@@ -112,7 +112,7 @@ def tile_normal(
 
 
 @inlined_kernel
-def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
+def _tile_center(points: Any, v0: int, u0: int) -> tuple[int, int]:
     """A usable pixel of a tile, as near its middle as there is; (-1, -1) when there is none."""
     height, width = points.shape[0], points.shape[1]
     v, u = min(v0 + TILE // 2, height - 1), min(u0 + TILE // 2, width - 1)
@@ -129,7 +129,7 @@ def _tile_centre(points: Any, v0: int, u0: int) -> tuple[int, int]:
 
 
 @kernel
-def gather_organised(
+def gather_organized(
     rows: Any,
     sensor: Any,
     image: Any,
@@ -138,12 +138,12 @@ def gather_organised(
     tallies: Any,
     groups: Any,
 ) -> bool:
-    """Gather the image rows [first_row, last_row) of an organised scan.
+    """Gather the image rows [first_row, last_row) of an organized scan.
 
     Args:
         rows: a `ScanRows`.
         sensor: a `Sensor`.
-        image: an `OrganisedScan`.
+        image: an `OrganizedScan`.
         first_row: multiple of 8.
         last_row: multiple of 8 or H.
         tallies: int64, shape (4,): points taken, out of range, beyond the coordinate limit, with
@@ -159,7 +159,7 @@ def gather_organised(
             state = place_tile(sensor, image, flat, v0, u0, groups, tallies)
             if state == FAR:
                 continue
-            v, u = _tile_centre(points, v0, u0)
+            v, u = _tile_center(points, v0, u0)
             if v < 0:
                 continue
             margin, count = _prepare_tile(sensor, image, v, u, groups), -1
@@ -178,7 +178,7 @@ def _prepare_tile(sensor: Any, image: Any, v: int, u: int, groups: Any) -> float
 
     Args:
         sensor: a `Sensor`.
-        image: an `OrganisedScan`.
+        image: an `OrganizedScan`.
         v: row of the pixel.
         u: its column.
         groups: a `TileGroups`; receives normal, axis and reach.

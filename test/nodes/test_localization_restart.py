@@ -1,6 +1,6 @@
 """fiducial_localization is killed on the robot's way, and started again: one map, no ghost.
 
-The robot drives on for a little while without localisation, as one does until somebody notices, and
+The robot drives on for a little while without localization, as one does until somebody notices, and
 waits then. How long the node takes to come back depends on the machine; how far the robot drives
 unseen does not.
 """
@@ -100,7 +100,7 @@ class DrivenRover:
         return np.linalg.norm(errors, axis=1), np.array(squares)
 
 
-def test_a_localisation_that_is_killed_on_the_way_goes_on_in_its_map(tmp_path: Path) -> None:
+def test_a_localization_that_is_killed_on_the_way_goes_on_in_its_map(tmp_path: Path) -> None:
     with LiveExploration(tmp_path, PARAMETERS) as run:
         rover = DrivenRover(run)
         for name in NODES:

@@ -14,7 +14,7 @@ State = Literal["tracking", "coasting", "lost", "searching"]
 
 
 @dataclass(frozen=True, eq=False)
-class Localisation:
+class LocalizedCamera:
     """What is known of the camera at the stamp of a view.
 
     Attributes:

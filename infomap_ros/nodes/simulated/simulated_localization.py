@@ -11,7 +11,7 @@ from infomap_ros.nodes.common.parameters import parameter_values
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedLocalizationConfig
 
 
-def simulated_localisation() -> dict[str, Any]:
+def simulated_localization() -> dict[str, Any]:
     """Parameters of fiducial_localization in which the simulated robot is not as any other.
 
     The target is the board of the simulated worlds.

@@ -1,4 +1,4 @@
-"""Which camera an organised cloud was made with."""
+"""Which camera an organized cloud was made with."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def fit_pinhole_camera(points: ArrayLike) -> PinholeCamera | None:
     pixel, so that the four numbers follow from it to about 1e-4 px.
 
     Args:
-        points: organised, shape (H, W, 3), optical frame [m]; NaN = no measurement.
+        points: organized, shape (H, W, 3), optical frame [m]; NaN = no measurement.
 
     Returns:
         The camera; None where the pixels are not those of a pinhole camera (a laser scanner, an
         unrectified image) or where too few were measured to tell.
 
     Raises:
-        InvalidInputError: the cloud is not organised.
+        InvalidInputError: the cloud is not organized.
     """
     cloud = np.asarray(points)
     if cloud.ndim != 3 or cloud.shape[-1] != 3:
@@ -48,12 +48,12 @@ def fit_pinhole_camera(points: ArrayLike) -> PinholeCamera | None:
 
 
 def _fit_line(slopes: NDArray[np.float64], pixels: NDArray[np.int64]) -> tuple[float, float] | None:
-    """Focal length and principal point with ``pixels = focal * slopes + centre``, if any."""
+    """Focal length and principal point with ``pixels = focal * slopes + center``, if any."""
     if len(slopes) < _LEAST_SAMPLES or np.ptp(pixels) < 2:
         return None
     design = np.stack([slopes, np.ones_like(slopes)], axis=-1)
-    (focal, centre), _, rank, _ = np.linalg.lstsq(design, pixels.astype(np.float64))
+    (focal, center), _, rank, _ = np.linalg.lstsq(design, pixels.astype(np.float64))
     if rank < 2 or focal <= 0.0:
         return None
-    worst = np.abs(design @ (focal, centre) - pixels).max()
-    return (float(focal), float(centre)) if worst <= _TOLERANCE else None
+    worst = np.abs(design @ (focal, center) - pixels).max()
+    return (float(focal), float(center)) if worst <= _TOLERANCE else None

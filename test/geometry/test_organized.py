@@ -1,4 +1,4 @@
-"""The camera behind an organised cloud is found from the cloud alone."""
+"""The camera behind an organized cloud is found from the cloud alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.geometry.organised import fit_pinhole_camera
+from infomap_ros.geometry.organized import fit_pinhole_camera
 
 CAMERA = PinholeCamera(320, 240, 211.7, 219.3, cx=163.25, cy=117.5)
 

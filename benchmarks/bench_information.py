@@ -76,7 +76,7 @@ def octomap_seconds(
     np.concatenate([origins, directions], -1).astype(np.float32).tofile(folder / "rays.bin")
     count = directions.shape[0] * directions.shape[1]
     files = [str(folder / "map.ot"), str(folder / "rays.bin")]
-    numbers = [str(count), str(RANGE), str(CONFIG.least_visibility), str(repeats)]
+    numbers = [str(count), str(RANGE), str(CONFIG.min_visibility), str(repeats)]
     result = subprocess.run(
         [str(program), *files, *numbers], check=True, capture_output=True, text=True
     )

@@ -38,7 +38,7 @@ class CommandedRobotConfig:
     joint_tolerance: float = setting(
         0.03, "The arm has arrived when every joint is so near its goal.", unit="rad or m", low=1e-4
     )
-    patience: float = parameter(
+    progress_timeout: float = parameter(
         15.0,
         "A motion has failed when nothing has moved for so long, and a look when no scan has been "
         "fused for so long. A motion may take as long as it likes while it goes on.",
@@ -139,7 +139,7 @@ class CommandedRobot:
         wanted = link.fused_scans + self._config.scans_per_view + 1  # one may be from before
         if self._wait(lambda: link.fused_scans >= wanted, interrupted):
             return ""
-        return f"no new scan was fused within {self._config.patience:g} s"
+        return f"no new scan was fused within {self._config.progress_timeout:g} s"
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
         """Send the path and wait for its result, or until the joints are where it ends."""
@@ -185,7 +185,7 @@ class CommandedRobot:
         return self._last_base
 
     def _wait(self, condition: Callable[[], bool], interrupted: Interrupted) -> bool:
-        return self._link.wait_until(condition, self._config.patience, interrupted)
+        return self._link.wait_until(condition, self._config.progress_timeout, interrupted)
 
     def _finish(
         self, motion: str, arrived: Callable[[], bool], interrupted: Interrupted

@@ -107,14 +107,14 @@ class Exploration:
         ]
         self._missed: FailedView | None = None  # the last view, where the camera came only near
         self._route_monitor = RouteMonitor(robot, planner)
-        self._drift_monitor = DriftMonitor(robot, task.most_drift)
+        self._drift_monitor = DriftMonitor(robot, task.max_drift)
         self._monitors = [self._drift_monitor, self._route_monitor]
 
     def change_task(self, task: TaskConfig) -> None:
         """Go on by another task, also from another thread: the next step counts by it."""
         self.task = self._mover.task = task
         self._is_met.task = self._budget.task = self._unproductive.task = task
-        self._failures.most, self._drift_monitor.most_drift = task.max_failures, task.most_drift
+        self._failures.most, self._drift_monitor.max_drift = task.max_failures, task.max_drift
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -199,7 +199,7 @@ class Exploration:
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)
         missed, self._missed = self._missed, None
-        if missed is None or not self._unproductive.is_last_vain:
+        if missed is None or not self._unproductive.is_last_unproductive:
             return choice
         self._planner.failed(missed)  # else it promises the same again
         return self._choose()

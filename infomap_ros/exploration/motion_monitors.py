@@ -41,17 +41,17 @@ class DriftMonitor(MotionMonitor):
 
     Args:
         robot: that moves.
-        most_drift: that the standard deviation of its position may grow [m].
+        max_drift: that the standard deviation of its position may grow [m].
     """
 
     rejects_view = False
 
-    def __init__(self, robot: Robot, most_drift: float) -> None:
-        self._robot, self.most_drift, self._most = robot, most_drift, 0.0
+    def __init__(self, robot: Robot, max_drift: float) -> None:
+        self._robot, self.max_drift, self._most = robot, max_drift, 0.0
 
     def begin(self) -> None:
         """Take how well the robot's place is known now."""
-        self._most = self._sigma() + self.most_drift
+        self._most = self._sigma() + self.max_drift
 
     def problem(self) -> str:
         """Whether it is known much less well."""

@@ -46,7 +46,7 @@ class MapProgress:
     interest_fraction: float = 1.0
 
     @property
-    def least_fraction(self) -> float:
+    def min_fraction(self) -> float:
         """What of the region is known precisely enough, and of each place of interest, 0 to 1."""
         return min(self.precise_fraction, self.interest_fraction)
 

@@ -71,27 +71,27 @@ class TaskConfig:
         low=1,
         high=1000,
     )
-    vain_views: int = setting(
+    unproductive_views: int = setting(
         6,
         "The exploration ends where so many views, one after the other, together bring less than "
-        "`least_gain` and less than `least_growth`.",
+        "`min_gain` and less than `min_growth`.",
         low=1,
         high=1000,
     )
-    least_gain: float = setting(
+    min_gain: float = setting(
         0.001,
         "Share of the reachable surface that must become known for views not to be in vain; while "
         "the mean standard deviation is larger than asked, also the share by which it shrinks.",
         low=0.0,
         high=1.0,
     )
-    least_growth: float = setting(
+    min_growth: float = setting(
         0.01,
         "Share by which the number of surface voxels must grow for views not to be in vain.",
         low=0.0,
         high=1.0,
     )
-    most_drift: float = setting(
+    max_drift: float = setting(
         0.06,
         "A motion on which the standard deviation of where the base is grows by more than this is "
         "broken off: the robot looks and chooses again.",
@@ -152,7 +152,7 @@ class TaskConfig:
 
     def is_met(self, progress: MapProgress) -> bool:
         """Whether enough of the reachable surface is known, and precisely enough."""
-        return progress.least_fraction >= self.known_fraction
+        return progress.min_fraction >= self.known_fraction
 
     @property
     def region(self) -> FloatArray:

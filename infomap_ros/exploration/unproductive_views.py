@@ -29,20 +29,20 @@ class UnproductiveViews(StopRule):
         """Take the state of the map after so many views."""
         if views > self._views:
             known = progress.known_fraction - self._known
-            gain = max(known, progress.least_fraction - self._precise)
+            gain = max(known, progress.min_fraction - self._precise)
             growth = progress.surface_voxels / max(self._surface, 1) - 1.0
             self._gains.append((max(gain, 0.0), max(growth, 0.0)))
         self._views = views
-        self._known, self._precise = progress.known_fraction, progress.least_fraction
+        self._known, self._precise = progress.known_fraction, progress.min_fraction
         self._surface = max(self._surface, progress.surface_voxels)
 
     @property
-    def is_last_vain(self) -> bool:
+    def is_last_unproductive(self) -> bool:
         """Whether the last view alone has brought less than is asked of several."""
         if not self._gains:
             return False
         gain, growth = self._gains[-1]
-        return gain < self.task.least_gain and growth < self.task.least_growth
+        return gain < self.task.min_gain and growth < self.task.min_growth
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """NOTHING_LEFT, with what the last views have brought."""
@@ -52,14 +52,16 @@ class UnproductiveViews(StopRule):
     def reason(self) -> str:
         """How little the last views have brought; empty where it is enough."""
         task = self.task
-        if len(self._gains) < task.vain_views:
+        if len(self._gains) < task.unproductive_views:
             return ""
-        gain, growth = (sum(each) for each in zip(*self._gains[-task.vain_views :], strict=True))
-        if gain >= task.least_gain or growth >= task.least_growth:
+        gain, growth = (
+            sum(each) for each in zip(*self._gains[-task.unproductive_views :], strict=True)
+        )
+        if gain >= task.min_gain or growth >= task.min_growth:
             return ""
         return (
-            f"the last {task.vain_views} views made {100.0 * gain:.2f} % more of the surface known "
-            f"and {100.0 * growth:.1f} % more of it mapped"
+            f"the last {task.unproductive_views} views made {100.0 * gain:.2f} % more of the "
+            f"surface known and {100.0 * growth:.1f} % more of it mapped"
         )
 
 
@@ -67,17 +69,17 @@ class StrategyAlternator:
     """Two kinds of views take turns: each has its turn until its last views were in vain.
 
     They are those that tell most, and those that show most of the missing surface. Where a kind
-    has half the patience of the task, an exploration that ends in vain has tried both.
+    has half the limit of the task, an exploration that ends in vain has tried both.
 
     Args:
-        task: what is asked for, and its patience.
+        task: what is asked for, and its limit.
 
     Attributes:
         is_other: whether it is the turn of the second kind.
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self._task = replace(task, vain_views=max(task.vain_views // 2, 1))
+        self._task = replace(task, unproductive_views=max(task.unproductive_views // 2, 1))
         self._turn = UnproductiveViews(self._task)
         self.is_other = False
 

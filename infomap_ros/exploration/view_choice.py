@@ -47,7 +47,7 @@ class ViewChoice:
         self._rounds = config.rounds
         self.memory = GoalMemory(config.memory)
         self._information = information
-        self._completion = SurfaceCompletion(information.config, config.vain.patience)
+        self._completion = SurfaceCompletion(information.config, config.unproductive.look_limit)
         self._near = NextBestView(config.choice, config.strategy, information, localization_error)
         far = _from_afar(config.choice, config.thorough)
         close, closing = _of_surface(far, config.thorough), self._completion
@@ -180,5 +180,5 @@ def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
     return replace(
         config,
         rating=replace(rating, repetition_weight=0.0),
-        selection=replace(selection, least_information=share * selection.least_information),
+        selection=replace(selection, min_information=share * selection.min_information),
     )

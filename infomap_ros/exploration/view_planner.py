@@ -27,12 +27,12 @@ from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
+from infomap_ros.views.gain_prior import GainPrior
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.kept_promises import KeptPromises
 from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.vain_looks import VainLooks
+from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
@@ -89,7 +89,7 @@ class ViewPlanner:
         settings = config or ViewPlannerConfig()
         self._motion = ViewMotion(robot, settings, task)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
-        self._vain, self._kept = VainLooks(settings.vain), KeptPromises()
+        self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
         self._fine: tuple[Interest, ...] = ()
         self._places: tuple[Interest, ...] = ()
         self._places_of: TaskConfig | None = None
@@ -169,7 +169,7 @@ class ViewPlanner:
         """
         robot = self._motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
-        situation = self._without_vain_looks(situation, progress.entropy_bits)
+        situation = self._without_unproductive_looks(situation, progress.entropy_bits)
         ask: dict[str, Any] = {
             "goal": self._goal,
             "thorough": not self.is_done(progress),
@@ -182,15 +182,17 @@ class ViewPlanner:
             robot = self._motion.reach(voxel_map, state, around.obstacles, widen=False)
         return self._choice.select(situation, robot, self._rng, **ask)
 
-    def _without_vain_looks(self, situation: Situation, entropy: float) -> Situation:
+    def _without_unproductive_looks(self, situation: Situation, entropy: float) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
         views, left = situation.past_views[self._noted :], []
         self._noted = len(situation.past_views)
         for view, gains in zip(views, self._information.gains(situation, views), strict=True):
-            left.append(float(gains.gains[~self._vain.are_given_up(gains.keys)].sum()))
-            self._vain.note(gains.keys, situation.voxel_map, view[:3, 3], situation.max_range)
+            left.append(float(gains.gains[~self._unproductive.are_given_up(gains.keys)].sum()))
+            self._unproductive.note(
+                gains.keys, situation.voxel_map, view[:3, 3], situation.max_range
+            )
         self._kept.note(left, entropy)
-        promising = self._vain.without_them(situation.voxel_map)
+        promising = self._unproductive.without_them(situation.voxel_map)
         return replace(situation, promising=promising, kept_shares=self._kept.shares)
 
     def way_to(

@@ -8,7 +8,7 @@ from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.views.goal_memory import GoalMemoryConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.vain_looks import VainLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ViewPlannerConfig:
     seed: int = parameter(1, "Seed of the candidates.", low=0)
     choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
     memory: GoalMemoryConfig = field(default_factory=GoalMemoryConfig)
-    vain: VainLooksConfig = field(default_factory=VainLooksConfig)
+    unproductive: UnproductiveLooksConfig = field(default_factory=UnproductiveLooksConfig)
     reaching: ReachingConfig = field(default_factory=ReachingConfig)
 
     def __post_init__(self) -> None:

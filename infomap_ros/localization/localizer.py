@@ -300,7 +300,7 @@ class Localizer(KnownMap):
             against = self._recovery.contradiction(view, seen)
             self._contradicted = self._contradicted + against if against else 0.0
             in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
-            believed = in_time and self._contradicted < self.config.patience
+            believed = in_time and self._contradicted < self.config.max_contradicted_views
             self._state = "coasting"
             if not (believed and is_certain(self._filter.pose[1], self.config)):
                 self._lose()

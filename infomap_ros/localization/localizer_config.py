@@ -50,7 +50,7 @@ class LocalizerConfig:
         low=0.0,
         high=3600.0,
     )
-    patience: int = setting(
+    max_contradicted_views: int = setting(
         3,
         "Views in a row in which fiducials ought to be seen and are not, after which the camera is "
         "not where it is thought to be, but lost.",

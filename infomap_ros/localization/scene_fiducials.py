@@ -160,7 +160,7 @@ class SceneFiducials:
             for number, pixel in zip(seen.ids.tolist(), seen.pixels, strict=True)
             if number in self._at_update
         ]
-        if len(shifts) < self._config.filter.least_fiducials:
+        if len(shifts) < self._config.filter.min_fiducials:
             return False
         return bool(np.quantile(shifts, 0.7) < _STILL)
 

@@ -178,7 +178,7 @@ class WholeBodyReach:
         if len(stances.places):
             return self._with_base(view, stances)
         reason = f"{stances.reason}; the arm alone: {why_not}"
-        return self._approach(view, finder.wishes(view), reason)
+        return self._approach(view, finder.preferred_places(view), reason)
 
     def with_arm_alone(
         self,
@@ -297,4 +297,4 @@ class WholeBodyReach:
 
     def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
         away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)
-        return bool(away[1] < away[0] - self.config.least_approach)
+        return bool(away[1] < away[0] - self.config.min_approach)

@@ -36,7 +36,7 @@ class ReachingConfig:
     """Places for the base that are looked at for one view."""
     goals: ClassVar[int] = 5
     """Of these, the nearest good ones that are given to the planner of the base."""
-    least_approach: ClassVar[float] = 0.3
+    min_approach: ClassVar[float] = 0.3
     """A way that does not lead to the view is offered where it brings the base nearer by more
     than this [m].
     """

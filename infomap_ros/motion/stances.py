@@ -72,7 +72,7 @@ class StanceFinder:
     config: ReachingConfig
     here: FloatArray
 
-    def wishes(self, view: FloatArray) -> FloatArray:
+    def preferred_places(self, view: FloatArray) -> FloatArray:
         """Places from which a level base would reach a view, whatever the ground, shape (P, 3)."""
         places, _, _ = self.whole.postures.places_for(view, self._steepness_tolerance)
         count = min(len(places), self.config.goals)

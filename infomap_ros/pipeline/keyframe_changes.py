@@ -14,11 +14,11 @@ class KeyframeChanges:
     """Remembers the poses that were given out last.
 
     Args:
-        least_correction: smallest motion of a keyframe that matters [m], or turn [rad].
+        min_correction: smallest motion of a keyframe that matters [m], or turn [rad].
     """
 
-    def __init__(self, least_correction: float = LEAST_CORRECTION) -> None:
-        self._least_correction = least_correction
+    def __init__(self, min_correction: float = LEAST_CORRECTION) -> None:
+        self._min_correction = min_correction
         self._last: KeptPoses | None = None
 
     def after(self, result: LocalizedCamera, kept: KeptPoses | None) -> KeptPoses | None:
@@ -35,4 +35,4 @@ class KeyframeChanges:
         change = now.transforms[new] - before.transforms[old]
         distance = np.linalg.norm(change[:, :3, 3], axis=1).max(initial=0.0)
         angle = np.linalg.norm(change[:, :3, :3], axis=(1, 2)).max(initial=0.0) / np.sqrt(2.0)
-        return bool(max(distance, angle) > self._least_correction)
+        return bool(max(distance, angle) > self._min_correction)

@@ -136,7 +136,7 @@ def _weighted(pair: Pair) -> FloatArray:
 
 def _filtered(frames: Sequence[WalkFrame]) -> FloatArray:
     """Positions by the filter, from images alone."""
-    config = FiducialFilterConfig(least_fiducials=NECESSARY, max_kept_poses=2)
+    config = FiducialFilterConfig(min_fiducials=NECESSARY, max_kept_poses=2)
     pose_filter = FiducialFilter(CAMERA, config)
     pose_filter.add(frames[0].observations)
     positions = [np.zeros(3)]

@@ -57,7 +57,7 @@ class AgentsConfig(AgentBoardConfig):
         low=0.0,
         high=60.0,
     )
-    patience: float = setting(
+    idle_timeout: float = setting(
         120.0,
         "Where teammates leave no view that is worth its cost, this robot waits as long as they go "
         "from view to view, and so long after that; then it has nothing left to do.",

@@ -1,6 +1,6 @@
 """Messages that only those can write who know the team's key.
 
-A message carries a code over its rows and facts: HMAC with SHA-256 (RFC 2104,
+A message carries a code over its rows and header: HMAC with SHA-256 (RFC 2104,
 https://doi.org/10.17487/RFC2104), cut to its first 16 bytes. What is repeated by a stranger is
 authentic, but old: states that were told before change nothing.
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError, UpdateRefusedError
-from infomap_ros.team.facts import layout_of, with_more_facts, without_last_fact
+from infomap_ros.team.message_header import layout_of, with_header_values, without_last_entry
 
 NOT_AUTHENTIC = "not authentic"
 _SHORTEST_KEY, _CODE_BYTES = 16, 16
@@ -66,7 +66,7 @@ class TeamKey:
 
     def sign(self, rows: Rows) -> Rows:
         """The message with its code."""
-        return with_more_facts(rows, {"code": self._code(rows)})
+        return with_header_values(rows, {"code": self._code(rows)})
 
     def verify(self, rows: Rows) -> Rows:
         """The message without its code.
@@ -74,7 +74,7 @@ class TeamKey:
         Raises:
             UpdateRefusedError: it has none, or not the right one.
         """
-        plain, code = without_last_fact(rows, "code")
+        plain, code = without_last_entry(rows, "code")
         if plain is None or not _is_same(self._code(plain), code):
             raise UpdateRefusedError("the message is not of this team", NOT_AUTHENTIC)
         return plain

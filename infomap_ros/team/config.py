@@ -44,7 +44,7 @@ class TeamConfig:
         low=0.05,
         high=600.0,
     )
-    patience: float = setting(
+    request_timeout: float = setting(
         0.2,
         "Time until what was asked for and has not come is asked for again.",
         unit="s",

@@ -153,10 +153,10 @@ class Contribution:
                 self.newest = int(version)
         return changed
 
-    def most_telling(self, share: float, worth: NDArray[np.float64]) -> Contribution:
+    def most_telling(self, share: float, priority: NDArray[np.float64]) -> Contribution:
         """A contribution with that share of the blocks that is worth most, shape (blocks,)."""
         kept = Contribution(self._size)
-        chosen = np.sort(np.argsort(-worth, kind="stable")[: int(share * self.blocks)])
+        chosen = np.sort(np.argsort(-priority, kind="stable")[: int(share * self.blocks)])
         for start in range(0, len(chosen), _KEPT_AT_ONCE):
             kept.accept(self.states(0, chosen[start : start + _KEPT_AT_ONCE]))
         kept.newest, kept.is_cut = self.newest, True

@@ -1,6 +1,6 @@
 """Digests of contributions, and requests for what is missing: the wire format.
 
-As map updates, they are rows of named fields with the facts in the name of one more field.
+As map updates, they are rows of named fields with the header in the name of one more field.
 
 - A summary has a row for each contribution that its sender holds: whose, the newest version, the
   number of blocks, and a hash of all states.
@@ -22,8 +22,13 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, COORDINATE_LIMIT
-from infomap_ros.team.facts import dtype_with_facts, facts_of, whole_number, without_facts
 from infomap_ros.team.freshness import MAX_NUMBER
+from infomap_ros.team.message_header import (
+    dtype_with_header,
+    header_of,
+    whole_number,
+    without_header,
+)
 from infomap_ros.team.update import MAX_ROBOT, MAX_SERIAL, MAX_SESSION, MAX_VERSION
 
 SUMMARY_ROW = np.dtype(
@@ -56,8 +61,8 @@ class Summary:
 
     def encode(self, number: int = 0) -> NDArray[np.void]:
         """The rows of a message with that number."""
-        facts = {"digest": "summary", "sender": self.sender, "session": self.session}
-        return self.rows.view(dtype_with_facts(SUMMARY_ROW, facts | {"number": number}))
+        header = {"digest": "summary", "sender": self.sender, "session": self.session}
+        return self.rows.view(dtype_with_header(SUMMARY_ROW, header | {"number": number}))
 
     def hashes(self) -> list[int]:
         """Hash of each contribution, 64 bits."""
@@ -93,7 +98,7 @@ class CellDigest:
 
     def encode(self, max_bytes: int, number: int = 0) -> list[NDArray[np.void]]:
         """The rows of as many messages as it takes, with numbers from that one on."""
-        facts = {
+        header = {
             "digest": "cells",
             "sender": self.sender,
             "session": self.session,
@@ -104,7 +109,7 @@ class CellDigest:
         }
         rows = np.zeros(len(self.corners), CELL_ROW)
         rows["corner"], rows["hash"] = self.corners, self.hashes
-        return _messages(rows, facts, max_bytes, number)
+        return _messages(rows, header, max_bytes, number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +152,7 @@ class Request:
         Where all is wanted they have one row more.
         """
         everything = not len(self.corners)
-        facts = {
+        header = {
             "request": self.wants,
             "sender": self.sender,
             "session": self.session,
@@ -161,7 +166,7 @@ class Request:
         rows = np.zeros(max(1, len(self.corners)), REQUEST_ROW)
         if not everything:
             rows["corner"] = self.corners
-        return _messages(rows, facts, max_bytes, number)
+        return _messages(rows, header, max_bytes, number)
 
 
 def _most_rows(row: np.dtype[np.void], max_bytes: int) -> int:
@@ -169,13 +174,13 @@ def _most_rows(row: np.dtype[np.void], max_bytes: int) -> int:
 
 
 def _messages(
-    rows: NDArray[np.void], facts: Mapping[str, object], max_bytes: int, number: int
+    rows: NDArray[np.void], header: Mapping[str, object], max_bytes: int, number: int
 ) -> list[NDArray[np.void]]:
     """Rows in as many messages as it takes, numbered."""
     length = _most_rows(rows.dtype, max_bytes)
     parts = [rows[start : start + length] for start in range(0, len(rows), length)]
     return [
-        part.view(dtype_with_facts(rows.dtype, {**facts, "number": number + count}))
+        part.view(dtype_with_header(rows.dtype, {**header, "number": number + count}))
         for count, part in enumerate(parts)
     ]
 
@@ -186,25 +191,25 @@ def decode_digest(rows: NDArray[np.void]) -> Summary | CellDigest:
     Raises:
         InvalidInputError: it is not one, or holds impossible numbers.
     """
-    facts = facts_of(rows, "digest")
-    sender = whole_number(facts, "sender", 0, MAX_ROBOT, "digest")
-    session = whole_number(facts, "session", 0, MAX_SESSION, "digest")
-    number = whole_number(facts, "number", 0, MAX_NUMBER, "digest")
-    if facts.get("digest") == "summary":
-        table = without_facts(rows, (SUMMARY_ROW,)).copy()
+    header = header_of(rows, "digest")
+    sender = whole_number(header, "sender", 0, MAX_ROBOT, "digest")
+    session = whole_number(header, "session", 0, MAX_SESSION, "digest")
+    number = whole_number(header, "number", 0, MAX_NUMBER, "digest")
+    if header.get("digest") == "summary":
+        table = without_header(rows, (SUMMARY_ROW,)).copy()
         if len(table) > MAX_SUMMARY or len(np.unique(table["robot"])) < len(table):
             raise InvalidInputError("digest", f"of {len(table)} contributions, or one is repeated")
         return Summary(sender, session, table, number)
-    if facts.get("digest") != "cells":
-        raise InvalidInputError("digest", f"of kind '{facts.get('digest', '')}'")
-    table = without_facts(rows, (CELL_ROW,))
+    if header.get("digest") != "cells":
+        raise InvalidInputError("digest", f"of kind '{header.get('digest', '')}'")
+    table = without_header(rows, (CELL_ROW,))
     return CellDigest(
         sender,
         session,
-        whole_number(facts, "robot", 0, MAX_ROBOT, "digest"),
-        whole_number(facts, "version", 0, MAX_VERSION, "digest"),
-        whole_number(facts, "serial", 0, MAX_SERIAL, "digest"),
-        whole_number(facts, "level", 0, MAX_LEVEL, "digest"),
+        whole_number(header, "robot", 0, MAX_ROBOT, "digest"),
+        whole_number(header, "version", 0, MAX_VERSION, "digest"),
+        whole_number(header, "serial", 0, MAX_SERIAL, "digest"),
+        whole_number(header, "level", 0, MAX_LEVEL, "digest"),
         _checked_corners(table, "digest"),
         table["hash"].copy(),
         number,
@@ -217,25 +222,25 @@ def decode_request(rows: NDArray[np.void]) -> Request:
     Raises:
         InvalidInputError: it is not one, or holds impossible numbers.
     """
-    facts = facts_of(rows, "request")
-    wants = facts.get("request", "")
+    header = header_of(rows, "request")
+    wants = header.get("request", "")
     if wants not in ("cells", "states", "messages"):
         raise InvalidInputError("request", f"for '{wants}'")
-    everything = whole_number(facts, "all", 0, 1, "request")
-    table = without_facts(rows, (REQUEST_ROW,))
+    everything = whole_number(header, "all", 0, 1, "request")
+    table = without_header(rows, (REQUEST_ROW,))
     is_place = wants != "messages"
     corners = _checked_corners(table, "request") if is_place else table["corner"].copy()
     return Request(
-        whole_number(facts, "sender", 0, MAX_ROBOT, "request"),
-        whole_number(facts, "session", 0, MAX_SESSION, "request"),
-        whole_number(facts, "to", 0, MAX_ROBOT, "request"),
-        whole_number(facts, "to_session", 0, MAX_SESSION, "request"),
-        whole_number(facts, "robot", 0, MAX_ROBOT, "request"),
+        whole_number(header, "sender", 0, MAX_ROBOT, "request"),
+        whole_number(header, "session", 0, MAX_SESSION, "request"),
+        whole_number(header, "to", 0, MAX_ROBOT, "request"),
+        whole_number(header, "to_session", 0, MAX_SESSION, "request"),
+        whole_number(header, "robot", 0, MAX_ROBOT, "request"),
         wants,
-        whole_number(facts, "level", 0, MAX_LEVEL, "request"),
-        whole_number(facts, "within", 0, MAX_LEVEL, "request"),
+        whole_number(header, "level", 0, MAX_LEVEL, "request"),
+        whole_number(header, "within", 0, MAX_LEVEL, "request"),
         corners[:0] if everything else corners,
-        whole_number(facts, "number", 0, MAX_NUMBER, "request"),
+        whole_number(header, "number", 0, MAX_NUMBER, "request"),
     )
 
 

@@ -28,7 +28,8 @@ bytes.
 MISSED_FOR = 30.0
 """Time for which a block is missed [s].
 
-Well above the eight tries at the default patience; who has died meanwhile is not asked for ever.
+Well above the eight tries at the default request timeout; who has died meanwhile is not asked for
+ever.
 """
 
 MOST_WANTED = 32

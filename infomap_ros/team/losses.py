@@ -23,12 +23,12 @@ class Losses:
     """Keeps account of the messages of each robot.
 
     Args:
-        patience: time until a message is asked for again [s].
+        request_timeout: time until a message is asked for again [s].
         give_up: time until it is not asked for any more [s].
     """
 
-    def __init__(self, patience: float, give_up: float) -> None:
-        self._patience, self._give_up = patience, give_up
+    def __init__(self, request_timeout: float, give_up: float) -> None:
+        self._request_timeout, self._give_up = request_timeout, give_up
         self._newest: dict[int, int] = {}
         self._lost: dict[int, dict[int, _Loss]] = {}
 
@@ -67,7 +67,7 @@ class Losses:
         for robot, lost in self._lost.items():
             for serial in [n for n, loss in lost.items() if now - loss.noticed > self._give_up]:
                 del lost[serial]
-            due = [n for n, loss in lost.items() if now - loss.asked >= self._patience]
+            due = [n for n, loss in lost.items() if now - loss.asked >= self._request_timeout]
             if due:
                 wanted[robot] = np.array(due, np.int32)
                 for number in due:

@@ -26,11 +26,11 @@ class Missed:
 
     Args:
         late: time for which a block is missed before it is asked for [s].
-        patience: time until it is asked for again [s].
+        request_timeout: time until it is asked for again [s].
     """
 
-    def __init__(self, late: float, patience: float) -> None:
-        self._late, self._patience = late, patience
+    def __init__(self, late: float, request_timeout: float) -> None:
+        self._late, self._request_timeout = late, request_timeout
         self._blocks: dict[int, dict[tuple[int, ...], _Block]] = {}
         self._sender: dict[int, int] = {}
         self._checked = -np.inf
@@ -59,7 +59,7 @@ class Missed:
 
     def is_due(self, now: float) -> bool:
         """Whether it is time to look what is still missed; then it counts as looked at."""
-        if now - self._checked < 0.5 * self._patience:
+        if now - self._checked < 0.5 * self._request_timeout:
             return False
         self._checked = now
         return True
@@ -78,7 +78,7 @@ class Missed:
         for corner, block in list(blocks.items()):
             if block.tries >= MOST_TRIES or now - block.heard > MISSED_FOR:
                 del blocks[corner]
-            elif now - block.heard >= self._late + block.tries * self._patience:
+            elif now - block.heard >= self._late + block.tries * self._request_timeout:
                 blocks[corner] = block._replace(tries=block.tries + 1)
                 due.append(corner)
         if not blocks:

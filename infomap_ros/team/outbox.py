@@ -3,7 +3,7 @@
 Two streams share the bandwidth: changes of the own contribution, and answers to those who ask for
 what they missed, of any contribution that is held. Both are ordered by bits per byte, in blocks of
 8x8x8 voxels, as their parts would take more bytes; what waits gains on what is new. What changed
-only a little (`team.worth`) is told when nothing else waits.
+only a little (`team.priority`) is told when nothing else waits.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import list_blocks
 from infomap_ros.team.own_version import OwnVersion
+from infomap_ros.team.priority import ChangePriority, priority_of_changes, priority_of_states
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.sent import SentMessages, message_bytes
 from infomap_ros.team.update import MAX_SERIAL, MapUpdate
 from infomap_ros.team.versions import next_version
 from infomap_ros.team.wire import encode_update
-from infomap_ros.team.worth import ChangeWorth, worth_of_changes, worth_of_states
 
 _WAIT = 0.5  # [s] after which what waits counts four times, after twice that nine times
 _MOST_VOXELS = 1 << 20
@@ -55,7 +55,7 @@ class Outbox:
         self._since = np.zeros(0)
         self._taken_back = np.empty((0, 3), np.int32)
         self._touched: list[NDArray[np.int32]] = []
-        kept, on_its_way = 2e6 * config.bandwidth, 1.5 * config.patience
+        kept, on_its_way = 2e6 * config.bandwidth, 1.5 * config.request_timeout
         self._sent = SentMessages(version % MAX_SERIAL, kept, on_its_way)
 
     @property
@@ -125,7 +125,7 @@ class Outbox:
             if part is None or not asked:
                 continue
             slots = np.array(sorted(asked), np.int64)
-            bits, sizes = worth_of_states(part, slots)
+            bits, sizes = priority_of_states(part, slots)
             left = room - sum(rows.nbytes for rows in messages)
             chosen = _affordable(bits / np.maximum(sizes, 1.0), sizes, left)
             self._answers[robot] = set(slots[~chosen].tolist())
@@ -152,12 +152,12 @@ class Outbox:
         if not len(slots):
             return []
         told = self._replica.contribution(self.robot) or Contribution(voxel_map.config.voxel_size)
-        worth = worth_of_changes(voxel_map, told, slots)
-        whole, parts = self._choose(slots, worth, room, now)
+        priority = priority_of_changes(voxel_map, told, slots)
+        whole, parts = self._choose(slots, priority, room, now)
         dirty = storage.blocks.dirty
         changed = dirty[slots]
-        later = dirty[slots[parts]] & ~worth.matters[parts]
-        dirty[slots[parts]] &= worth.matters[parts]
+        later = dirty[slots[parts]] & ~priority.matters[parts]
+        dirty[slots[parts]] &= priority.matters[parts]
         size = voxel_map.config.voxel_size
         changes = take_changes(storage, size, _MOST_VOXELS, slots[whole | parts])
         dirty[slots[parts]] |= later
@@ -170,11 +170,11 @@ class Outbox:
             raise
 
     def _choose(
-        self, slots: Slots, worth: ChangeWorth, room: float, now: float
+        self, slots: Slots, priority: ChangePriority, room: float, now: float
     ) -> tuple[Mask, Mask]:
         """Blocks of which all changes are told, and those of which only what matters, (n,) each."""
-        bits, sizes = worth.bits, np.maximum(worth.sizes, 1.0)
-        matter = np.flatnonzero(worth.sizes[:, 0] > 0.0)
+        bits, sizes = priority.bits, np.maximum(priority.sizes, 1.0)
+        matter = np.flatnonzero(priority.sizes[:, 0] > 0.0)
         gain = (1.0 + self._waited(slots[matter], now) / _WAIT) ** 2
         fits = _affordable(bits[matter, 0] / sizes[matter, 0] * gain, sizes[matter, 0], room)
         parts = np.zeros(len(slots), np.bool_)
@@ -224,11 +224,11 @@ class Outbox:
         return now - self._since[slots]
 
 
-def _affordable(worth: NDArray[np.float64], sizes: NDArray[np.float64], room: float) -> Mask:
+def _affordable(priority: NDArray[np.float64], sizes: NDArray[np.float64], room: float) -> Mask:
     """The best of some things that fit in the room, at least one."""
-    order = np.argsort(-worth, kind="stable")
+    order = np.argsort(-priority, kind="stable")
     fits = np.cumsum(sizes[order]) <= room
     fits[:1] = True
-    chosen = np.zeros(len(worth), np.bool_)
+    chosen = np.zeros(len(priority), np.bool_)
     chosen[order[fits]] = True
     return chosen

@@ -33,7 +33,10 @@ _COARSE = 3  # level of the first cells that are compared
 _MANY_BLOCKS = 4000  # with fewer, blocks are compared at once
 _DEEP_PERIOD = 1.0  # [s] between two comparisons of a whole contribution
 _OWN_PERIOD = 5.0  # [s] of the own contribution, which others may hold from an earlier start
-_LATE, _GIVEN_UP = 6.0, 8.0  # patiences from which blocks are asked for, and messages are not
+_LATE, _GIVEN_UP = (
+    6.0,
+    8.0,
+)  # timeouts after which blocks are asked for, messages not
 _REPEATS = 3  # digests that tell of a block that was told
 _MOST_HELD = 1 << 16  # blocks held otherwise that are kept, as in a message of 1 MB; the oldest go
 _ANSWERS = 16  # to questions in one round; each may take 10 ms for a map of 10^5 blocks
@@ -73,8 +76,8 @@ class Reconciler:
         self._held: dict[tuple[int, ...], int] = {}
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
-        self._missed = Missed(_LATE * config.patience, config.patience)
-        self.losses = Losses(config.patience, _GIVEN_UP * config.patience)
+        self._missed = Missed(_LATE * config.request_timeout, config.request_timeout)
+        self.losses = Losses(config.request_timeout, _GIVEN_UP * config.request_timeout)
         self._requests: list[Request] = []
         self._wanted: dict[int, dict[tuple[object, ...], Request]] = {}
         self._answered: dict[tuple[int, int], float] = {}
@@ -280,7 +283,7 @@ class Reconciler:
                 del known[old]
         first = self._behind.setdefault((sender, robot), now)
         last = self._compared.get((sender, robot), -np.inf)
-        period, wait = _DEEP_PERIOD, 3.0 * self._config.patience
+        period, wait = _DEEP_PERIOD, 3.0 * self._config.request_timeout
         if self._is_own(robot):
             recovers = now < self.recovering_until
             period, wait = (_DEEP_PERIOD, 0.0) if recovers else (_OWN_PERIOD, wait)
@@ -302,10 +305,10 @@ class Reconciler:
 
     def _not_yet_asked(self, robot: int, corners: Corners, level: int, now: float) -> Corners:
         """Those cells for which nobody has asked lately; they count as asked for now."""
-        patience, fresh = self._config.patience, []
+        request_timeout, fresh = self._config.request_timeout, []
         for row, corner in enumerate(corners.tolist()):
             key = robot, (level, *corner)
-            if now - self._asked.get(key, -np.inf) >= patience:
+            if now - self._asked.get(key, -np.inf) >= request_timeout:
                 self._asked[key] = now
                 fresh.append(row)
         self._forget_asked(now)
@@ -319,8 +322,8 @@ class Reconciler:
 
     def _forget_asked(self, now: float) -> None:
         if len(self._asked) > _MOST_ASKED:
-            patience = self._config.patience
-            self._asked = {k: t for k, t in self._asked.items() if now - t < patience}
+            request_timeout = self._config.request_timeout
+            self._asked = {k: t for k, t in self._asked.items() if now - t < request_timeout}
             if len(self._asked) > _MOST_ASKED // 2:
                 self._asked.clear()
 

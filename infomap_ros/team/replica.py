@@ -29,8 +29,8 @@ from infomap_ros.mapping.voxels.voxel_states import (
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import mixed
 from infomap_ros.team.limits import BORROWED_MOST, GUESTS_MOST, ROOM_AFTER
+from infomap_ros.team.priority import priority_of_states
 from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.worth import worth_of_states
 
 _ADDED_AT_ONCE = 4096  # blocks of which the sum is made in one go
 
@@ -135,7 +135,7 @@ class MapReplica:
             part.is_cut &= robot in cut
         for robot in cut:
             part = self._contributions[robot]
-            worth, _ = worth_of_states(part, np.arange(part.blocks))
+            worth, _ = priority_of_states(part, np.arange(part.blocks))
             self._contributions[robot] = part.most_telling(share / sizes[robot], worth)
         if cut:
             self._sum_again()

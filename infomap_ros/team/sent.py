@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.team.facts import with_more_facts
+from infomap_ros.team.message_header import with_header_values
 from infomap_ros.team.update import MAX_SERIAL
 
 
@@ -17,12 +17,12 @@ class SentMessages:
     Args:
         serial: number of the message before the first.
         room: for the messages that are kept [bytes].
-        patience: for so long after a message was told again, it is on its way [s].
+        request_timeout: for so long after a message was told again, it is on its way [s].
     """
 
-    def __init__(self, serial: int, room: float, patience: float) -> None:
+    def __init__(self, serial: int, room: float, request_timeout: float) -> None:
         self.serial = serial
-        self._room, self._held, self._patience = room, 0, patience
+        self._room, self._held, self._request_timeout = room, 0, request_timeout
         self._told_again: dict[int, float] = {}
         self._messages: dict[int, NDArray[np.void]] = {}
         self._asked: set[int] = set()
@@ -30,7 +30,7 @@ class SentMessages:
     def number(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The message with its number."""
         self.serial = (self.serial + 1) % MAX_SERIAL
-        rows = with_more_facts(rows, {"serial": self.serial})
+        rows = with_header_values(rows, {"serial": self.serial})
         self._messages[self.serial] = rows
         self._held += rows.nbytes
         while self._held > self._room and len(self._messages) > 1:
@@ -43,7 +43,7 @@ class SentMessages:
         """Have messages told again, as far as they are kept and not on their way."""
         for serial in serials:
             since = now - self._told_again.get(serial, -np.inf)
-            if serial in self._messages and since >= self._patience:
+            if serial in self._messages and since >= self._request_timeout:
                 self._asked.add(serial)
 
     def resend(self, room: float, now: float) -> list[NDArray[np.void]]:

@@ -9,8 +9,8 @@ Two layouts, told apart by their fields: `OCCUPANCY_ROW` holds eight neighbors a
 those with the log-odds `NOT_TOLD` are left out, and `SURFACE_ROW` one voxel and the code of its
 Gaussian (`infomap_ros.team.gaussian_code`). A message spans at most 256 voxels along each axis, so
 that an index fits a byte; where it begins, whose it is, its version and the voxel size stand in
-the name of one more field (`infomap_ros.team.facts`). States of several versions, as a robot
-passes them on for another, have one more column.
+the name of one more field (`infomap_ros.team.message_header`). States of several versions, as a
+robot passes them on for another, have one more column.
 
 All numbers are little endian.
 """
@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
-from infomap_ros.team.facts import (
-    dtype_with_facts,
-    facts_of,
+from infomap_ros.team.gaussian_code import CODE, CODE_FIELDS, codes_of_words, words_of_codes
+from infomap_ros.team.message_header import (
+    dtype_with_header,
+    header_of,
     positive_number,
     whole_number,
-    without_facts,
+    without_header,
 )
-from infomap_ros.team.gaussian_code import CODE, CODE_FIELDS, codes_of_words, words_of_codes
 from infomap_ros.team.row_kernels import (
     NOT_TOLD,
     ORDER_SHIFT,
@@ -69,7 +69,7 @@ def encode_update(update: MapUpdate, max_bytes: int = MAX_MESSAGE_BYTES) -> list
         max_bytes: upper limit of one message, with its fields.
 
     Returns:
-        Row arrays, one a message, whose dtype is `OCCUPANCY_ROW` or `SURFACE_ROW` with the facts.
+        Row arrays, one a message, whose dtype is `OCCUPANCY_ROW` or `SURFACE_ROW` with the header.
 
     Raises:
         InvalidInputError: the states cannot be told.
@@ -104,17 +104,17 @@ def _tiles(
 
 
 def _facts(update: MapUpdate, version: int, origin: NDArray[np.int64]) -> dict[str, object]:
-    facts: dict[str, object] = {
+    header: dict[str, object] = {
         "robot": update.robot,
         "session": update.session,
         "version": version,
         "voxel_size": repr(float(update.voxel_size)),
     }
     for axis, value in zip("xyz", origin.tolist(), strict=True):
-        facts[f"origin_{axis}"] = value
+        header[f"origin_{axis}"] = value
     if update.sender is not None:
-        facts["sender"] = update.sender
-    return facts
+        header["sender"] = update.sender
+    return header
 
 
 def _empty_rows(
@@ -123,7 +123,7 @@ def _empty_rows(
     versions = update.versions[rows]
     several = bool((versions != versions[0]).any())
     dtype = _VERSIONED[kind] if several else (OCCUPANCY_ROW, SURFACE_ROW)[kind]
-    return np.zeros(count, dtype_with_facts(dtype, _facts(update, int(versions[0]), origin)))
+    return np.zeros(count, dtype_with_header(dtype, _facts(update, int(versions[0]), origin)))
 
 
 def _occupancy_rows(
@@ -164,45 +164,45 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
     """Read the rows of one message.
 
     Args:
-        rows: shape (K,), with the fields of `OCCUPANCY_ROW` or `SURFACE_ROW` and the facts.
+        rows: shape (K,), with the fields of `OCCUPANCY_ROW` or `SURFACE_ROW` and the header.
 
     Raises:
-        InvalidInputError: no rows, other fields, facts that are missing or impossible, log-odds
+        InvalidInputError: no rows, other fields, header that are missing or impossible, log-odds
             or voxels beyond their limits, or a Gaussian without spread.
     """
     if not len(rows):
         raise InvalidInputError(_WHAT, "holds no voxels")
-    facts = facts_of(rows, _WHAT)
-    table = without_facts(rows, (OCCUPANCY_ROW, SURFACE_ROW, *_VERSIONED))
-    version = whole_number(facts, "version", 1, MAX_VERSION, _WHAT)
+    header = header_of(rows, _WHAT)
+    table = without_header(rows, (OCCUPANCY_ROW, SURFACE_ROW, *_VERSIONED))
+    version = whole_number(header, "version", 1, MAX_VERSION, _WHAT)
     is_surface = "mean" in (table.dtype.names or ())
-    indices, log_odds, kept = _voxels_of(table, facts, is_surface)
+    indices, log_odds, kept = _voxels_of(table, header, is_surface)
     versions = np.full(len(kept), version, np.uint32)
     if "version" in (table.dtype.names or ()):
         versions = table["version"][kept]
-    sender = whole_number(facts, "sender", 0, MAX_ROBOT, _WHAT) if "sender" in facts else None
+    sender = whole_number(header, "sender", 0, MAX_ROBOT, _WHAT) if "sender" in header else None
     update = MapUpdate(
-        positive_number(facts, "voxel_size", _WHAT),
-        whole_number(facts, "robot", 0, MAX_ROBOT, _WHAT),
+        positive_number(header, "voxel_size", _WHAT),
+        whole_number(header, "robot", 0, MAX_ROBOT, _WHAT),
         versions,
         indices,
         log_odds,
         _codes_of(table) if is_surface else np.zeros((len(kept), 2), np.uint64),
-        whole_number(facts, "session", 0, MAX_SESSION, _WHAT),
+        whole_number(header, "session", 0, MAX_SESSION, _WHAT),
         sender,
-        whole_number(facts, "serial", 0, MAX_SERIAL, _WHAT) if "serial" in facts else None,
+        whole_number(header, "serial", 0, MAX_SERIAL, _WHAT) if "serial" in header else None,
     )
     update.check_states()
     return update
 
 
 def _voxels_of(
-    table: NDArray[np.void], facts: dict[str, str], is_surface: bool
+    table: NDArray[np.void], header: dict[str, str], is_surface: bool
 ) -> tuple[NDArray[np.int32], NDArray[np.int8], NDArray[np.int64]]:
     """Indices and log-odds of the voxels, and the row of each."""
     limit = COORDINATE_LIMIT
     names = ("origin_x", "origin_y", "origin_z")
-    origin = [whole_number(facts, name, -limit, limit - 1, _WHAT) for name in names]
+    origin = [whole_number(header, name, -limit, limit - 1, _WHAT) for name in names]
     corners = table["index"].astype(np.int32) + np.array(origin, np.int32)
     if is_surface:
         return corners, table["log_odds"].copy(), np.arange(len(table))

@@ -37,7 +37,7 @@ class ApproachConfig:
         high=100.0,
     )
 
-    least_progress: ClassVar[float] = 0.2
+    min_progress: ClassVar[float] = 0.2
     """A partial approach counts only if it leads at least so far; a shorter one would be chosen
     again and again [m].
     """
@@ -114,7 +114,7 @@ class Approach:
         """Note why a view is not reached; the first partial approach is second best."""
         reason = result.reason or "the way does not lead all the way"
         views[index] = views[index].rejected(reason)
-        leads_on = result.partial and result.travel >= self._config.least_progress
+        leads_on = result.partial and result.travel >= self._config.min_progress
         if leads_on and self.index is None:
             self.index, self.result = index, result
 

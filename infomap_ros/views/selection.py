@@ -39,17 +39,17 @@ class SelectionConfig:
         low=1,
         high=100_000,
     )
-    least_information: float = setting(
+    min_information: float = setting(
         0.005,
         "A view that is expected to tell less than this share of a full unknown view is not worth "
         "taking.",
         low=0.0,
         high=1.0,
     )
-    least_rating: float = setting(
+    min_rating: float = setting(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
     )
-    most_shared: float = setting(
+    max_shared: float = setting(
         0.5,
         "A view of whose information teammates are about to see more than this share is left to "
         "them.",
@@ -114,7 +114,7 @@ class Selection:
             self._options,
             self._rating.config,
             self._reachability,
-            self._strategy.needs_worth,
+            self._strategy.requires_positive_utility,
         )
         batches, kept = self._survivors(views, scores), False
         plans: dict[int, tuple[int, ...]] = {}
@@ -141,13 +141,13 @@ class Selection:
         self, views: list[RatedView], ratings: Ratings, indices: IntArray
     ) -> None:
         """Reject what tells too little or is not worth its cost, if the strategy cares."""
-        if not self._strategy.needs_worth:
+        if not self._strategy.requires_positive_utility:
             return
-        least = self._config.least_information
+        least = self._config.min_information
         for index, share, rating in zip(indices, ratings.shares, ratings.ratings, strict=True):
             if share < least:
                 views[index] = views[index].rejected("tells too little")
-            elif rating < self._config.least_rating:
+            elif rating < self._config.min_rating:
                 views[index] = views[index].rejected("not worth its cost")
 
     def _leave_to_teammates(
@@ -157,7 +157,7 @@ class Selection:
         if options.claimed is None:
             return
         for index, left in zip(indices, options.left, strict=True):
-            if 1.0 - left > self._config.most_shared and not views[index].rejection:
+            if 1.0 - left > self._config.max_shared and not views[index].rejection:
                 views[index] = views[index].rejected(LEFT_TO_TEAMMATE)
 
     def _survivors(self, views: list[RatedView], scores: Scores) -> Iterator[IntArray]:

@@ -129,14 +129,14 @@ class Situation:
         views_so_far: number of views taken before.
         past_views: ``T_map_camera`` of them as far as known, shape (V, 4, 4).
         kept_shares: share of what each of them could tell that it has told, shape (V,), NaN where
-            that is not known; see `views.kept_promises`. Empty where it is known of none.
+            that is not known; see `views.gain_prior`. Empty where it is known of none.
         free_body: the robot's own body in the map frame: space that is free whatever the map says.
         clear_space: space that is declared free, map frame; what the map knows to be occupied is.
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
             above the ground where `ground_height` is given.
         ground_height: height of the ground at a place.
         promising: the map by which it is judged what views are expected to tell, see
-            `views.vain_looks`; `voxel_map` where not given.
+            `views.unproductive_looks`; `voxel_map` where not given.
         arm_views: ``T_map_camera`` that the arm can take while the base stays, shape (A, 4, 4);
             candidates besides those that are drawn.
         positions_hint: camera positions to choose from instead of sampling the free space, shape

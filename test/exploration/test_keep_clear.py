@@ -43,7 +43,7 @@ class Stage:
             lambda: self._pass(PAUSE),
             lambda state, _: self.said.append(state),
         )
-        self.robot = KeepsClear(self, around, KeepClearConfig(patience=10.0))
+        self.robot = KeepsClear(self, around, KeepClearConfig(wait_timeout=10.0))
 
     def drive(self, poses: np.ndarray, interrupted: Interrupted) -> Motion:
         path = [tuple(self.base)]

@@ -89,7 +89,7 @@ def test_a_robot_that_is_lost_after_a_restart_goes_back_to_the_last_look(tmp_pat
 def test_ends_where_views_bring_nothing_any_more() -> None:
     known = [0.3, 0.5, 0.4, 0.55, 0.56, 0.5602, 0.5601, 0.5603, 0.9]
     script = [view(float(n), share) for n, share in enumerate(known)]
-    run = Run(*script, task=TaskConfig(vain_views=3, least_gain=0.001))
+    run = Run(*script, task=TaskConfig(unproductive_views=3, min_gain=0.001))
     ending = run.exploration.run()
     assert ending.reason is EndReason.NOTHING_LEFT
     assert "the last 3 views made 0.04 % more of the surface known" in ending.detail
@@ -102,19 +102,19 @@ def test_views_that_map_more_surface_are_not_in_vain() -> None:
         dataclasses.replace(each, progress=dataclasses.replace(each.progress, surface_voxels=count))
         for each, count in zip(script, (100, 110, 121, 133, 133, 133), strict=True)
     ]
-    run = Run(*grown, task=TaskConfig(vain_views=2))
+    run = Run(*grown, task=TaskConfig(unproductive_views=2))
     assert run.exploration.run().reason is EndReason.NOTHING_LEFT
     assert run.exploration.mission.views == 6
 
 
 def test_views_that_make_the_map_as_fine_as_asked_are_not_in_vain() -> None:
     script = [view(float(n), 0.97, share) for n, share in enumerate((0.5, 0.7, 0.9, 0.96))]
-    task = TaskConfig(known_fraction=0.95, vain_views=2)
+    task = TaskConfig(known_fraction=0.95, unproductive_views=2)
     assert Run(*script, task=task).exploration.run().reason is EndReason.DONE
 
 
 def test_looks_and_chooses_again_where_the_pose_is_lost_on_the_way() -> None:
-    run = Run(view(1.0), view(2.0), view(3.0, known=0.97), task=TaskConfig(most_drift=0.06))
+    run = Run(view(1.0), view(2.0), view(3.0, known=0.97), task=TaskConfig(max_drift=0.06))
     sigmas = {"drive": iter([0.1, 0.12]), "look": iter([0.002, 0.08, 0.01])}
 
     def grow(deed: str) -> None:

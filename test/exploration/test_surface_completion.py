@@ -69,10 +69,10 @@ def situation_of(voxel_map: VoxelMap, pose: np.ndarray) -> Situation:
 
 
 def prepared(
-    voxel_map: VoxelMap, patience: float = 10.0, hiding: float = 0.5
+    voxel_map: VoxelMap, look_limit: float = 10.0, hiding: float = 0.5
 ) -> tuple[SurfaceCompletion, Situation]:
     """With the camera turned away from the hole."""
-    completion = SurfaceCompletion(InformationConfig(hiding_probability=hiding), patience)
+    completion = SurfaceCompletion(InformationConfig(hiding_probability=hiding), look_limit)
     situation = situation_of(voxel_map, view_from((-0.5, 0.0, 0.6), (-1.5, 0.0, 0.3)))
     completion.prepare(situation)
     return completion, situation
@@ -166,7 +166,7 @@ def test_proposed_views_show_the_hole(floor):
 
 
 def test_what_is_looked_at_in_vain_is_given_up(floor):
-    completion, _ = prepared(with_hole(floor), patience=1.5)
+    completion, _ = prepared(with_hole(floor), look_limit=1.5)
     view = view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0))
     situation = situation_of(floor, view)
     left = [
@@ -178,8 +178,8 @@ def test_what_is_looked_at_in_vain_is_given_up(floor):
 
 
 def test_a_look_in_vain_takes_its_share_of_the_hope(floor):
-    """A view shows voxels with weights w; after it was taken in vain, w (1 - w / patience)."""
-    completion, _ = prepared(with_hole(floor), patience=2.0)
+    """A view shows voxels with weights w; after it was taken in vain, w (1 - w / look_limit)."""
+    completion, _ = prepared(with_hole(floor), look_limit=2.0)
     view = view_from((0.4, 0.0, 0.7), (0.45, 0.0, 0.0))
     situation = situation_of(floor, view)
     completion.prepare(situation)

@@ -201,7 +201,7 @@ def test_nor_does_one_that_was_last_heard_a_while_ago(robot: RobotModel) -> None
 
 
 def test_the_body_grows_with_the_time_for_which_its_place_is_not_known(robot: RobotModel) -> None:
-    bodies = TeamBodies(TeamBodiesConfig(speed=0.5, most_growth=0.3))
+    bodies = TeamBodies(TeamBodiesConfig(speed=0.5, max_growth=0.3))
     bodies.describe(2, robot)
     bodies.hear(told(robot, 0, 1))
     margins = [bodies.bodies_in(pose_at(time))[0].margin for time in (0, 200, 400, 600, 5000)]

@@ -73,7 +73,7 @@ class Member:
         self, air: Air, number: int, planner: ViewPlanner, state: RobotState, robot: RobotModel
     ) -> None:
         self.air, self.state, self.robot = air, state, robot
-        config = AgentsConfig(patience=10.0)
+        config = AgentsConfig(idle_timeout=10.0)
         self.team = Teamwork(number, 10 + number, 1000 * number, config)
         air.teams.append(self.team)
         self.during_wait: Callable[[], object] = lambda: None

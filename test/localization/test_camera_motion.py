@@ -160,8 +160,8 @@ def test_bad_covariances_are_refused() -> None:
 
 
 def test_config_is_checked() -> None:
-    with pytest.raises(ConfigError, match="least_pairs"):
-        MotionConfig(least_pairs=2)
+    with pytest.raises(ConfigError, match="min_pairs"):
+        MotionConfig(min_pairs=2)
 
 
 def test_recursive_pose_is_the_batch_mean_and_covariance() -> None:

@@ -139,7 +139,7 @@ def test_chosen_ones_keep_their_distance_from_each_other_and_from_those_there(
     second = select_fiducials(view, first, 20)
     assert len(first) == len(second) == 20
     config = FiducialSelectionConfig()
-    assert distances(np.concatenate([first, second])).min() >= config.least_distance - 1.0
+    assert distances(np.concatenate([first, second])).min() >= config.min_distance - 1.0
     border = np.concatenate([first, second])
     assert border.min() >= config.border
     assert (border < [320 - config.border, 240 - config.border]).all()

@@ -19,7 +19,7 @@ from infomap_ros.localization.filter.support import controlled
 
 from .fiducial_scene import CAMERA, observe, pose_error, squared_distance, wall
 
-LEAST = FiducialFilterConfig().least_redundancy
+LEAST = FiducialFilterConfig().min_redundancy
 
 
 def sight_of(points: np.ndarray, covariance: np.ndarray) -> tuple[Sight, np.ndarray]:

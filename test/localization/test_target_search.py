@@ -28,7 +28,7 @@ def sees(rotation: FloatArray, direction: FloatArray, margin: float) -> bool:
 
 
 def test_the_proposed_looks_find_a_target_wherever_it_is(rng: np.random.Generator) -> None:
-    config = TargetSearchConfig(lowest=-0.6, highest=0.3, worthwhile=0.0)
+    config = TargetSearchConfig(lowest=-0.6, highest=0.3, min_utility_ratio=0.0)
     search = TargetSearch(CAMERA, config)
     looks = [look.rotation for look in search.proposals(AHEAD, count=100)]
     missed = 0

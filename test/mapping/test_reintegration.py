@@ -29,7 +29,7 @@ from test.mapping.voxels import voxels_of
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
 CONFIG = VoxelMapConfig(voxel_size=0.08, max_range=3.0)
 SIGMA = np.diag([1e-4] * 3 + [1e-5] * 3)
-ALWAYS = ReintegrationConfig(least_correction=0.0)
+ALWAYS = ReintegrationConfig(min_correction=0.0)
 
 
 class Trip:

@@ -57,7 +57,7 @@ def test_sigma_of_the_base_is_that_of_displaced_rims() -> None:
 
 
 def test_margin_grows_with_the_sigma_up_to_its_limit() -> None:
-    config = VehicleConfig(margin=0.02, margin_sigmas=2.0, most_margin=0.08)
+    config = VehicleConfig(margin=0.02, margin_sigmas=2.0, max_margin=0.08)
     assert widenings_for(config, 0.0) == [0.0]
     assert widenings_for(config, 0.005) == [0.0]
     np.testing.assert_allclose(widenings_for(config, 0.0225), [0.03, 0.02, 0.01, 0.0])

@@ -118,8 +118,8 @@ class LossyLink:
                 _, _, card, frame = heapq.heappop(on_way)
                 card.send(frame)
                 self.carried += 1
-            patience = min(0.05, on_way[0][0] - now) if on_way else 0.05
-            for card in select.select(self._cards, [], [], patience)[0]:
+            wait = min(0.05, on_way[0][0] - now) if on_way else 0.05
+            for card in select.select(self._cards, [], [], wait)[0]:
                 frame, sender = card.recvfrom(65536)
                 if sender[2] == _OUTGOING:
                     continue

@@ -54,7 +54,7 @@ class DrivenStage(Stage):
 
 @pytest.fixture
 def stage(graph: Any, tmp_path: Path) -> DrivenStage:
-    return DrivenStage(graph, tmp_path, views=2, patience=10.0)
+    return DrivenStage(graph, tmp_path, views=2, progress_timeout=10.0)
 
 
 def failure(stage: DrivenStage) -> str:

@@ -113,7 +113,7 @@ class Stage:
             ExplorerNode,
             mission_file=str(folder / "mission.json"),
             log_file=str(folder / "run.jsonl"),
-            **{"patience": 3.0, **parameters},
+            **{"progress_timeout": 3.0, **parameters},
         )
 
     def state(self) -> str:
@@ -168,7 +168,7 @@ class SearchStage(Stage):
         graph.tester.create_service(Trigger, "next_best_view/plan_search", self.plan_search)
         self.news = graph.tester.create_publisher(DiagnosticStatus, "localization_status", LATCHED)
         graph.tester.create_timer(0.1, self.tell)
-        super().__init__(graph, folder, views=1, autostart=True, patience=10.0)
+        super().__init__(graph, folder, views=1, autostart=True, progress_timeout=10.0)
         self.rover.is_located = False
 
     def tell(self) -> None:
@@ -214,7 +214,7 @@ def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Pat
         tmp_path,
         views=9,
         autostart=True,
-        patience=0.5,
+        progress_timeout=0.5,
         task__max_failures=2,
     )
     stage.rover.obeys = False
@@ -228,7 +228,7 @@ def test_path_that_is_not_driven_fails_and_is_reported(graph: Any, tmp_path: Pat
 def test_a_blocked_route_stops_the_robot_and_another_view_is_chosen(
     graph: Any, tmp_path: Path
 ) -> None:
-    stage = Stage(graph, tmp_path, views=1, autostart=True, patience=60.0)
+    stage = Stage(graph, tmp_path, views=1, autostart=True, progress_timeout=60.0)
     stage.rover.obeys = False
     statuses = graph.tester.create_publisher(DiagnosticStatus, "route_status", LATCHED)
     graph.spin_until(lambda: len(stage.rover.paths) == 1, "a path")
@@ -303,7 +303,7 @@ def test_an_explorer_that_ends_stops_the_base(graph: Any, tmp_path: Path) -> Non
 def test_the_order_that_stops_the_arm_is_one_that_controllers_accept(
     graph: Any, tmp_path: Path
 ) -> None:
-    stage = Stage(graph, tmp_path, views=9, autostart=True, patience=60.0)
+    stage = Stage(graph, tmp_path, views=9, autostart=True, progress_timeout=60.0)
     stage.rover.moves_arm = False
     graph.spin_until(lambda: len(stage.rover.trajectories) == 1, "a motion of the arm")
     assert stage.call("pause").success
@@ -316,7 +316,7 @@ def test_the_order_that_stops_the_arm_is_one_that_controllers_accept(
 
 def test_a_mission_waits_for_what_it_needs(graph: Any, tmp_path: Path) -> None:
     """While the others still compile their kernels, nothing has failed."""
-    stage = Stage(graph, tmp_path, views=0, sees=False, autostart=True, patience=0.5)
+    stage = Stage(graph, tmp_path, views=0, sees=False, autostart=True, progress_timeout=0.5)
     graph.spin_until(lambda: "waiting for map_updates" in said_last(stage), "the wait to be said")
     assert stage.state() == "starting"
     stage.rover.tells_updates = True

@@ -51,7 +51,7 @@ def test_a_box_on_the_way_stops_the_robot_with_the_reason(graph: Any, tmp_path: 
     graph.add(
         ExplorerNode,
         autostart=True,
-        patience=60.0,
+        progress_timeout=60.0,
         mission_file=str(tmp_path / "mission.json"),
         log_file=str(tmp_path / "run.jsonl"),
     )

@@ -39,7 +39,7 @@ from infomap_ros.views import ExpectedInformation, Situation
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
-from infomap_ros.views.vain_looks import VainLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 TUTORIAL = Path(__file__).resolve().parents[2] / "docs" / "tutorial_own_strategy.md"
 SHORT = ExplorationConfig(scans=5)
@@ -96,7 +96,7 @@ def test_same_seed_same_exploration(world: PlanarWorld) -> None:
     ],
 )
 def test_explorations_end(scans: int, fraction: float, distance: float, end: str) -> None:
-    config = ExplorationConfig(scans=8, enough=0.9, least_scans=5, least_way=10.0)
+    config = ExplorationConfig(scans=8, enough=0.9, min_scans=5, min_path_length=10.0)
     assert config.end(scans, fraction, distance) == end
 
 
@@ -111,7 +111,7 @@ def test_only_worlds_that_all_have_explored_are_compared() -> None:
 class Watching:
     """Takes the view with the largest rating, and keeps what it is asked."""
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self) -> None:
         self.asked: list[Situation] = []
@@ -123,7 +123,12 @@ class Watching:
 
 def test_what_a_view_promised_in_vain_is_not_expected_again(world: PlanarWorld) -> None:
     strategy, information = Watching(), ExpectedInformation(config=INFORMATION)
-    explore(world, strategy, replace(SHORT, scans=7), vain=VainLooksConfig(patience=0.01))
+    explore(
+        world,
+        strategy,
+        replace(SHORT, scans=7),
+        unproductive=UnproductiveLooksConfig(look_limit=0.01),
+    )
     promised, again = 0.0, 0.0
     for situation in strategy.asked:
         pose = situation.T_map_camera[None]
@@ -138,10 +143,12 @@ def test_what_a_view_promised_in_vain_is_not_expected_again(world: PlanarWorld) 
 def test_only_the_own_strategies_give_voxels_up() -> None:
     strategies = (*PlanarStudyConfig.strategies, "my_strategy.Thrifty")
     tasks = tasks_of(PlanarStudyConfig(worlds=0, strategies=strategies))
-    with_it = [task for task in tasks if task.vain is not None]
+    with_it = [task for task in tasks if task.unproductive is not None]
     assert [task.label for task in with_it] == ["largest_information", "look_ahead", "Thrifty"]
-    without = replace(with_it[0], vain=None)
-    assert "vain" in with_it[0].fingerprint() and "vain" not in without.fingerprint()
+    without = replace(with_it[0], unproductive=None)
+    assert (
+        "unproductive" in with_it[0].fingerprint() and "unproductive" not in without.fingerprint()
+    )
 
 
 def test_results_are_kept_and_not_computed_again(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_explorations_end_by_their_budget_of_views_alone() -> None:
     assert (own.strategy, own.options().task.max_views) == (OWN, 18)
     assert (raster.strategy, raster.options().task.max_views) == ("raster", 41)
     assert own.options().task.known_fraction == 1.0
-    assert [each.options().task.vain_views for each in (own, raster)] == [18, 41]
+    assert [each.options().task.unproductive_views for each in (own, raster)] == [18, 41]
     assert own.options().world == raster.options().world
     assert own.fingerprint() != raster.fingerprint()
 

@@ -11,7 +11,6 @@ import pytest
 from infomap_ros.errors import InvalidInputError, UpdateRefusedError
 from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
-from infomap_ros.team.facts import dtype_with_facts
 from infomap_ros.team.membership import (
     AHEAD,
     BACKWARDS,
@@ -19,6 +18,7 @@ from infomap_ros.team.membership import (
     TWO_OF_A_NAME,
     Membership,
 )
+from infomap_ros.team.message_header import dtype_with_header
 
 
 def update(robot: int, version: int, session: int = 1, sender: int | None = None) -> MapUpdate:
@@ -144,7 +144,7 @@ def test_short_keys_are_refused() -> None:
 def test_the_code_is_the_hmac_of_what_its_description_says() -> None:
     """Made again from the specification in `authentication`, with RFC 2104 written out."""
     secret = b"sixteen bytes or more"
-    dtype = dtype_with_facts(np.dtype([("index", "u1", (3,)), ("value", "<f4")]), {"robot": 3})
+    dtype = dtype_with_header(np.dtype([("index", "u1", (3,)), ("value", "<f4")]), {"robot": 3})
     rows = np.zeros(2, dtype)
     rows["index"], rows["value"] = [[1, 2, 3], [4, 5, 6]], [0.5, -1.0]
     text = (

@@ -11,10 +11,10 @@ from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
 from infomap_ros.team import TeamConfig, TeamMember, decode_update
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import unpack_keys
-from infomap_ros.team.facts import dtype_with_facts
+from infomap_ros.team.message_header import dtype_with_header
+from infomap_ros.team.priority import priority_of_changes
 from infomap_ros.team.sent import SentMessages
 from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.worth import worth_of_changes
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 Place = tuple[int, ...]
@@ -72,7 +72,7 @@ def test_what_matters_is_what_a_plain_comparison_says() -> None:
     look(own, 7, 25, aside=0.2)
     storage = own._storage
     slots, _ = changed_blocks(storage)
-    worth = worth_of_changes(own, told, slots)
+    priority = priority_of_changes(own, told, slots)
     changes = take_changes(storage, CONFIG.voxel_size, 1 << 20, slots)
     before = states(first)
     after = states(MapUpdate.of_changes(changes, CONFIG.voxel_size, 0, 2))
@@ -84,7 +84,7 @@ def test_what_matters_is_what_a_plain_comparison_says() -> None:
         was = before[place][1]
         return surface is not None and (was is None or 0.5 * abs(surface - was) >= less)
 
-    found = places_of(worth.matters, corners_of(own, slots))
+    found = places_of(priority.matters, corners_of(own, slots))
     sure = {place for place in after if matters(place, 1.02)}
     perhaps = {place for place in after if matters(place, 0.98)}
     rows = {(x >> 3, y, z) for x, y, z in perhaps if after[x, y, z][1] is None}
@@ -93,7 +93,7 @@ def test_what_matters_is_what_a_plain_comparison_says() -> None:
     assert 20 < len(sure) < len(after) - 20
     assert all(after[place][1] is None for place in riding)
     assert {(x >> 3, y, z) for x, y, z in riding} <= rows
-    assert worth.sizes[:, 1].sum() > 0.0
+    assert priority.sizes[:, 1].sum() > 0.0
 
 
 def weighed(part: TeamMember, own: VoxelMap) -> tuple[set[Place], float]:
@@ -101,8 +101,8 @@ def weighed(part: TeamMember, own: VoxelMap) -> tuple[set[Place], float]:
     slots, _ = changed_blocks(own._storage)
     told = part.replica.contribution(part.robot)
     assert told is not None
-    worth = worth_of_changes(own, told, slots)
-    return places_of(worth.matters, corners_of(own, slots)), float(worth.sizes[:, 0].sum())
+    priority = priority_of_changes(own, told, slots)
+    return places_of(priority.matters, corners_of(own, slots)), float(priority.sizes[:, 0].sum())
 
 
 def test_what_changed_a_little_waits_until_nothing_else_does() -> None:
@@ -131,8 +131,8 @@ def test_what_changed_a_little_waits_until_nothing_else_does() -> None:
 
 
 def test_a_message_on_its_way_is_not_told_again_and_then_twice() -> None:
-    sent = SentMessages(0, 1e6, patience=0.3)
-    dtype = dtype_with_facts(np.dtype([("index", "u1")]), {"robot": 0})
+    sent = SentMessages(0, 1e6, request_timeout=0.3)
+    dtype = dtype_with_header(np.dtype([("index", "u1")]), {"robot": 0})
     for number in range(3):
         sent.number(np.zeros(number + 1, dtype))
     sent.ask([2], 1.0)

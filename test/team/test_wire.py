@@ -18,7 +18,7 @@ from infomap_ros.team import (
     decode_update,
     encode_update,
 )
-from infomap_ros.team.facts import dtype_with_facts
+from infomap_ros.team.message_header import dtype_with_header
 
 FACTS = {
     "robot": 7,
@@ -170,14 +170,14 @@ def test_impossible_changes_are_refused(
     ],
 )
 def test_impossible_facts_are_refused(name: str, value: object, problem: str) -> None:
-    rows = np.ones(2, dtype_with_facts(OCCUPANCY_ROW, FACTS | {name: value}))
+    rows = np.ones(2, dtype_with_header(OCCUPANCY_ROW, FACTS | {name: value}))
 
     with pytest.raises(InvalidInputError, match=problem):
         decode_update(rows)
 
 
 def test_log_odds_beyond_the_limit_are_refused() -> None:
-    rows = np.zeros(2, dtype_with_facts(OCCUPANCY_ROW, FACTS))
+    rows = np.zeros(2, dtype_with_header(OCCUPANCY_ROW, FACTS))
     rows["log_odds"][1, 3] = 21
 
     with pytest.raises(InvalidInputError, match="log-odds 21"):
@@ -190,7 +190,7 @@ def test_rows_without_facts_or_with_other_fields_are_refused(dtype: np.dtype) ->
         decode_update(np.zeros(1, dtype))
     if dtype != OCCUPANCY_ROW:
         with pytest.raises(InvalidInputError, match="fields"):
-            decode_update(np.zeros(1, dtype_with_facts(dtype, FACTS)))
+            decode_update(np.zeros(1, dtype_with_header(dtype, FACTS)))
 
 
 @pytest.mark.parametrize("dtype", [OCCUPANCY_ROW, SURFACE_ROW])
@@ -201,7 +201,7 @@ def test_any_bytes_are_decoded_or_refused(dtype: np.dtype, data: st.DataObject) 
     raw = data.draw(hnp.arrays(np.uint8, count * dtype.itemsize))
 
     try:
-        update = decode_update(raw.view(dtype_with_facts(dtype, FACTS)))
+        update = decode_update(raw.view(dtype_with_header(dtype, FACTS)))
     except InvalidInputError:
         return
 

@@ -109,6 +109,6 @@ def view_bits(
             visible *= clear_share(known[n], log_odds[n], length / size, config)
             if not known[n]:
                 visible *= (1.0 - config.unknown_occlusion) ** (1.0 / steps)
-            if visible < config.least_visibility:
+            if visible < config.min_visibility:
                 break
     return total

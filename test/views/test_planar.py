@@ -22,8 +22,8 @@ from infomap_ros.views.ranking.rating import RatingConfig, Ratings
 from infomap_ros.views.ranking.strategy import Scores
 from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.sampling.candidates import find_candidates
+from infomap_ros.views.sampling.coarse_views import full_volume
 from infomap_ros.views.sampling.flight import FreeFlight
-from infomap_ros.views.sampling.glances import full_volume
 from infomap_ros.views.sampling.orientations import OrientationConfig
 from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
 
@@ -120,7 +120,7 @@ def test_no_view_leaves_the_plane() -> None:
 class Proposing:
     """Wants one view, which no candidate is."""
 
-    needs_worth = False
+    requires_positive_utility = False
     view = facing(0.123, (9.25, 3.25, 0.5 * SIZE))
 
     def propose(self, situation: Situation, surroundings, rng: np.random.Generator) -> np.ndarray:

@@ -252,7 +252,7 @@ def test_full_unknown_view_rates_one() -> None:
 
 def test_glances_measure_volumes() -> None:
     now = Situation(seen_room([], ROOM), CAMERA, 4.0, facing(0.0, START))
-    unknown = options_of(now, [facing(1.0, START)], [0.0]).glances.unknown[0]
+    unknown = options_of(now, [facing(1.0, START)], [0.0]).coarse_views.unknown[0]
     u, v = np.meshgrid(np.linspace(-0.5, 79.5, 400), np.linspace(-0.5, 59.5, 300))
     cosines = 1.0 / np.sqrt(((u - 39.5) / 50.0) ** 2 + ((v - 29.5) / 50.0) ** 2 + 1.0)
     volume = (cosines**3).mean() * (80.0 * 60.0 / 50.0**2) * 4.0**3 / 3.0

@@ -1,4 +1,4 @@
-"""Glances through windows of voxels whose content is known."""
+"""CoarseViews through windows of voxels whose content is known."""
 
 from __future__ import annotations
 
@@ -69,11 +69,13 @@ def test_marked_voxels_are_those_in_sight(rng: np.random.Generator) -> None:
     assert np.mean(seen == expected) > 0.95
 
 
-def glance(states: np.ndarray, kinds: np.ndarray, weights: np.ndarray, high: float) -> np.ndarray:
+def coarse_view(
+    states: np.ndarray, kinds: np.ndarray, weights: np.ndarray, high: float
+) -> np.ndarray:
     """One ray along x from (2.5, 10.5, 10.5), 12 voxels long."""
     sums = np.zeros((1, 5))
     bounds = np.array([[-np.inf] * 3, [high, np.inf, np.inf]])
-    sight_kernels.glance(
+    sight_kernels.coarse_view(
         states,
         kinds,
         weights,
@@ -97,7 +99,7 @@ def test_glance_sums_volumes_up_to_the_first_obstacle() -> None:
     states = np.full((20, 20, 20), FREE, np.uint8)
     states[7:] = UNKNOWN
     states[11] = OCCUPIED
-    unknown, known, told, wanted, left = glance(
+    unknown, known, told, wanted, left = coarse_view(
         states, np.empty((0, 0, 0), np.uint8), np.ones((1, 2)), np.inf
     )
     assert unknown == pytest.approx(cubes(4.5, 8.5), rel=0.01)
@@ -114,8 +116,8 @@ def test_glance_weighs_what_it_sees() -> None:
     kinds = np.zeros(states.shape, np.uint8)
     kinds[8:] = 1
     weights = np.array([(1.0, 1.0), (3.0, 0.5)])
-    _, _, told, wanted, left = glance(states, kinds, weights, np.inf)
-    _, _, near, _, _ = glance(states, kinds, weights, 8.0)
+    _, _, told, wanted, left = coarse_view(states, kinds, weights, np.inf)
+    _, _, near, _, _ = coarse_view(states, kinds, weights, 8.0)
     assert wanted == pytest.approx(near + 3.0 * (told - near), rel=1e-6)
     assert left == pytest.approx(near + 1.5 * (told - near), rel=1e-6)
 
@@ -129,8 +131,8 @@ def test_kernels_mean_the_same_uncompiled(rng: np.random.Generator) -> None:
     kinds, weights = np.empty((0, 0, 0), np.uint8), np.ones((1, 2))
     plain, compiled = np.zeros((2, 5)), np.zeros((2, 5))
     for function, sums in (
-        (sight_kernels.glance.py_func, plain),
-        (sight_kernels.glance, compiled),
+        (sight_kernels.coarse_view.py_func, plain),
+        (sight_kernels.coarse_view, compiled),
     ):
         function(states, kinds, weights, bounds, origins, directions, 9.0, 0.5, 3.0, 2, sums)
     assert plain.min(axis=0)[:3].max() > 0.0

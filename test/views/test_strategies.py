@@ -106,7 +106,7 @@ def test_raster_looks_all_around_before_it_goes_on(half_seen: Situation) -> None
 class Own:
     """A user's strategy."""
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         return Scores(-options.positions[:, 0])
@@ -182,7 +182,7 @@ def worth(
             step = float(ratings.terms["distance"][view])
         rating = (news / 100.0 - 0.02 * step) * (1.0 - ratings.terms["risk"][view])
         way += step + config.cost_of_view
-        total += rating * (math.exp(-way / config.patience) if rating > 0.0 else 1.0)
+        total += rating * (math.exp(-way / config.discount_distance) if rating > 0.0 else 1.0)
         here = options.positions[view]
     return total
 
@@ -209,7 +209,7 @@ def test_look_ahead_finds_the_best_sequence_of_all(
 def test_look_ahead_goes_on_with_its_plan(seen: Situation) -> None:
     poses = [facing(0.0, (x, 2.0, 1.2)) for x in (2.5, 4.5)]
     source = Prescribed({2.5: voxels(25), 4.5: voxels(60, 100)})
-    strategy = LookAhead(LookAheadConfig(depth=2, patience=4.0))
+    strategy = LookAhead(LookAheadConfig(depth=2, discount_distance=4.0))
     options = options_of(seen, poses, [25.0, 60.0], full=100.0, source=source)
     surroundings, rng = options.surroundings, options.rng
     assert not len(strategy.propose(seen, surroundings, rng))
@@ -219,7 +219,7 @@ def test_look_ahead_goes_on_with_its_plan(seen: Situation) -> None:
 
 def test_small_gain_on_the_way_is_taken_first(seen: Situation) -> None:
     gains = {2.5: voxels(25), 4.5: voxels(60, 100)}
-    _, ratings, scores = ahead(seen, gains, LookAheadConfig(depth=2, patience=4.0))
+    _, ratings, scores = ahead(seen, gains, LookAheadConfig(depth=2, discount_distance=4.0))
     assert ratings.ratings.argmax() == 1  # one view ahead, the large gain comes first
     assert scores.values.argmax() == 0
     assert scores.plans[0] == (1,)

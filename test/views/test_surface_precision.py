@@ -66,7 +66,7 @@ def naive_gain(m: VoxelMap, pose: np.ndarray, config: InformationConfig) -> floa
                 total += visible * volume * bits * min(1.0, pixels)
             known, log_odds = bool(m.is_known(point)[0]), float(m.log_odds(point)[0])
             visible *= naive.clear_share(known, log_odds, length / size, config)
-            if visible < config.least_visibility:
+            if visible < config.min_visibility:
                 break
     return total
 

@@ -42,11 +42,11 @@ def ranked(now: Situation, gains: dict[float, dict[int, float]], config: ViewTou
 
 def worth(order: tuple[int, ...], problem: tuple[np.ndarray, ...]) -> float:
     """The definition, in floating-point numbers of Python."""
-    first, between, prizes, (patience, weight, view) = problem
+    first, between, prizes, (discount_distance, weight, view) = problem
     total, way, here = 0.0, 0.0, -1
     for place in order:
         way += (first[place] if here < 0 else between[here, place]) + view
-        total += prizes[place] * math.exp(-way / patience)
+        total += prizes[place] * math.exp(-way / discount_distance)
         here = place
     return total - weight * way
 
@@ -62,7 +62,7 @@ def test_worth_is_that_of_the_definition(rng: np.random.Generator) -> None:
     problem = random_problem(rng, 6)
     for length in (1, 3, 6):
         order = rng.permutation(6)
-        found = tour_kernels.tour_worth(order, length, *problem)
+        found = tour_kernels.tour_utility(order, length, *problem)
         assert found == pytest.approx(worth(tuple(order[:length]), problem))
 
 
@@ -115,14 +115,14 @@ def test_kernels_mean_the_same_uncompiled(rng: np.random.Generator) -> None:
 
 def test_small_gain_on_the_way_is_taken_first(seen: Situation) -> None:
     gains = {2.5: voxels(20, 0), 4.5: voxels(60, 100)}
-    scores = ranked(seen, gains, ViewTourConfig(patience=20.0, cost_of_view=0.1))
+    scores = ranked(seen, gains, ViewTourConfig(discount_distance=20.0, cost_of_view=0.1))
     assert scores.values.argmax() == 0
     assert scores.plans[0] == (1,)
 
 
 def test_what_another_view_tells_anyway_is_no_part_of_a_tour(seen: Situation) -> None:
     gains = {2.5: voxels(20, 100), 4.5: voxels(60, 100)}
-    scores = ranked(seen, gains, ViewTourConfig(patience=20.0, cost_of_view=0.1))
+    scores = ranked(seen, gains, ViewTourConfig(discount_distance=20.0, cost_of_view=0.1))
     assert scores.values.argmax() == 1
     assert scores.plans[1] == ()
 

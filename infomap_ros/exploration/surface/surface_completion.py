@@ -42,16 +42,16 @@ class SurfaceCompletion:
 
     Args:
         sensor: what the camera tells from afar.
-        patience: a voxel that is still missing after so many looks from next to it, squarely, is
+        look_limit: a voxel that is still missing after so many looks from next to it, squarely, is
             given up; a look from some way off or askance counts less, one from afar nothing. Each
             look in vain takes its share of the hope that the next one shows the voxel.
     """
 
     unit = "voxels of missing surface"
-    needs_worth = True
+    requires_positive_utility = True
 
-    def __init__(self, sensor: InformationConfig, patience: float) -> None:
-        self.config, self._patience = sensor, patience
+    def __init__(self, sensor: InformationConfig, look_limit: float) -> None:
+        self.config, self._look_limit = sensor, look_limit
         odds = sensor.hiding_probability / (1.0 - sensor.hiding_probability)
         self._hiding = float(np.log(odds)) / LOG_ODDS_QUANTUM
         self._looks: dict[int, float] = {}
@@ -74,7 +74,7 @@ class SurfaceCompletion:
             for at in np.flatnonzero(seen >= _WELL_SEEN):
                 self._looks[int(keys[at])] = self._looks.get(int(keys[at]), 0.0) + seen[at]
         self._noted = len(situation.past_views)
-        hopes = 1.0 - np.array([self._looks.get(int(key), 0.0) for key in keys]) / self._patience
+        hopes = 1.0 - np.array([self._looks.get(int(key), 0.0) for key in keys]) / self._look_limit
         rest = hopes > 0.0
         self._hopes = hopes[rest]
         self._missing = MissingSurface(

@@ -47,7 +47,7 @@ class KeepClearConfig:
         low=0.0,
         high=100.0,
     )
-    patience: float = setting(
+    wait_timeout: float = setting(
         15.0,
         "After so long a wait the motion is given up, and another one planned.",
         unit="s",
@@ -113,7 +113,7 @@ class KeepsClear:
     def _wait(self, way: WatchedDrive | WatchedReach, why: str, interrupted: Interrupted) -> str:
         """Wait until the way is clear; returns empty, or why it did not become so."""
         self._around.say("waiting for teammates", why)
-        for _ in range(math.ceil(self._config.patience / PAUSE)):
+        for _ in range(math.ceil(self._config.wait_timeout / PAUSE)):
             if interrupted():
                 return "broken off"
             if not way.in_the_way(self._config.distance + _MORE):

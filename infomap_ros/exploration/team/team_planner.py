@@ -76,7 +76,7 @@ class TeamPlanner:
         Raises:
             TeammatesBusyError: what is left the others are at, or they are in the way; the answer
                 may be another one later. Raised as long as others go from view to view, and for
-                `AgentsConfig.patience` after that.
+                `AgentsConfig.idle_timeout` after that.
         """
         self._stay_while_nothing_changes()
         for _ in range(_ROUNDS):
@@ -138,7 +138,7 @@ class TeamPlanner:
             if gap < choice.candidates.teammate_clearance:
                 return True
         left = self.planner.share_left(voxel_map, pose, mates)
-        return 1.0 - left > choice.selection.most_shared
+        return 1.0 - left > choice.selection.max_shared
 
     def _among(self, around: Surrounding | None, state: RobotState) -> Surrounding:
         now = self._clock()
@@ -180,7 +180,7 @@ class TeamPlanner:
         claims, reason = self._team.claims(now), f"{WAITING}: {why}"
         since = now if before is None or before.claims != claims else before.since
         self._waiting = _Waiting(claims, since, now, reason)
-        if choice is None or now - since < self._team.config.patience:
+        if choice is None or now - since < self._team.config.idle_timeout:
             raise TeammatesBusyError(reason)
         self._waiting = None
         return choice

@@ -55,7 +55,7 @@ class TeammatePlacesConfig:
         low=0.0,
         high=100.0,
     )
-    most_growth: float = setting(
+    max_growth: float = setting(
         1.5, "It grows no further by that: it is taken to have stopped.", unit="m", low=0.0,
         high=100.0,
     )  # fmt: skip
@@ -171,7 +171,7 @@ class TeammatePlaces:
             agent = self._tracks[robot].recent[-1]
             pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
             away = abs(stamp - agent.stamp) / _NANOSECONDS
-            growth = min(self.config.speed * away, self.config.most_growth)
+            growth = min(self.config.speed * away, self.config.max_growth)
             return Place(pose, dict(agent.joints), growth, is_sure=False)
 
     def variance(self, pose: PoseRecord, lever: float) -> float:

@@ -49,7 +49,7 @@ class FiducialSelectionConfig:
     )
     spread_distance: ClassVar[float] = 40.0
     """Scale of that penalty [px]."""
-    least_distance: ClassVar[float] = 12.0
+    min_distance: ClassVar[float] = 12.0
     """Fiducials are never nearer to each other [px]."""
     border: ClassVar[int] = 16
     """Nothing is chosen this near to the image's border [px]."""
@@ -192,7 +192,7 @@ def corner_candidates(
     free = np.zeros(image.shape, np.uint8)
     free[config.border : height - config.border, config.border : width - config.border] = 1
     for u, v in np.rint(taken).astype(int).tolist():
-        cv2.circle(free, (u, v), int(config.least_distance), 0, -1)
+        cv2.circle(free, (u, v), int(config.min_distance), 0, -1)
     peaks &= (response >= config.min_corner**2) & (free > 0)
     rows, columns = np.nonzero(peaks)
     strength = response[rows, columns]
@@ -243,5 +243,5 @@ def _spread_out(
         chosen.append(best)
         near = pixels[best : best + 1]
         penalty = np.maximum(penalty, spread_penalty(pixels, near, config.spread_distance))
-        usable &= np.square(pixels - near).sum(axis=1) >= config.least_distance**2
+        usable &= np.square(pixels - near).sum(axis=1) >= config.min_distance**2
     return np.array(chosen, dtype=np.int64)

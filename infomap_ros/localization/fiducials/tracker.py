@@ -121,7 +121,7 @@ class FiducialTracker:
         self._note(view.image, aligned, seen)
         observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
         _note_ranges(tracks, seen, observations.inverse_depths)
-        self._rest(tracks.missed > self.config.patience)
+        self._rest(tracks.missed > self.config.max_missed_views)
         return observations
 
     def recall(

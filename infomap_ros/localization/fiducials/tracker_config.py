@@ -38,7 +38,7 @@ class FiducialTrackerConfig:
     """A template is renewed when it has to be stretched or shrunk by more than this factor."""
     search_radius: ClassVar[int] = 6
     """How far about its predicted place a fiducial is searched for that flow has lost [px]."""
-    patience: int = setting(
+    max_missed_views: int = setting(
         5, "A fiducial that was not seen in more consecutive views is given up.", low=0, high=1000
     )
     large_step: ClassVar[float] = 0.5

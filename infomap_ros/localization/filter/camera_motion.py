@@ -80,7 +80,7 @@ class MotionConfig:
         high=0.999999,
     )
     trials: int = parameter(200, "Triples of pairs tried for a first motion.", low=10, high=100000)
-    least_pairs: int = parameter(4, "Pairs that must agree.", low=3, high=1000)
+    min_pairs: int = parameter(4, "Pairs that must agree.", low=3, high=1000)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -134,8 +134,8 @@ def estimate_motion(
     noise_r = _check_covariances(covariances_before, len(r), "covariances_before")
     noise_u = _check_covariances(covariances_after, len(r), "covariances_after")
     nothing = np.zeros(len(r), bool)
-    if len(r) < config.least_pairs:
-        reason = f"{len(r)} pairs of points, {config.least_pairs} needed"
+    if len(r) < config.min_pairs:
+        reason = f"{len(r)} pairs of points, {config.min_pairs} needed"
         return MotionEstimate(None, None, nothing, False, reason)
     first = _first_motion(r, noise_r, u, noise_u, config)
     if first is None:
@@ -177,7 +177,7 @@ def _refine(
         off = u - r @ motion[:3, :3].T - motion[:3, 3]
         unsure = noise + jacobian @ covariance @ jacobian.transpose(0, 2, 1)
         inliers = _squares(off, np.linalg.inv(unsure)) <= gate
-        if np.count_nonzero(inliers) < config.least_pairs:
+        if np.count_nonzero(inliers) < config.min_pairs:
             return MotionEstimate(None, None, inliers, False, "the points do not move as one body")
     return MotionEstimate(motion, covariance, inliers, True, "")
 

@@ -18,7 +18,7 @@ class FiducialFilterConfig:
 
     max_fiducials: int = setting(300, "Fiducials that are held.", low=8, high=2000)
     max_kept_poses: int = setting(60, "Camera poses that are kept.", low=2, high=1000)
-    least_fiducials: int = setting(
+    min_fiducials: int = setting(
         5, "Fiducials that must agree for the pose to be updated.", low=4, high=1000
     )
     fiducial_gate: ClassVar[float] = 0.999
@@ -49,7 +49,7 @@ class FiducialFilterConfig:
     """Share of the motion's variance, enlarged so that the prior agrees, which an image that
     overrules it must take away in every direction: few fiducials that leave one open do not.
     """
-    least_redundancy: ClassVar[float] = 0.6
+    min_redundancy: ClassVar[float] = 0.6
     """Share of a gross error of a fiducial's pixel that must show in the image however uncertain
     the map is, else the fiducial does not count: of m that alone tell where a place is, 1 - 1/m
     shows.

@@ -72,7 +72,7 @@ def explain(
     admitted = history.is_trusted(image.ids)
     established = admitted & history.is_established(image.ids)
     # Those that are new may have been added on a body that moves: they do not decide.
-    enough = np.count_nonzero(established) >= 2 * config.least_fiducials
+    enough = np.count_nonzero(established) >= 2 * config.min_fiducials
     voters = established if enough else admitted
     contested = history.is_contested(image.ids)
     found = hypotheses(state, prior, image, voters, config)
@@ -119,17 +119,17 @@ def _supported(
     """
     members = np.flatnonzero(chosen.members)
     sight = chosen.expectation.sight(state, image.indices[members], image.measured.select(members))
-    enough = controlled(sight, chosen.correction.jacobian, config.least_redundancy)
+    enough = controlled(sight, chosen.correction.jacobian, config.min_redundancy)
     if enough.all():
         return chosen
     rest, undecided = chosen.members.copy(), np.zeros(len(image.ids), bool)
     rest[members[~enough]], undecided[members[~enough]] = False, True
-    if np.count_nonzero(rest) < config.least_fiducials:
+    if np.count_nonzero(rest) < config.min_fiducials:
         return None
     smaller = examine(
         state, chosen.expectation, Group(image.indices, image.measured, rest, rest), config
     )
-    if smaller is None or smaller.count < config.least_fiducials:
+    if smaller is None or smaller.count < config.min_fiducials:
         return None
     return replace(smaller, undecided=undecided)
 
@@ -190,8 +190,8 @@ def choose(
         known: number of known fiducials in the image.
         config: gates.
     """
-    if known < config.least_fiducials:
-        return None, f"{known} known fiducials in view, {config.least_fiducials} needed"
+    if known < config.min_fiducials:
+        return None, f"{known} known fiducials in view, {config.min_fiducials} needed"
     sound = [one for one in found if one.has_plausible_residuals(config)]
     if not sound:
         return None, DISAGREEMENT
@@ -201,7 +201,7 @@ def choose(
     if not plausible:
         return None, CONTRADICTION
     best = plausible[0]
-    if best.count < config.least_fiducials:
+    if best.count < config.min_fiducials:
         return None, DISAGREEMENT
     others = [one for one in found if one is not best and one.has_plausible_motion(config)]
     if any(_is_rival(one, best, config) for one in others):
@@ -212,7 +212,7 @@ def choose(
     if was_contested:
         # Those that did not vote count too, or they would keep all others from being believed.
         needed, count = config.overruling_share * len(contested), _witnesses(best, config)
-    least = max(config.least_fiducials, config.ambiguity * best.count)
+    least = max(config.min_fiducials, config.ambiguity * best.count)
     excluded = sum(
         one.count for one in sound if one.count >= least and not one.has_plausible_motion(config)
     )
@@ -231,7 +231,7 @@ def _witnesses(hypothesis: Hypothesis, config: FiducialFilterConfig) -> int:
 def _is_rival(one: Hypothesis, best: Hypothesis, config: FiducialFilterConfig) -> bool:
     """Whether another group is large enough to be right, or agrees better with the prior."""
     fits_better = (
-        one.count >= config.least_fiducials
+        one.count >= config.min_fiducials
         and best.motion_nis > chdtri(6, _SUSPICIOUS)
         and one.motion_nis < 0.5 * best.motion_nis
     )

@@ -61,7 +61,7 @@ class ModelTargetConfig:
         low=0.0,
         high=1.0,
     )
-    least_evidence: ClassVar[int] = 40
+    min_evidence: ClassVar[int] = 40
     """Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose from
     any other at the same place, as those of a handle do; fewer are ambiguous.
     """
@@ -168,7 +168,7 @@ class ModelTargetDetector:
             if other.agreement.score < best.agreement.score - _CLEARLY_WORSE:
                 continue
             found = self._comparison.evidence(scene.cloud, best.transform, other.transform)
-            few = found.places < self.config.least_evidence
+            few = found.places < self.config.min_evidence
             if few or found.against_share > self.config.max_against:
                 text = (
                     f"{found.places} points tell it from a pose {np.degrees(turn):.0f} deg away, "

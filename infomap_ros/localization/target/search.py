@@ -44,7 +44,7 @@ class TargetSearchConfig:
     """Cost of a look beside turning, as an angle [rad]."""
     directions: ClassVar[int] = 800
     """Directions on the sphere."""
-    worthwhile: float = setting(
+    min_utility_ratio: float = setting(
         0.02,
         "Looks that cover a smaller share of what is left to see are not proposed.",
         low=0.0,
@@ -148,7 +148,9 @@ class TargetSearch:
             turns = _angles(now, self._looks)
             worth = np.where(allowed, gains / (turns + self.config.look_cost), -1.0)
             best = int(np.argmax(worth))
-            if not allowed[best] or gains[best] <= self.config.worthwhile * (1.0 - seen.mean()):
+            if not allowed[best] or gains[best] <= self.config.min_utility_ratio * (
+                1.0 - seen.mean()
+            ):
                 break
             allowed[best] = False
             if is_possible is None or is_possible(self._looks[best]):

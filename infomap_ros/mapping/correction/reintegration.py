@@ -40,7 +40,7 @@ class ReintegrationConfig:
         ConfigError: a value is out of its range.
     """
 
-    least_correction: float = setting(
+    min_correction: float = setting(
         0.5,
         "Scans follow a corrected pose when their points move by more than this; 0: always.",
         unit="voxels",
@@ -106,7 +106,7 @@ def moved_scans(
     Raises:
         InvalidInputError: a pose or a covariance is none.
     """
-    least = (config or ReintegrationConfig()).least_correction * voxel_map.config.voxel_size
+    least = (config or ReintegrationConfig()).min_correction * voxel_map.config.voxel_size
     scans = [scan for scan in store if scan.stamp in new_poses]
     if not scans:
         return {}

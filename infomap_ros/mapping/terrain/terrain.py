@@ -43,7 +43,7 @@ class TerrainConfig:
         12.0, "Ground is looked for within this square about the robot.", unit="m", low=0.1,
         high=200.0,
     )  # fmt: skip
-    least_radius: ClassVar[float] = 1.5
+    min_radius: ClassVar[float] = 1.5
     """The grid reaches at least so far about the robot, seen or not: what stands on its edge
     could not leave it [m].
     """
@@ -169,7 +169,7 @@ def _box(
     first = np.floor((near - reach) / edge).astype(np.int64)
     reach[2] = config.above
     last = np.floor((near + reach) / edge).astype(np.int64)
-    least = np.array([config.least_radius, config.least_radius, 0.0])
+    least = np.array([config.min_radius, config.min_radius, 0.0])
     low = np.floor((near - least) / edge).astype(np.int64)
     high = np.floor((near + least) / edge).astype(np.int64)
     bounds = voxel_map.bounds()

@@ -64,6 +64,6 @@ def widenings_for(config: VehicleConfig | CollisionConfig, sigma: float) -> list
         One or more, falling [m].
     """
     least = config.margin
-    wanted = min(math.hypot(least, config.margin_sigmas * sigma), max(config.most_margin, least))
+    wanted = min(math.hypot(least, config.margin_sigmas * sigma), max(config.max_margin, least))
     steps = round((wanted - least) / _STEP)
     return [_STEP * step for step in range(steps, -1, -1)]

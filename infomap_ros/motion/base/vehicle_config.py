@@ -72,7 +72,7 @@ class VehicleConfig:
         low=0.0,
         high=10.0,
     )
-    most_margin: float = setting(
+    max_margin: float = setting(
         0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
     )
     unseen_is_free: bool = setting(

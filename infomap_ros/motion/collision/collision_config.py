@@ -40,7 +40,7 @@ class CollisionConfig:
         low=0.0,
         high=10.0,
     )
-    most_margin: float = setting(
+    max_margin: float = setting(
         0.03, "The margin against the map grows no further than this.", unit="m", low=0.0, high=1.0
     )
     unknown_is_free: bool = setting(False, "The arm may enter space that was never observed.")

@@ -39,8 +39,8 @@ from infomap_ros.nodes.live.live_team import LiveTeam
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
 from infomap_ros.nodes.team.team_map import team_map_file
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
-from infomap_ros.simulation.company.team_starts import team_starts
 from infomap_ros.simulation.exploring.truth import RunTruth
+from infomap_ros.simulation.multi_robot.team_starts import team_starts
 from infomap_ros.simulation.worlds.builder import World
 
 _ROBOTS = 2
@@ -105,7 +105,7 @@ def _parameters(options: argparse.Namespace, world: World) -> dict[str, dict[str
         },
         "map_fusion": {"voxel_size": options.voxel_size},
         "next_best_view": {"threads": 1, **task},
-        "explorer": {"planner_patience": 600.0, **task},
+        "explorer": {"planner_timeout": 600.0, **task},
     }
 
 

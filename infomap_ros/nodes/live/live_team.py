@@ -18,7 +18,7 @@ from infomap_ros.nodes.live.live_exploration import Parameters, robot_parameters
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.processes import NodeProcesses
 from infomap_ros.nodes.team.team_topics import SHARED
-from infomap_ros.simulation.company.team_starts import TeamStart
+from infomap_ros.simulation.multi_robot.team_starts import TeamStart
 
 _SHARING = ("map_fusion", "next_best_view")
 _IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")

@@ -135,11 +135,11 @@ class NodeProcesses:
         Returns:
             Exit status by name.
         """
-        for number, patience in ((signal.SIGINT, timeout), (signal.SIGTERM, 5.0)):
+        for number, grace in ((signal.SIGINT, timeout), (signal.SIGTERM, 5.0)):
             for process in self._processes.values():
                 if process.poll() is None:
                     process.send_signal(number)
-            if all(_ends_within(process, patience) for process in self._processes.values()):
+            if all(_ends_within(process, grace) for process in self._processes.values()):
                 break
         for process in self._processes.values():
             if process.poll() is None:

@@ -47,7 +47,7 @@ class FiducialLocalizationConfig:
     queue_size: int = parameter(
         10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
-    least_correction: float = setting(
+    min_correction: float = setting(
         0.002,
         "Keyframe poses are told again when one of them has moved by more than this, or turned by "
         "as many radians.",

@@ -41,7 +41,7 @@ class LocalizationNews:
         self._root = CameraRoot(node, self._map)
         self._base = BaseOdometry(node)
         self._state = ""
-        self._changes = KeyframeChanges(self._config.least_correction)
+        self._changes = KeyframeChanges(self._config.min_correction)
         self._told_fiducials = -(2**62)
         node.health.condition("no image has been looked at yet")
 

@@ -32,7 +32,7 @@ class RemotePlannerConfig:
     """
 
     planner: str = setting("next_best_view", "Name of the node that chooses the views.")
-    planner_patience: float = setting(
+    planner_timeout: float = setting(
         120.0,
         "When next_best_view has given no plan for so long, the exploration has failed. It may "
         "be restarted meanwhile.",
@@ -124,7 +124,7 @@ class RemotePlanner:
         return choice
 
     def _ask(self, client: Client) -> Choice:
-        end, problem = time.monotonic() + self._config.planner_patience, "it does not answer"
+        end, problem = time.monotonic() + self._config.planner_timeout, "it does not answer"
         while time.monotonic() < end and not self._stopped():
             if client.wait_for_service(timeout_sec=_RETRY):
                 answer = self._call(client, end)

@@ -27,7 +27,10 @@ class TargetSight:
     """
 
     def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
-        self._tracker, self._patience = tracker, node.config(CommandedRobotConfig).patience
+        self._tracker, self._progress_timeout = (
+            tracker,
+            node.config(CommandedRobotConfig).progress_timeout,
+        )
         self._last = LocalizationState(0, "", "")
         self._looks = 0
         profile = qos.latched()
@@ -51,9 +54,9 @@ class TargetSight:
         def done() -> bool:
             return self._looks - before >= _PAIRS or self.found
 
-        if self._tracker.wait_until(done, self._patience, interrupted) or interrupted():
+        if self._tracker.wait_until(done, self._progress_timeout, interrupted) or interrupted():
             return ""
-        return f"no pair was looked at within {self._patience:g} s"
+        return f"no pair was looked at within {self._progress_timeout:g} s"
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         news = read_status(message)

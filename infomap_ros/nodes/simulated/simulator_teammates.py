@@ -22,7 +22,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import decode_joint_state, decode_pose_with_covariance
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.simulation.company.shared_time import SharedTime
+from infomap_ros.simulation.multi_robot.shared_time import SharedTime
 from infomap_ros.simulation.simulator import Simulator
 
 _JOINING = 2.0  # [s] in which others are heard before time begins

@@ -1,7 +1,7 @@
 """Messages of the team's map as a node takes them in: read, checked for whose they are, and queued.
 
 They wait for the worker in a queue that is bounded for all and shared fairly between the robots. A
-message counts for the robot that its facts name; where the team has a key, what is not signed is
+message counts for the robot that its header name; where the team has a key, what is not signed is
 dropped before it can take the place of what is.
 """
 
@@ -21,7 +21,7 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.team import MAX_MESSAGE_BYTES
 from infomap_ros.team.authentication import TeamKey
-from infomap_ros.team.facts import facts_of
+from infomap_ros.team.message_header import header_of
 
 Rows = NDArray[np.void]
 
@@ -65,7 +65,7 @@ class TeamInbox:
             return
         if self._key is not None:
             self._key.verify(rows)
-        facts = facts_of(rows, "message")
-        speaker = facts.get("sender", facts.get("robot", "nobody"))
+        header = header_of(rows, "message")
+        speaker = header.get("sender", header.get("robot", "nobody"))
         guarded = partial(self._node.guard_peer, topic, partial(hear, rows))
         self._worker.submit_from(f"robot {speaker}", size, guarded)

@@ -35,7 +35,7 @@ class AutonomousExploration:
     Nodes that told enough are remembered, and asked again, as frontiers to come back to.
     """
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self) -> None:
         self._tree = Tree(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0))

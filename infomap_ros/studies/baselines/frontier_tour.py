@@ -34,7 +34,7 @@ _REFINED = 4  # clusters whose views are chosen together
 class FrontierTour:
     """Heads for the first view of the shortest tour through views of all frontiers."""
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self) -> None:
         self._proposed = np.empty((0, 4, 4))

@@ -28,7 +28,7 @@ class NearestFrontier:
     looks at what tells most, and again as long as a frontier is left there.
     """
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self) -> None:
         self._proposed = np.empty((0, 4, 4))

@@ -32,7 +32,7 @@ class ViewTree:
     c the way from the root; eq. (1) of the paper. The rest of the best branch begins the next tree.
     """
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self) -> None:
         self._tree = Tree(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0))

@@ -25,7 +25,7 @@ from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.strategy import Strategy
 from infomap_ros.views.sampling.flight import FreeFlight
-from infomap_ros.views.vain_looks import VainLooks, VainLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooks, UnproductiveLooksConfig
 
 INFORMATION = InformationConfig(ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4)
 """How it is judged what views tell: at most half a voxel of 1 m between rays at 15 m, no noise."""
@@ -45,13 +45,13 @@ class ExplorationConfig:
     enough: float = parameter(
         1.0, "The exploration ends when this share of the world is mapped.", low=0.0, high=1.0
     )
-    least_scans: int = parameter(
+    min_scans: int = parameter(
         100_000,
-        "It also ends when so many scans are taken and the sensor has moved `least_way`.",
+        "It also ends when so many scans are taken and the sensor has moved `min_path_length`.",
         low=2,
         high=100_000,
     )
-    least_way: float = parameter(0.0, "See `least_scans`.", unit="m", low=0.0, high=1e9)
+    min_path_length: float = parameter(0.0, "See `min_scans`.", unit="m", low=0.0, high=1e9)
     seed: int = parameter(0, "Of the candidates.", low=0)
     sensor: SensorConfig = field(default_factory=SensorConfig)
 
@@ -68,7 +68,7 @@ class ExplorationConfig:
         """
         if fraction >= self.enough:
             return "enough is mapped"
-        if scans >= self.least_scans and distance >= self.least_way:
+        if scans >= self.min_scans and distance >= self.min_path_length:
             return "the figures are full"
         return "all scans are taken" if scans >= self.scans else ""
 
@@ -105,8 +105,8 @@ class PlanarExplorer:
         choice: configuration of the choice; that of the studies by default.
         start: where it begins, shape (2,) [m]; the world's start by default.
         metric: what counts as information, one of `views.METRICS`.
-        vain: when voxels are given up that views promised to inform and did not; without it none
-            are.
+        unproductive: when voxels are given up that views promised to inform and did not; without it
+            none are.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class PlanarExplorer:
         choice: NextBestViewConfig | None = None,
         start: FloatArray | None = None,
         metric: str = "expected_entropy_reduction",
-        vain: VainLooksConfig | None = None,
+        unproductive: UnproductiveLooksConfig | None = None,
     ) -> None:
         self.world, self.config = world, config
         self.map = VoxelMap(config.sensor.map_config(world.cell))
@@ -127,7 +127,7 @@ class PlanarExplorer:
             strategy=strategy if isinstance(strategy, str) else "",
         )
         self._information = ExpectedInformation(metric, INFORMATION, threads=1)
-        self._vain = None if vain is None else VainLooks(vain)
+        self._unproductive = None if unproductive is None else UnproductiveLooks(unproductive)
         self._thresholds = settings.surroundings.thresholds
         self._choice = NextBestView(settings, strategy, self._information)
         self._rng = np.random.default_rng(config.seed)
@@ -170,15 +170,17 @@ class PlanarExplorer:
     def move(self, situation: Situation) -> tuple[FloatArray | None, str]:
         """Choose the next view and fly there; candidates are drawn again where none will do.
 
-        What the last view is still expected to tell is in vain: see `views.vain_looks`.
+        What the last view is still expected to tell is in vain: see `views.unproductive_looks`.
 
         Returns:
             Corners of the way, shape (N, 3) [m]; None where there is no view, and why.
         """
-        if self._vain is not None:
+        if self._unproductive is not None:
             left = self._information.gains(situation, self.pose[None])[0]
-            self._vain.note(left.keys, situation.voxel_map, self.pose[:3, 3], situation.max_range)
-            promising = self._vain.without_them(situation.voxel_map)
+            self._unproductive.note(
+                left.keys, situation.voxel_map, self.pose[:3, 3], situation.max_range
+            )
+            promising = self._unproductive.without_them(situation.voxel_map)
             situation = replace(situation, promising=promising)
         flight = FreeFlight(situation.voxel_map, self.pose, situation.heights, self._thresholds)
         for _ in range(_DRAWS):
@@ -200,7 +202,7 @@ def explore(
     choice: NextBestViewConfig | None = None,
     progress: Callable[[int], None] | None = None,
     metric: str = "expected_entropy_reduction",
-    vain: VainLooksConfig | None = None,
+    unproductive: UnproductiveLooksConfig | None = None,
 ) -> Exploration:
     """Explore a world with one sensor.
 
@@ -211,10 +213,12 @@ def explore(
         choice: configuration of the choice; that of the studies by default.
         progress: called with the number of scans taken.
         metric: what counts as information, one of `views.METRICS`.
-        vain: see `PlanarExplorer`.
+        unproductive: see `PlanarExplorer`.
     """
     settings = config or ExplorationConfig()
-    sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric, vain=vain)
+    sensor = PlanarExplorer(
+        world, settings, strategy, choice, metric=metric, unproductive=unproductive
+    )
     rows: list[tuple[float, float, float]] = []
     way, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
     while not ended:

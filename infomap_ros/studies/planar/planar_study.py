@@ -21,7 +21,7 @@ from infomap_ros.studies.planar.sensor import SensorConfig
 from infomap_ros.studies.planar.study_config import DrawnWorldsConfig, OneSensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray
-from infomap_ros.views.vain_looks import VainLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""
@@ -53,7 +53,7 @@ class PlanarStudyConfig(OneSensorConfig):
         (*PAPER, "look_ahead", *BASELINES),
         "Names of strategies, or dotted paths of classes.",
     )
-    most_scans: int = parameter(
+    max_scans: int = parameter(
         600,
         "So many scans may be taken on the way to `share`. Four of the paper's strategies stop "
         "where the figures end, after `scans` and `reach`.",
@@ -63,7 +63,9 @@ class PlanarStudyConfig(OneSensorConfig):
     share: float = parameter(
         0.9, "Share of a world to which distances are compared.", low=0.01, high=1.0
     )
-    vain: VainLooksConfig = field(default_factory=lambda: VainLooksConfig(patience=_ONE_LOOK))
+    unproductive: UnproductiveLooksConfig = field(
+        default_factory=lambda: UnproductiveLooksConfig(look_limit=_ONE_LOOK)
+    )
 
 
 def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
@@ -74,7 +76,7 @@ def quick(config: PlanarStudyConfig) -> PlanarStudyConfig:
         kinds=config.kinds[:1],
         strategies=("random", "largest_information", "look_ahead"),
         scans=12,
-        most_scans=15,
+        max_scans=15,
         candidates=120,
     )
 
@@ -92,15 +94,15 @@ def tasks_of(config: PlanarStudyConfig, floor_plans: Sequence[Path] = ()) -> lis
 def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
     stops = strategy in PAPER and strategy not in OWN
     exploration = ExplorationConfig(
-        scans=config.most_scans,
+        scans=config.max_scans,
         enough=config.share,
-        least_scans=config.scans if stops else config.most_scans,
-        least_way=config.reach if stops else 0.0,
+        min_scans=config.scans if stops else config.max_scans,
+        min_path_length=config.reach if stops else 0.0,
         seed=world.seed,
         sensor=config.sensor,
     )
-    vain = None if stops or strategy in BASELINES else config.vain
-    return Task(world, strategy, exploration, config.candidates, vain=vain)
+    unproductive = None if stops or strategy in BASELINES else config.unproductive
+    return Task(world, strategy, exploration, config.candidates, unproductive=unproductive)
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class Row:
         distance: moved until the end [m].
         distance_to_share: moved until `share` was mapped [m]; inf where it never was.
         seconds: of the choice of a view, mean time of the processor [s].
-        seconds_most: the longest [s].
+        max_seconds: the longest [s].
     """
 
     world: str
@@ -167,7 +169,7 @@ class Row:
     distance: float
     distance_to_share: float
     seconds: float
-    seconds_most: float
+    max_seconds: float
 
 
 def row_of(record: Record, config: PlanarStudyConfig) -> Row:

@@ -68,7 +68,7 @@ def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
 
 def _overview_line(rows: Sequence[Row], name: str) -> list[str]:
     ways, arrived = least_ways(rows, name)
-    mean, most = values_of(rows, name, "seconds"), values_of(rows, name, "seconds_most")
+    mean, most = values_of(rows, name, "seconds"), values_of(rows, name, "max_seconds")
     return [
         name,
         str(len(ways)),

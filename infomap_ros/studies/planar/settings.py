@@ -49,14 +49,14 @@ def planar_choice(
             localization_weight=0.0,
             teammate_sigma=0.1 * max_range,
         ),
-        selection=SelectionConfig(least_rating=-1e6, refined=_REFINED),
+        selection=SelectionConfig(min_rating=-1e6, refined=_REFINED),
         look_ahead=LookAheadConfig(
             depth=8,
             views=_REFINED,
             beam=8,
-            patience=max_range,
+            discount_distance=max_range,
             cost_of_view=max_range / 30.0,
             unlike_distance=0.15 * max_range,
         ),
-        view_tour=ViewTourConfig(patience=6.0 * max_range, cost_of_view=0.05 * max_range),
+        view_tour=ViewTourConfig(discount_distance=6.0 * max_range, cost_of_view=0.05 * max_range),
     )

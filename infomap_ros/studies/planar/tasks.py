@@ -15,7 +15,7 @@ from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views.vain_looks import VainLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 
 def label_of(strategy: str) -> str:
@@ -59,7 +59,7 @@ class Task:
         config: sensor, number of scans, seed.
         candidates: number of candidate views.
         sensors: that explore together.
-        vain: when voxels are given up that views promised to inform and did not; None: never.
+        unproductive: when voxels are given up that views promised to inform and did not; or never.
     """
 
     world: WorldName
@@ -67,7 +67,7 @@ class Task:
     config: ExplorationConfig
     candidates: int
     sensors: int = 1
-    vain: VainLooksConfig | None = None
+    unproductive: UnproductiveLooksConfig | None = None
 
     @property
     def label(self) -> str:
@@ -90,7 +90,7 @@ class Task:
         choice = planar_choice(sensor.max_range, self.world.cell, self.candidates, self.strategy)
         if self.sensors > 1:
             return explore_together(world, self.strategy, self.config, choice, self.sensors)
-        return explore(world, self.strategy, self.config, choice, vain=self.vain)
+        return explore(world, self.strategy, self.config, choice, unproductive=self.unproductive)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,9 @@ class RoverTask:
         )
         return ExplorationOptions(
             world=WorldConfig(self.config.world, self.seed, self.config.size),
-            task=TaskConfig(known_fraction=1.0, max_views=self.views, vain_views=self.views),
+            task=TaskConfig(
+                known_fraction=1.0, max_views=self.views, unproductive_views=self.views
+            ),
             planner=self._planner(),
             robot=SimulatedRobotConfig(pose_source="simulator", images_while_moving=False),
             simulator=SimulatorConfig(camera=camera),

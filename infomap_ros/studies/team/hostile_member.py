@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT
 from infomap_ros.mapping.voxels.changes import changed_blocks
-from infomap_ros.simulation.company.radio import Channel, Radio
+from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.studies.team.team_network import Rows, TeamNetwork
 from infomap_ros.team import MapUpdate, TeamConfig, encode_update
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary

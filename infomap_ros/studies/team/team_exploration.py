@@ -22,15 +22,15 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.company.radio import Channel, Radio
-from infomap_ros.simulation.company.team_world import TeamWorld
-from infomap_ros.simulation.company.turns import SwitchedOff
 from infomap_ros.simulation.exploring.exploration_run import map_frame, task_in
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.truth import TrueSurface
+from infomap_ros.simulation.multi_robot.radio import Channel, Radio
+from infomap_ros.simulation.multi_robot.team_world import TeamWorld
+from infomap_ros.simulation.multi_robot.turns import SwitchedOff
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
-from infomap_ros.studies.team.team_robot import RobotOutfit, TeamRobot
+from infomap_ros.studies.team.team_robot import RobotEquipment, TeamRobot
 
 _TICK = 0.1  # [s] of robots that have nothing to do
 _MORE = 1.03  # by this factor the map must have grown for a robot that had ended to go on
@@ -94,7 +94,7 @@ class TeamExploration:
         task = task_in(scene, options.task, self.T_world_map)
         task = dataclasses.replace(task, known_fraction=1.0)
         self._outfits = [
-            RobotOutfit(n, own, task, model, out / str(n), self._on_view, audit)
+            RobotEquipment(n, own, task, model, out / str(n), self._on_view, audit)
             for n, (own, audit) in enumerate(zip(self._own_options(), self.audits, strict=True))
         ]
         self._missions: dict[int, Mission] = {}
@@ -205,7 +205,7 @@ class TeamExploration:
 
     def _on_view(self, robot: TeamRobot) -> None:
         """Measure what a view brought; see whether it is enough, or time for a mishap."""
-        task, number = self.options.team, robot.outfit.number
+        task, number = self.options.team, robot.equipment.number
         coverage = self._surface.coverage(robot.member.replica.voxel_map)
         views = sum(mission.views for mission in self._missions.values())
         way = sum(mission.distance for mission in self._missions.values())

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.company.radio import Channel, Radio
+from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.studies.analytic_scene import AnalyticScene
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember

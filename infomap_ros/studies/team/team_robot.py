@@ -42,7 +42,7 @@ _TELLING = 0.4  # [s] after a view in which it is told before the next one is ch
 
 
 @dataclass(frozen=True)
-class RobotOutfit:
+class RobotEquipment:
     """What a robot starts with, each time.
 
     Attributes:
@@ -68,7 +68,7 @@ class TeamRobot:
     """A robot that explores with others; it goes on from its files where there are any.
 
     Args:
-        outfit: what it starts with.
+        equipment: what it starts with.
         simulator: its hardware.
         session: number of this start.
 
@@ -79,46 +79,48 @@ class TeamRobot:
         sent: bytes that it sent, without those of packets.
     """
 
-    def __init__(self, outfit: RobotOutfit, simulator: Simulator, session: int) -> None:
-        self.outfit, self._simulator = outfit, simulator
-        outfit.folder.mkdir(parents=True, exist_ok=True)
-        options = outfit.options
-        goes_on = (outfit.folder / MISSION_FILE).exists()
-        self.mission = Mission.load(outfit.folder / MISSION_FILE) if goes_on else Mission()
+    def __init__(self, equipment: RobotEquipment, simulator: Simulator, session: int) -> None:
+        self.equipment, self._simulator = equipment, simulator
+        equipment.folder.mkdir(parents=True, exist_ok=True)
+        options = equipment.options
+        goes_on = (equipment.folder / MISSION_FILE).exists()
+        self.mission = Mission.load(equipment.folder / MISSION_FILE) if goes_on else Mission()
         self.map = self._own_map()
         version = version_at(simulator.stamp)
         config = self.map.config
-        self.member = TeamMember(outfit.number, session, version, config, options.sharing)
+        self.member = TeamMember(equipment.number, session, version, config, options.sharing)
         self.sent, self._told = 0, -np.inf
         self._bodies = TeamBodies(body=options.robot.body)
         self._robot = SimulatedRobot(
-            simulator, outfit.model, self.map, options.robot, outfit.observer, self._bodies
+            simulator, equipment.model, self.map, options.robot, equipment.observer, self._bodies
         )
         self._link = self._robot.link
-        if (located := outfit.folder / LOCALIZATION_FILE).exists():
+        if (located := equipment.folder / LOCALIZATION_FILE).exists():
             self._link.resume(located)
         planning = dataclasses.replace(
-            options.planner, seed=options.planner.seed + 1000 * outfit.number
+            options.planner, seed=options.planner.seed + 1000 * equipment.number
         )
         rig, error = self._link.rig, localization_error(self._robot, options)
-        planner = ViewPlanner(outfit.model, rig, outfit.task, planning, error)
-        self._teamwork = Teamwork(outfit.number, session, version)
+        planner = ViewPlanner(equipment.model, rig, equipment.task, planning, error)
+        self._teamwork = Teamwork(equipment.number, session, version)
         self._planner = TeamPlanner(
             planner, self._teamwork, self._announce, self.let_pass, lambda: simulator.time
         )
         self._spoken: list[tuple[str, Any, int]] = []
         self._announced, self._knows_its_place = -np.inf, False
         self._control = Control()
-        log = RunLogFile(outfit.folder / LOG_FILE, goes_on, clock=lambda: simulator.time)
-        log.write("start", task=dataclasses.asdict(outfit.task), robot=f"robot {outfit.number}")
+        log = RunLogFile(equipment.folder / LOG_FILE, goes_on, clock=lambda: simulator.time)
+        log.write(
+            "start", task=dataclasses.asdict(equipment.task), robot=f"robot {equipment.number}"
+        )
         self._exploration = Exploration(
             KeepsClear(self._robot, self._awareness()),
             self,
-            outfit.task,
+            equipment.task,
             log,
             self._control,
             self.mission,
-            on_step=lambda _: self.mission.save(outfit.folder / MISSION_FILE),
+            on_step=lambda _: self.mission.save(equipment.folder / MISSION_FILE),
             clock=lambda: simulator.time,
         )
 
@@ -129,7 +131,7 @@ class TeamRobot:
         except PoseUnavailableError as error:
             return self._exploration.end(Ending(EndReason.FAILED, str(error)))
         self._knows_its_place = True
-        recovery = self.outfit.options.sharing.recovery if self.mission.views else 0.0
+        recovery = self.equipment.options.sharing.recovery if self.mission.views else 0.0
         self.let_pass(recovery + _TELLING)
         return self._exploration.run()
 
@@ -145,10 +147,10 @@ class TeamRobot:
     @property
     def may_go_on(self) -> bool:
         """Whether the budget of views is not spent."""
-        return self.mission.views < self.outfit.task.max_views
+        return self.mission.views < self.equipment.task.max_views
 
     def _awareness(self) -> Awareness:
-        simulator, model = self._simulator, self.outfit.model
+        simulator, model = self._simulator, self.equipment.model
         return Awareness(
             lambda: planar_pose(self._robot.state().T_map_base),
             lambda: self._robot.state().joints,
@@ -166,10 +168,10 @@ class TeamRobot:
         Raises:
             TeammatesBusyError: the exploration is asked to stop while it waits for others.
         """
-        self.map.save(self.outfit.folder / MAP_FILE)
-        self._link.save(self.outfit.folder / LOCALIZATION_FILE)
+        self.map.save(self.equipment.folder / MAP_FILE)
+        self._link.save(self.equipment.folder / LOCALIZATION_FILE)
         self.let_pass(_TELLING)
-        self.outfit.on_view(self)
+        self.equipment.on_view(self)
         around = Surrounding.of(self.mission)
         while True:
             try:
@@ -204,7 +206,7 @@ class TeamRobot:
         if self._knows_its_place and now - self._announced >= self._teamwork.config.period - 1e-6:
             self._announce()
         spoken = [("update", rows) for rows in self.member.tell(self.map, now)]
-        if now - self._told >= self.outfit.options.sharing.digest_period - 1e-6:
+        if now - self._told >= self.equipment.options.sharing.digest_period - 1e-6:
             self._told = now
             spoken += [("digest", rows) for rows in self.member.digests(now)]
             spoken += [("request", rows) for rows in self.member.requests(now)]
@@ -233,7 +235,7 @@ class TeamRobot:
         agent = self._teamwork.hear(text, now)
         if agent is not None:
             if not self._bodies.is_described(agent.robot):
-                self._bodies.describe(agent.robot, self.outfit.model)
+                self._bodies.describe(agent.robot, self.equipment.model)
             self._bodies.hear(agent)
             self._link.forget_teammates()
 
@@ -243,9 +245,9 @@ class TeamRobot:
         presence = Presence(
             self._simulator.stamp,
             self._robot.state(),
-            self.outfit.model,
+            self.equipment.model,
             self._link.rig.left,
-            self.outfit.options.planner.max_range,
+            self.equipment.options.planner.max_range,
         )
         text = self._teamwork.tell(presence).text
         self._spoken.append(("agent", text, len(text)))
@@ -255,7 +257,7 @@ class TeamRobot:
         self._link.let_pass(seconds)
 
     def _own_map(self) -> VoxelMap:
-        options, path = self.outfit.options, self.outfit.folder / MAP_FILE
+        options, path = self.equipment.options, self.equipment.folder / MAP_FILE
         config = dataclasses.replace(options.map, max_range=options.planner.max_range)
         own = VoxelMap(config)
         if path.exists():

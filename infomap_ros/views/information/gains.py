@@ -115,4 +115,4 @@ def ray_arrays(
     """
     table = gain_table(m, max_range, config)
     steps = table.gains, table.before, table.clear, table.step
-    return RayArrays(field.directory, field.codes, *steps, config.least_visibility)
+    return RayArrays(field.directory, field.codes, *steps, config.min_visibility)

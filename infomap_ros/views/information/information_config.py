@@ -67,7 +67,7 @@ class InformationConfig:
         low=0.0,
         high=1.0,
     )
-    least_visibility: float = parameter(
+    min_visibility: float = parameter(
         0.05,
         "Where a place can be seen with a lower probability than this, it counts as hidden.",
         low=0.0,

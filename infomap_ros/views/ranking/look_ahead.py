@@ -35,7 +35,7 @@ class LookAheadConfig:
     beam: int = setting(
         6, "So many of the best sequences of each length are continued.", low=1, high=1000
     )
-    patience: float = setting(
+    discount_distance: float = setting(
         10.0,
         "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
         "once.",
@@ -58,15 +58,15 @@ class LookAheadConfig:
 class LookAhead:
     """Ranks a view by the best sequence of views that starts with it.
 
-    The worth of a sequence is the sum over its views of the rating of eq. (11) with the information
-    that the views before do not already bring, and the distance from the view before. What comes
-    late counts less, by ``exp(-D / patience)``, D the distance of eq. (10) covered until then, each
-    view included; so a small gain on the way to a large one is taken first, and one off the way is
-    not. Discounting by distance is that of Gonzalez-Banos and Latombe (2002,
+    The utility of a sequence is the sum over its views of the rating of eq. (11) with the
+    information that the views before do not already bring, and the distance from the view before.
+    What comes late counts less, by ``exp(-D / discount_distance)``, D the distance of eq. (10) covered until
+    then, each view included; so a small gain on the way to a large one is taken first, and one off
+    the way is not. Discounting by distance is that of Gonzalez-Banos and Latombe (2002,
     doi:10.1177/0278364902021010834), there for one view.
     """
 
-    needs_worth = True
+    requires_positive_utility = True
 
     def __init__(self, config: LookAheadConfig | None = None) -> None:
         self.config = config or LookAheadConfig()
@@ -84,7 +84,7 @@ class LookAhead:
         In the first ranking: of the view alone; views that are like a better one come last.
         """
         way = ratings.terms["distance"] + self.config.cost_of_view
-        near = np.exp(-way / self.config.patience)
+        near = np.exp(-way / self.config.discount_distance)
         alone = np.where(ratings.ratings > 0.0, ratings.ratings * near, ratings.ratings)
         apart = self._apart(options, alone)
         if not options.fine:
@@ -95,12 +95,12 @@ class LookAhead:
         self._planned = options.poses[list(scores.plans.get(best, ()))]
         return scores
 
-    def _apart(self, options: Options, worth: FloatArray) -> FloatArray:
-        """The worths, lowered by their range for views that are like a better one."""
-        values, config = worth.copy(), self.config
-        spread = float(np.ptp(worth)) + 1.0 if len(worth) else 0.0
+    def _apart(self, options: Options, utility: FloatArray) -> FloatArray:
+        """The utilities, lowered by their range for views that are like a better one."""
+        values, config = utility.copy(), self.config
+        spread = float(np.ptp(utility)) + 1.0 if len(utility) else 0.0
         look_ahead_kernels.lower_alike(
-            np.argsort(-worth, kind="stable"),
+            np.argsort(-utility, kind="stable"),
             np.ascontiguousarray(options.positions),
             np.ascontiguousarray(options.poses[:, :3, 2]),
             config.unlike_distance,
@@ -123,7 +123,7 @@ class LookAhead:
             distances_between(options, ratings, chosen),
             float(ratings.config.distance_weight),
             float(config.cost_of_view),
-            float(config.patience),
+            float(config.discount_distance),
         )
         found = np.empty(len(chosen))
         followers = np.empty((len(chosen), config.depth - 1), np.int64)
@@ -150,7 +150,7 @@ def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> F
 
 
 def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing:
-    """What voxels each of the chosen views, (K,), informs, weighted by wishes."""
+    """What voxels each of the chosen views, (K,), informs, weighted by what is wanted."""
     gains = options.source.gains(options.situation, options.poses[chosen])
     keys, places = np.unique(
         np.concatenate([gain.keys for gain in gains] or [np.empty(0, np.int64)]),
@@ -159,9 +159,12 @@ def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing
     indices = np.empty((len(keys), 3), np.int64)
     unpack_all(keys, len(keys), indices)
     centers = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
-    wishes = options.wishes.of(options.surroundings, centers).prod(axis=1)
+    information_weights = options.information_weights.of(options.surroundings, centers).prod(axis=1)
     places = np.ravel(places).astype(np.int64)
-    values = np.concatenate([gain.gains for gain in gains] or [np.empty(0)]) * wishes[places]
+    values = (
+        np.concatenate([gain.gains for gain in gains] or [np.empty(0)])
+        * information_weights[places]
+    )
     starts = np.cumsum([0, *(len(gain.keys) for gain in gains)])
     return look_ahead_kernels.Sharing(starts, places, values, len(keys))
 

@@ -32,24 +32,24 @@ class Costs(NamedTuple):
     """What a sequence of views counts.
 
     Attributes:
-        worth: of each view's information where none of it is told yet, shape (K,) [full views].
+        utility: of each view's information where none of it is told yet, shape (K,) [full views].
         safe: probability that its place is free, shape (K,).
         ratings: of each view as the first one, shape (K,) [full views].
         first: distance to each view from where the camera is, shape (K,).
         between: distance from each view to each, shape (K, K).
         weight: what a unit of distance costs [full views].
         look: a view costs as much as a way of this distance.
-        patience: what comes after this distance counts 1/e.
+        discount_distance: what comes after this distance counts 1/e.
     """
 
-    worth: FloatArray
+    utility: FloatArray
     safe: FloatArray
     ratings: FloatArray
     first: FloatArray
     between: FloatArray
     weight: float
     look: float
-    patience: float
+    discount_distance: float
 
 
 @njit(cache=True, nogil=True)
@@ -63,47 +63,47 @@ def best_sequences(
         costs: see `Costs`.
         depth: longest sequence.
         beam: so many of the best sequences of each length are continued.
-        values: shape (K,), receives the worth.
+        values: shape (K,), receives the utility.
         followers: shape (K, depth - 1), receives the views that follow; -1 where there are no more.
     """
     count = len(costs.first)
     followers[:] = -1
-    views, worths, ways = np.empty((count, depth), np.int64), np.empty(count), np.empty(count)
+    views, utilities, ways = np.empty((count, depth), np.int64), np.empty(count), np.empty(count)
     for view in range(count):
         views[view, 0] = view
         ways[view] = costs.first[view] + costs.look
-        worths[view] = _discounted(costs.ratings[view], ways[view], costs.patience)
-        values[view] = worths[view]
+        utilities[view] = _discounted(costs.ratings[view], ways[view], costs.discount_distance)
+        values[view] = utilities[view]
     for length in range(1, depth):
-        longer, farther = _longer(sharing, costs, views, length, worths, ways)
+        longer, farther = _longer(sharing, costs, views, length, utilities, ways)
         kept = _kept(longer, views, length, beam)
-        views, worths, ways = _continued(views, length, longer, farther, kept)
+        views, utilities, ways = _continued(views, length, longer, farther, kept)
         for row in range(len(kept)):
             start = views[row, 0]
-            if worths[row] > values[start]:
-                values[start] = worths[row]
+            if utilities[row] > values[start]:
+                values[start] = utilities[row]
                 followers[start] = -1
                 followers[start, :length] = views[row, 1 : length + 1]
 
 
 @njit(cache=True, nogil=True)
-def _discounted(rating: float, way: float, patience: float) -> float:
+def _discounted(rating: float, way: float, discount_distance: float) -> float:
     """Of gains; what costs more than it brings is not made better by coming late."""
-    return rating * math.exp(-way / patience) if rating > 0.0 else rating
+    return rating * math.exp(-way / discount_distance) if rating > 0.0 else rating
 
 
 @njit(cache=True, nogil=True)
 def _longer(
-    sharing: Sharing, costs: Costs, views: Any, length: int, worths: Any, ways: Any
+    sharing: Sharing, costs: Costs, views: Any, length: int, utilities: Any, ways: Any
 ) -> tuple[Any, Any]:
     """Worth and way of every sequence continued with every view, (N, K) each.
 
-    The worth is -inf for a view that the sequence holds.
+    The utility is -inf for a view that the sequence holds.
     """
     count = len(costs.first)
-    longer, farther = np.full((len(worths), count), -np.inf), np.empty((len(worths), count))
+    longer, farther = np.full((len(utilities), count), -np.inf), np.empty((len(utilities), count))
     told = np.empty(sharing.size)
-    for row in range(len(worths)):
+    for row in range(len(utilities)):
         told[:] = 0.0
         for turn in range(length):
             _tell(sharing, views[row, turn], told)
@@ -111,11 +111,11 @@ def _longer(
             if _holds(views[row], length, view):
                 continue
             step = costs.between[views[row, length - 1], view]
-            news = costs.worth[view] * unshared(sharing, view, told)
+            news = costs.utility[view] * unshared(sharing, view, told)
             rating = (news - costs.weight * step) * costs.safe[view]
             farther[row, view] = ways[row] + step + costs.look
-            gain = _discounted(rating, farther[row, view], costs.patience)
-            longer[row, view] = worths[row] + gain
+            gain = _discounted(rating, farther[row, view], costs.discount_distance)
+            longer[row, view] = utilities[row] + gain
     return longer, farther
 
 
@@ -179,7 +179,7 @@ def _same_views(one: Any, other: Any, length: int) -> bool:
 def _continued(
     views: Any, length: int, longer: Any, farther: Any, kept: Any
 ) -> tuple[Any, Any, Any]:
-    """The kept sequences with their worths and ways."""
+    """The kept sequences with their utilities and ways."""
     count = longer.shape[1]
     continued = np.empty((len(kept), views.shape[1]), np.int64)
     for row in range(len(kept)):

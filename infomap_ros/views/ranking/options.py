@@ -11,9 +11,12 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.information.claimed import claimed_gains, shares_left
 from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.information_weights import (
+    InformationWeights,
+    information_weights_of,
+)
 from infomap_ros.views.information.voxel_gains import VoxelGains
-from infomap_ros.views.information.wishes import Wishes, wishes_of
-from infomap_ros.views.sampling.glances import Glances, glance_at
+from infomap_ros.views.sampling.coarse_views import CoarseViews, coarse_view_at
 from infomap_ros.views.sampling.surroundings import IntArray, Surroundings
 from infomap_ros.views.situation import Situation
 
@@ -89,14 +92,16 @@ class Options:
         return self.surroundings.path_lengths(self.positions)
 
     @cached_property
-    def wishes(self) -> Wishes:
+    def information_weights(self) -> InformationWeights:
         """What of the information is wanted, by voxel."""
-        return wishes_of(self.situation, self.surroundings)
+        return information_weights_of(self.situation, self.surroundings)
 
     @cached_property
-    def glances(self) -> Glances:
+    def coarse_views(self) -> CoarseViews:
         """What a few rays of each view meet."""
-        return glance_at(self.situation, self.surroundings, self.wishes, self.poses)
+        return coarse_view_at(
+            self.situation, self.surroundings, self.information_weights, self.poses
+        )
 
     @cached_property
     def claimed(self) -> VoxelGains | None:
@@ -107,10 +112,10 @@ class Options:
     def left(self) -> FloatArray:
         """Share of each view's information that teammates leave, shape (M,).
 
-        For the final choice voxel by voxel, for the ranking before it by glances.
+        For the final choice voxel by voxel, for the ranking before it by coarse views.
         """
         if not self.fine:
-            return self.glances.left
+            return self.coarse_views.left
         return shares_left(self.source, self.situation, self.poses, self.claimed)
 
     @property
@@ -139,7 +144,7 @@ class Options:
             previous,
             fine=True,
         )
-        options.__dict__["wishes"] = self.wishes
+        options.__dict__["information_weights"] = self.information_weights
         options.__dict__["claimed"] = self.claimed
         options.__dict__["left_over"] = self.left_over
         return options

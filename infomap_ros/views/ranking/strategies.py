@@ -20,13 +20,13 @@ from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores, Strategy
 from infomap_ros.views.ranking.view_tour import ViewTour, ViewTourConfig
-from infomap_ros.views.sampling.glances import full_volume
+from infomap_ros.views.sampling.coarse_views import full_volume
 
 
 class LargestInformation:
     """The view with the largest rating of eq. (11)."""
 
-    needs_worth = True
+    requires_positive_utility = True
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """The ratings themselves."""
@@ -36,7 +36,7 @@ class LargestInformation:
 class RandomChoice:
     """Any view. A previous goal is kept, or the robot would never arrive."""
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Random numbers, the largest for the previous goal."""
@@ -49,11 +49,11 @@ class RandomChoice:
 class LargestUnknown:
     """The view with the largest unknown volume in sight, up to where known obstacles hide it."""
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Unknown volumes [m^3]."""
-        return Scores(options.glances.unknown)
+        return Scores(options.coarse_views.unknown)
 
 
 class SmallestKnown:
@@ -64,13 +64,13 @@ class SmallestKnown:
     view counts as known besides.
     """
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Unknown share of the volume in sight."""
-        glances = options.glances
-        seen = glances.known + glances.unknown + 0.1 * full_volume(options.situation)
-        return Scores(glances.unknown / seen)
+        coarse_views = options.coarse_views
+        seen = coarse_views.known + coarse_views.unknown + 0.1 * full_volume(options.situation)
+        return Scores(coarse_views.unknown / seen)
 
 
 class Raster:
@@ -81,7 +81,7 @@ class Raster:
     the direction of the one before.
     """
 
-    needs_worth = False
+    requires_positive_utility = False
 
     def __init__(self, spacing: float = 0.4) -> None:
         """Edge of a cell as a share of the camera's range."""
@@ -166,7 +166,9 @@ def make_strategy(
         strategy = found()
     except TypeError as error:
         raise ConfigError("strategy", name, f"a class without arguments ({error})") from error
-    if not callable(getattr(strategy, "score", None)) or not hasattr(strategy, "needs_worth"):
-        raise ConfigError("strategy", name, "a class with 'score' and 'needs_worth'")
+    if not callable(getattr(strategy, "score", None)) or not hasattr(
+        strategy, "requires_positive_utility"
+    ):
+        raise ConfigError("strategy", name, "a class with 'score' and 'requires_positive_utility'")
     checked: Strategy = strategy
     return checked

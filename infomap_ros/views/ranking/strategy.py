@@ -32,11 +32,11 @@ class Strategy(Protocol):
     """Ranks views.
 
     Attributes:
-        needs_worth: whether a view must be worth its cost by the rating to be chosen.
+        requires_positive_utility: whether a view must be worth its cost by the rating to be chosen.
     """
 
     @property
-    def needs_worth(self) -> bool: ...  # noqa: D102
+    def requires_positive_utility(self) -> bool: ...  # noqa: D102
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
         """Rank the views.

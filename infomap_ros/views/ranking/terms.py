@@ -60,7 +60,7 @@ class InterestTerm:
         """Added information of each view, shape (M,); negative where less is wanted."""
         if not options.situation.interests:
             return np.zeros(len(options))
-        return np.asarray(options.information * (options.glances.wanted - 1.0))
+        return np.asarray(options.information * (options.coarse_views.wanted - 1.0))
 
 
 class TeammatesTerm:
@@ -72,7 +72,7 @@ class TeammatesTerm:
         """Lost information of each view, shape (M,), at most 0."""
         if not options.situation.teammates:
             return np.zeros(len(options))
-        return np.asarray(options.information * options.glances.wanted * (options.left - 1.0))
+        return np.asarray(options.information * options.coarse_views.wanted * (options.left - 1.0))
 
 
 class Repetition:

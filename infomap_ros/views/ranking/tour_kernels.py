@@ -13,12 +13,13 @@ _GAIN = 1e-9  # below which nothing is improved
 
 
 @njit(cache=True, nogil=True)
-def tour_worth(
+def tour_utility(
     order: Any, count: int, first: Any, between: Any, prizes: Any, settings: Any
 ) -> float:
-    """Worth of taking views in an order.
+    """Utility of taking views in an order.
 
-    ``sum_i p_i exp(-D_i / patience) - weight D_last``, D the way until view i, each view included.
+    ``sum_i p_i exp(-D_i / discount_distance) - weight D_last``, D the way until view i, each view
+    included.
 
     Args:
         order: views, shape (K,); the first `count` are taken.
@@ -26,14 +27,14 @@ def tour_worth(
         first: way to each view from where the camera is, shape (K,).
         between: ways between them, shape (K, K).
         prizes: of the views, shape (K,).
-        settings: patience, weight of the way, and the way that a view costs besides.
+        settings: discount_distance, weight of the way, and the way that a view costs besides.
     """
-    way, worth = 0.0, 0.0
+    way, utility = 0.0, 0.0
     for n in range(count):
         view = order[n]
         way += (first[view] if n == 0 else between[order[n - 1], view]) + settings[2]
-        worth += prizes[view] * math.exp(-way / settings[0])
-    return worth - settings[1] * way
+        utility += prizes[view] * math.exp(-way / settings[0])
+    return utility - settings[1] * way
 
 
 @njit(cache=True, nogil=True)
@@ -43,20 +44,20 @@ def build_tour(
     """Insert views where each adds most, as long as one adds something; returns their number.
 
     The first `fixed` views of `order` keep their place; its first `count` are taken already.
-    Other arguments as for `tour_worth`.
+    Other arguments as for `tour_utility`.
     """
     taken = np.zeros(len(order), np.bool_)
     for n in range(count):
         taken[order[n]] = True
-    worth = tour_worth(order, count, first, between, prizes, settings)
+    utility = tour_utility(order, count, first, between, prizes, settings)
     while count < len(order):
-        best, best_view, best_place = worth + _GAIN, -1, 0
+        best, best_view, best_place = utility + _GAIN, -1, 0
         for view in range(len(order)):
             if taken[view]:
                 continue
             for place in range(fixed, count + 1):
                 _insert(order, count, place, view)
-                value = tour_worth(order, count + 1, first, between, prizes, settings)
+                value = tour_utility(order, count + 1, first, between, prizes, settings)
                 if value > best:
                     best, best_view, best_place = value, view, place
                 _remove(order, count + 1, place)
@@ -64,7 +65,7 @@ def build_tour(
             break
         _insert(order, count, best_place, best_view)
         taken[best_view] = True
-        count, worth = count + 1, best
+        count, utility = count + 1, best
     return count
 
 
@@ -72,31 +73,31 @@ def build_tour(
 def improve_tour(
     order: Any, count: int, fixed: int, first: Any, between: Any, prizes: Any, settings: Any
 ) -> float:
-    """Reverse parts and move short parts as long as that helps; returns the worth.
+    """Reverse parts and move short parts as long as that helps; returns the utility.
 
     Arguments as for `build_tour`.
     """
-    worth = tour_worth(order, count, first, between, prizes, settings)
+    utility = tour_utility(order, count, first, between, prizes, settings)
     trial, best = order.copy(), order.copy()
     while True:
-        start = worth
+        start = utility
         for i in range(fixed, count):
             for j in range(i + 1, count):
                 trial[:count] = order[:count]
                 for n in range(i, j + 1):
                     trial[n] = order[i + j - n]
-                value = tour_worth(trial, count, first, between, prizes, settings)
-                if value > worth + _GAIN:
-                    worth, best[:count] = value, trial[:count]
+                value = tour_utility(trial, count, first, between, prizes, settings)
+                if value > utility + _GAIN:
+                    utility, best[:count] = value, trial[:count]
         for i in range(fixed, count):
             for length in range(1, min(_LONGEST, count - i) + 1):
                 for place in range(fixed, count - length + 1):
                     _move(order, count, i, length, place, trial)
-                    value = tour_worth(trial, count, first, between, prizes, settings)
-                    if value > worth + _GAIN:
-                        worth, best[:count] = value, trial[:count]
-        if worth <= start:
-            return worth
+                    value = tour_utility(trial, count, first, between, prizes, settings)
+                    if value > utility + _GAIN:
+                        utility, best[:count] = value, trial[:count]
+        if utility <= start:
+            return utility
         order[:count] = best[:count]
 
 

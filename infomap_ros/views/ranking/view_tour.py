@@ -30,7 +30,7 @@ class ViewTourConfig:
     views: int = setting(20, "At most so many views are part of a tour.", low=1, high=60)
     firsts: ClassVar[int] = 6
     """Tours are compared that begin with so many of the best views."""
-    patience: float = setting(
+    discount_distance: float = setting(
         40.0,
         "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
         "once.",
@@ -40,7 +40,7 @@ class ViewTourConfig:
     cost_of_view: float = setting(
         0.3, "A view costs as much as a way of this distance.", low=0.0, high=1e6
     )
-    least_share: ClassVar[float] = 0.01
+    min_share: ClassVar[float] = 0.01
     """A view that adds less than this to the others is no part of a tour [full views]."""
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class ViewTour:
     greedy cover). What a view adds is its prize. The tour then takes those whose prizes are worth
     the way, in the order of the largest
 
-        sum_i p_i exp(-D_i / patience) - w_d D_last
+        sum_i p_i exp(-D_i / discount_distance) - w_d D_last
 
     with D the distance of eq. (10) and w_d its weight in eq. (11): the prize-collecting traveling
     salesman (E. Balas 1989, doi:10.1002/net.3230190602), with a mild preference for what comes
@@ -62,7 +62,7 @@ class ViewTour:
     ones behind, to which the way back is long; a tour takes them as it passes.
     """
 
-    needs_worth = True
+    requires_positive_utility = True
 
     def __init__(
         self, config: ViewTourConfig | None = None, first: LookAhead | None = None
@@ -96,10 +96,10 @@ class ViewTour:
         if not len(chosen):
             return Scores(values, plans)
         ways = ratings.terms["distance"][chosen], distances_between(options, ratings, chosen)
-        for worth, order in self._tours(prizes, *ways, ratings.config.distance_weight):
+        for utility, order in self._tours(prizes, *ways, ratings.config.distance_weight):
             first, *others = (int(chosen[view]) for view in order)
-            if worth > values[first]:
-                values[first], plans[first] = worth, tuple(others)
+            if utility > values[first]:
+                values[first], plans[first] = utility, tuple(others)
         self._planned = options.poses[list(plans[int(values.argmax())])]
         return Scores(values, plans)
 
@@ -110,8 +110,8 @@ class ViewTour:
         told, chosen, prizes = np.zeros(size), list[int](), list[float]()
         safe = 1.0 - ratings.terms["risk"]
         totals = np.array([max(float(gain.sum()), 1e-12) for gain in gains])
-        worth = ratings.config.information_weight * ratings.shares * safe / totals
-        near = np.exp(-ratings.terms["distance"] / self.config.patience)
+        utility = ratings.config.information_weight * ratings.shares * safe / totals
+        near = np.exp(-ratings.terms["distance"] / self.config.discount_distance)
         while len(chosen) < self.config.views:
             added = np.array(
                 [
@@ -119,9 +119,9 @@ class ViewTour:
                     for gain, place in zip(gains, places, strict=True)
                 ]
             )
-            added *= worth
+            added *= utility
             added[chosen] = 0.0
-            added[added < self.config.least_share] = 0.0
+            added[added < self.config.min_share] = 0.0
             best = int((added * near).argmax()) if len(added) else 0
             if not len(added) or added[best] <= 0.0:
                 break
@@ -135,10 +135,10 @@ class ViewTour:
     ) -> list[tuple[float, NDArray[np.int64]]]:
         """The best tour, and the best ones that start with each of a few views; and their worth."""
         config = self.config
-        settings = np.array([config.patience, weight, config.cost_of_view])
+        settings = np.array([config.discount_distance, weight, config.cost_of_view])
         problem = first, between, prizes, settings
         best = self._tour(np.empty(0, np.int64), problem)
-        alone = prizes * np.exp(-first / config.patience)
+        alone = prizes * np.exp(-first / config.discount_distance)
         firsts = np.argsort(-alone, kind="stable")[: config.firsts]
         return [best, *(self._tour(np.array([view]), problem) for view in firsts)]
 
@@ -154,5 +154,5 @@ class ViewTour:
         count = tour_kernels.build_tour(order, fixed, fixed, *problem)
         if count == 0:
             return self._tour(np.array([int(problem[2].argmax())]), problem)
-        worth = tour_kernels.improve_tour(order, count, fixed, *problem)
-        return float(worth), order[:count]
+        utility = tour_kernels.improve_tour(order, count, fixed, *problem)
+        return float(utility), order[:count]

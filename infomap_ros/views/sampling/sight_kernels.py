@@ -1,4 +1,4 @@
-"""Compiled glances along rays through a dense window of voxel states."""
+"""Compiled coarse views along rays through a dense window of voxel states."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def mark_in_sight(states: Any, origin: Any, places: Any, seen: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def glance(
+def coarse_view(
     states: Any,
     kinds: Any,
     weights: Any,

@@ -55,7 +55,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
     Returns:
         ``manifest``, plain values for JSON, and ``arrays``, numpy arrays by name.
     """
-    centers = surface.centers[surface.evidence >= surface.least_evidence]
+    centers = surface.centers[surface.evidence >= surface.min_evidence]
     manifest: dict[str, Any] = {
         "voxel": surface.size,
         "merged": surface.merged,
@@ -66,7 +66,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
         "heights": _heights(centers, cut),
         "sigma": {"scale": SIGMA_RANGE, "shown": _sigma_limits(surface)},
         "logOdds": LOG_ODDS_RANGE,
-        "least": surface.least_evidence / 255.0,
+        "least": surface.min_evidence / 255.0,
     }
     arrays: dict[str, NDArray[Any]] = {
         "cells": surface.cells,

@@ -45,7 +45,7 @@ class DrawnSurface:
     merged: int
 
     @property
-    def least_evidence(self) -> int:
+    def min_evidence(self) -> int:
         """Code of the evidence below which a voxel is likely a stray one."""
         return int(LEAST_EVIDENCE * np.median(self.evidence)) if len(self.evidence) else 0
 

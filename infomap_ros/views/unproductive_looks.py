@@ -24,14 +24,14 @@ _CERTAINLY_FREE = -60  # [quanta]
 
 
 @dataclass(frozen=True)
-class VainLooksConfig:
+class UnproductiveLooksConfig:
     """When a voxel is given up.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    patience: float = setting(
+    look_limit: float = setting(
         1.5,
         "A voxel that stays unknown is no longer expected to tell anything after so many looks in "
         "vain from next to it. A look from a distance d counts 1 - (d / max_range)^2.",
@@ -43,15 +43,15 @@ class VainLooksConfig:
         check_config(self)
 
 
-class VainLooks:
+class UnproductiveLooks:
     """How often each voxel was looked at in vain.
 
     Args:
         config: when a voxel is given up.
     """
 
-    def __init__(self, config: VainLooksConfig | None = None) -> None:
-        self.config = config or VainLooksConfig()
+    def __init__(self, config: UnproductiveLooksConfig | None = None) -> None:
+        self.config = config or UnproductiveLooksConfig()
         self._keys: NDArray[np.int64] = np.zeros(0, np.int64)
         self._counts: FloatArray = np.zeros(0)
 
@@ -82,7 +82,7 @@ class VainLooks:
 
     def are_given_up(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether voxels are given up, by their packed indices, shape (K,)."""
-        return np.isin(keys, self._keys[self._counts >= self.config.patience])
+        return np.isin(keys, self._keys[self._counts >= self.config.look_limit])
 
     def without_them(self, voxel_map: VoxelMap) -> VoxelMap:
         """A copy of the map in which the voxels that are given up count as free.
@@ -90,7 +90,7 @@ class VainLooks:
         For what views are expected to tell, and for nothing else: nobody has seen that they are.
         The map itself where none is given up.
         """
-        given_up = self._keys[self._counts >= self.config.patience]
+        given_up = self._keys[self._counts >= self.config.look_limit]
         given_up = given_up[~_known(voxel_map, given_up)]
         if not len(given_up):
             return voxel_map

@@ -30,7 +30,7 @@ _LEAST_SHIFT = 0.02  # of a probability; what changed less can wait
 _LEAST_BITS = 1.0  # of a surface point, likewise: its sigmas fell by a fifth
 
 
-class ChangeWorth(NamedTuple):
+class ChangePriority(NamedTuple):
     """What the changes of blocks tell, apart for those that matter and those that can wait.
 
     What matters: a voxel that is new or not known any more, a probability that changed by 0.02, a
@@ -91,9 +91,9 @@ def _divergences() -> NDArray[np.float64]:
 _DIVERGENCES = _divergences()
 
 
-def worth_of_changes(
+def priority_of_changes(
     voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64]
-) -> ChangeWorth:
+) -> ChangePriority:
     """What the changes of a map's blocks tell to who knows what was told before.
 
     The evidence counts by its Kullback-Leibler divergence from what was told (from p = 0.5 where
@@ -106,7 +106,9 @@ def worth_of_changes(
         slots: of the map's blocks, shape (n,).
     """
     count = len(slots)
-    worth = ChangeWorth(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 8), np.uint64))
+    priority = ChangePriority(
+        np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 8), np.uint64)
+    )
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
     tables = _DIVERGENCES, _PROBABILITIES, code_tables()[0]
     scratch = np.empty((2, ROW_SIZE), np.float32)
@@ -119,14 +121,14 @@ def worth_of_changes(
         shared = point_covariances(storage.offset, centers)[:, *np.triu_indices(3)]
     arrays = storage.blocks, storage.gaussians, planes, codes
     compared = _Comparison(*arrays, size, *tables, scratch, shared)
-    _weigh_changes(compared, blocks, slots, worth)
-    return worth
+    _weigh_changes(compared, blocks, slots, priority)
+    return priority
 
 
-def worth_of_states(
+def priority_of_states(
     told: Contribution, slots: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bits and bytes as in `worth_of_changes`, of all of blocks to who knows nothing of it."""
+    """Bits and bytes as in `priority_of_changes`, of all of blocks to who knows nothing of it."""
     _, planes, codes = told.arrays
     count = int(codes.counts[0])
     surfaces = np.bincount(
@@ -262,13 +264,13 @@ def _weigh_row(
 
 
 @kernel
-def _weigh_changes(compared: Any, told_blocks: Any, slots: Any, worth: Any) -> None:
-    """Sum up over the changed voxels of blocks into a `ChangeWorth`."""
+def _weigh_changes(compared: Any, told_blocks: Any, slots: Any, priority: Any) -> None:
+    """Sum up over the changed voxels of blocks into a `ChangePriority`."""
     blocks = compared.blocks
     for n in range(len(slots)):
         slot = slots[n]
         other = np.int64(find_block(told_blocks, blocks.keys[slot]))
-        bits, sizes, matters = worth.bits[n], worth.sizes[n], worth.matters[n]
+        bits, sizes, matters = priority.bits[n], priority.sizes[n], priority.matters[n]
         for first in range(0, BLOCK_VOXELS, 8):
             marked = blocks.dirty[slot, first >> 6] >> np.uint64(first & 63)
             if marked & np.uint64(0xFF) != np.uint64(0):

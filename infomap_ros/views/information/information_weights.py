@@ -18,7 +18,7 @@ _MOST_KINDS = 255
 
 
 @dataclass(frozen=True, eq=False)
-class Wishes:
+class InformationWeights:
     """Weights of the information of voxels.
 
     Attributes:
@@ -39,11 +39,11 @@ class Wishes:
         return np.asarray(self.weights[kinds])
 
 
-def wishes_of(situation: Situation, surroundings: Surroundings) -> Wishes:
+def information_weights_of(situation: Situation, surroundings: Surroundings) -> InformationWeights:
     """Weigh the voxels of the window by interests and by what teammates are about to see."""
     goals = [mate for mate in situation.teammates if mate.goal is not None]
     if not situation.interests and not goals:
-        return Wishes(np.empty((0, 0, 0), np.uint8), np.ones((1, 2)))
+        return InformationWeights(np.empty((0, 0, 0), np.uint8), np.ones((1, 2)))
     painter = _Painter(surroundings)
     for interest in situation.interests:
         middle = interest.place.transform[:3, 3]
@@ -52,7 +52,7 @@ def wishes_of(situation: Situation, surroundings: Surroundings) -> Wishes:
         painter.multiply(places[inside], 0, interest.weight)
     for mate in goals:
         painter.multiply(_about_to_see(surroundings, painter, mate, situation.camera), 1, 0.0)
-    return Wishes(painter.kinds, np.array(painter.weights))
+    return InformationWeights(painter.kinds, np.array(painter.weights))
 
 
 class _Painter:

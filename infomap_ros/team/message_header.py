@@ -1,7 +1,7 @@
 """What holds for a whole message, as the name of one of its fields.
 
-A point cloud has fields and rows but no place for facts about all rows. Repeating them in every
-row would cost more than the rows; so they stand once, in the name of a further field that lies on
+A point cloud has fields and rows but no place for values that hold for all rows. Repeated in every
+row they would cost more than the rows; so they stand once, in the name of a further field that lies on
 the first byte of each row: ``infomap robot=7 version=12 voxel_size=0.05 ...``. Tools that read
 clouds see one more field of bytes; rows and points are as in every cloud.
 """
@@ -19,10 +19,10 @@ _PREFIX = "infomap "
 _MAX_LENGTH = 400
 
 
-def dtype_with_facts(dtype: np.dtype[np.void], facts: Mapping[str, object]) -> np.dtype[np.void]:
-    """A row's dtype with one more field, whose name tells facts in the order given."""
+def dtype_with_header(dtype: np.dtype[np.void], header: Mapping[str, object]) -> np.dtype[np.void]:
+    """A row's dtype with one more field, whose name is the header, in the order given."""
     fields = dict(dtype.fields or {})
-    text = _PREFIX + " ".join(f"{name}={value}" for name, value in facts.items())
+    text = _PREFIX + " ".join(f"{name}={value}" for name, value in header.items())
     return np.dtype(
         {
             "names": [*fields, text],
@@ -33,11 +33,11 @@ def dtype_with_facts(dtype: np.dtype[np.void], facts: Mapping[str, object]) -> n
     )
 
 
-def with_more_facts(rows: NDArray[np.void], facts: Mapping[str, object]) -> NDArray[np.void]:
-    """The same rows, which tell some facts more."""
+def with_header_values(rows: NDArray[np.void], header: Mapping[str, object]) -> NDArray[np.void]:
+    """The same rows, with more values in the header."""
     fields = dict(rows.dtype.fields or {})
     old = next(name for name in fields if name.startswith(_PREFIX))
-    text = old + "".join(f" {name}={value}" for name, value in facts.items())
+    text = old + "".join(f" {name}={value}" for name, value in header.items())
     names = [text if name == old else name for name in fields]
     formats = [entry[0] for entry in fields.values()]
     offsets = [entry[1] for entry in fields.values()]
@@ -48,11 +48,11 @@ def with_more_facts(rows: NDArray[np.void], facts: Mapping[str, object]) -> NDAr
 
 
 def layout_of(rows: NDArray[np.void]) -> list[tuple[str, np.dtype[np.generic], int]]:
-    """Name, type and offset of all fields, the one with the facts included."""
+    """Name, type and offset of all fields, the one with the header included."""
     return [(name, entry[0], entry[1]) for name, entry in (rows.dtype.fields or {}).items()]
 
 
-def without_last_fact(rows: NDArray[np.void], name: str) -> tuple[NDArray[np.void] | None, str]:
+def without_last_entry(rows: NDArray[np.void], name: str) -> tuple[NDArray[np.void] | None, str]:
     """The same rows without their last fact, and its value; None if it is not of this name."""
     fields = dict(rows.dtype.fields or {})
     texts = [text for text in fields if text.startswith(_PREFIX)]
@@ -67,8 +67,8 @@ def without_last_fact(rows: NDArray[np.void], name: str) -> tuple[NDArray[np.voi
     return rows.view(plain), value
 
 
-def facts_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
-    """The facts that the rows of a message tell.
+def header_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
+    """The header of the rows of a message.
 
     Args:
         rows: structured array.
@@ -81,13 +81,13 @@ def facts_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
     if len(names) != 1 or len(names[0]) > _MAX_LENGTH:
         raise InvalidInputError(what, f"fields {rows.dtype.names} do not tell whose it is")
     pairs = [part.partition("=") for part in names[0][len(_PREFIX) :].split(" ")]
-    facts = {name: value for name, mark, value in pairs if mark and name and value}
-    if len(facts) != len(pairs):
-        raise InvalidInputError(what, f"facts '{names[0]}' are malformed")
-    return facts
+    header = {name: value for name, mark, value in pairs if mark and name and value}
+    if len(header) != len(pairs):
+        raise InvalidInputError(what, f"header '{names[0]}' is malformed")
+    return header
 
 
-def without_facts(rows: NDArray[np.void], dtypes: Sequence[np.dtype[np.void]]) -> NDArray[np.void]:
+def without_header(rows: NDArray[np.void], dtypes: Sequence[np.dtype[np.void]]) -> NDArray[np.void]:
     """The rows as one of some dtypes, whichever has their fields.
 
     Raises:
@@ -101,13 +101,13 @@ def without_facts(rows: NDArray[np.void], dtypes: Sequence[np.dtype[np.void]]) -
     raise InvalidInputError("message", f"fields {tuple(fields)}")
 
 
-def whole_number(facts: Mapping[str, str], name: str, low: int, high: int, what: str) -> int:
+def whole_number(header: Mapping[str, str], name: str, low: int, high: int, what: str) -> int:
     """A fact that is a whole number within [low, high].
 
     Raises:
         InvalidInputError: it is missing or is not.
     """
-    text = facts.get(name, "")
+    text = header.get(name, "")
     digits = text[1:] if text.startswith("-") else text
     if not (digits.isascii() and digits.isdigit() and len(digits) < 20):
         raise InvalidInputError(what, f"{name} '{text}' is not a whole number")
@@ -116,16 +116,16 @@ def whole_number(facts: Mapping[str, str], name: str, low: int, high: int, what:
     return int(text)
 
 
-def positive_number(facts: Mapping[str, str], name: str, what: str) -> float:
+def positive_number(header: Mapping[str, str], name: str, what: str) -> float:
     """A fact that is a positive, finite number.
 
     Raises:
         InvalidInputError: it is missing or is not.
     """
     try:
-        value = float(facts.get(name, "nan"))
+        value = float(header.get(name, "nan"))
     except ValueError:
         value = np.nan
     if not (np.isfinite(value) and value > 0.0):
-        raise InvalidInputError(what, f"{name.replace('_', ' ')} '{facts.get(name, '')}'")
+        raise InvalidInputError(what, f"{name.replace('_', ' ')} '{header.get(name, '')}'")
     return value

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 
-from infomap_ros.simulation.company.team_starts import team_starts
-from infomap_ros.simulation.company.turns import Turns
+from infomap_ros.simulation.multi_robot.team_starts import team_starts
+from infomap_ros.simulation.multi_robot.turns import Turns
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 

@@ -15,7 +15,7 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 
 
-class KeptPromises:
+class GainPrior:
     """The shares of the views that were taken, in their order."""
 
     def __init__(self) -> None:

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.views.information.information_weights import InformationWeights
 from infomap_ros.views.information.rays import camera_rays
-from infomap_ros.views.information.wishes import Wishes
 from infomap_ros.views.sampling import sight_kernels
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
 
-_RAYS = (9, 7)  # of a glance, across and down
+_RAYS = (9, 7)  # of a coarse_view, across and down
 _RAYS_IN_PLANE = 45
 _STEP = 0.1  # [m] of the march along them
 _FADE = 0.5  # [m] of unknown space behind which a glance expects little
 
 
 @dataclass(frozen=True, eq=False)
-class Glances:
+class CoarseViews:
     """What a few rays per view meet; volumes as seen through the pyramids that rays stand for.
 
     Attributes:
@@ -45,25 +45,28 @@ def full_volume(situation: Situation) -> float:
     return camera.width * camera.height / (camera.fx * camera.fy) * reach**3 / 3.0
 
 
-def glance_at(
-    situation: Situation, surroundings: Surroundings, wishes: Wishes, poses: FloatArray
-) -> Glances:
+def coarse_view_at(
+    situation: Situation,
+    surroundings: Surroundings,
+    information_weights: InformationWeights,
+    poses: FloatArray,
+) -> CoarseViews:
     """Send a few rays from each view.
 
     Args:
         situation: what is known.
         surroundings: its known space.
-        wishes: what of the information is wanted, by voxel.
+        information_weights: what of the information is wanted, by voxel.
         poses: ``T_map_camera``, shape (M, 4, 4).
     """
     size = surroundings.voxel_size
     rays, angle = _rays(situation)
     bounds = np.stack([situation.region.low, situation.region.high]) / size
     sums = np.zeros((len(poses), 5))
-    sight_kernels.glance(
+    sight_kernels.coarse_view(
         surroundings.states,
-        wishes.kinds,
-        wishes.weights,
+        information_weights.kinds,
+        information_weights.weights,
         bounds - surroundings.window.first,
         poses[:, :3, 3] / size - surroundings.window.first,
         np.ascontiguousarray(rays @ poses[:, :3, :3].transpose(0, 2, 1)),
@@ -75,7 +78,9 @@ def glance_at(
     )
     volume = angle * size**3
     told, wanted = np.maximum(sums[:, 2], 1e-12), np.maximum(sums[:, 3], 1e-12)
-    return Glances(sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / told, sums[:, 4] / wanted)
+    return CoarseViews(
+        sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / told, sums[:, 4] / wanted
+    )
 
 
 def _rays(situation: Situation) -> tuple[FloatArray, float]:

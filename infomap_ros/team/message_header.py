@@ -1,8 +1,8 @@
 """What holds for a whole message, as the name of one of its fields.
 
 A point cloud has fields and rows but no place for values that hold for all rows. Repeated in every
-row they would cost more than the rows; so they stand once, in the name of a further field that lies on
-the first byte of each row: ``infomap robot=7 version=12 voxel_size=0.05 ...``. Tools that read
+row they would cost more than the rows; so they stand once, in the name of a further field that lies
+on the first byte of each row: ``infomap robot=7 version=12 voxel_size=0.05 ...``. Tools that read
 clouds see one more field of bytes; rows and points are as in every cloud.
 """
 

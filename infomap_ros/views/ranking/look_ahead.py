@@ -61,9 +61,9 @@ class LookAhead:
     The utility of a sequence is the sum over its views of the rating of eq. (11) with the
     information that the views before do not already bring, and the distance from the view before.
     What comes late counts less, by ``exp(-D / discount_distance)``, D the distance of eq. (10)
-    covered until then, each view included; so a small gain on the way to a large one is taken first, and one off
-    the way is not. Discounting by distance is that of Gonzalez-Banos and Latombe (2002,
-    doi:10.1177/0278364902021010834), there for one view.
+    covered until then, each view included; so a small gain on the way to a large one is taken
+    first, and one off the way is not. Discounting by distance is that of Gonzalez-Banos and Latombe
+    (2002, doi:10.1177/0278364902021010834), there for one view.
     """
 
     requires_positive_utility = True

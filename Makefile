@@ -24,7 +24,7 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-team demo-bag test lint types docs bench lock clean
+.PHONY: help setup demo demo-team demo-bag test lint types docs bench kpi lock clean
 .DELETE_ON_ERROR:
 
 help:  ## list the commands
@@ -60,6 +60,9 @@ docs: $(READY)  ## this documentation as a site, in out/docs
 
 bench: $(READY)  ## speed against peers, one JSON line each
 	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+
+kpi: $(READY)  ## the figures of a release on real data, into docs/results/kpi.md
+	@$(BIN)/python benchmarks/kpi.py --write
 
 lock:  ## pin the newest versions within the ranges of setup.py into requirements.lock
 	$(PYTHON) -m venv --clear $(VENV)/lock

@@ -1,9 +1,11 @@
 """Command ``infomap map``."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Optional
 
+import numpy as np
 import typer
 
 from infomap_ros.cli.command_options import (
@@ -101,6 +103,12 @@ def _sentences(run: MapRun) -> list[str]:
     return lines
 
 
+def _round_up(value: float) -> float:
+    """The next of ..., 0.1, 0.2, 0.5, 1, 2, 5, ..., up to a tenth of it below."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= 0.9 * value)
+
+
 def _remarks(run: MapRun, recording: Recording) -> list[str]:
     """What the user should know beside the figures."""
     remarks = list(recording.problems)
@@ -108,10 +116,13 @@ def _remarks(run: MapRun, recording: Recording) -> list[str]:
     remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
     remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
     if run.points_beyond > run.points:
-        share = run.points_beyond / (run.points_beyond + run.points)
+        share, config = run.points_beyond / (run.points_beyond + run.points), run.map.config
+        reach = _round_up(float(np.median(run.reaches)))
+        size = _round_up(reach * _DEFAULTS.map.voxel_size / _DEFAULTS.map.max_range)
         remarks.append(
-            f"{share:.0%} of the points are beyond {run.map.config.max_range:g} m and tell only "
-            "what is free (--max-range; ranges are measured to stereo.max_depth)"
+            f"{share:.0%} of the points are beyond {config.max_range:g} m and tell only what is "
+            f"free; try --max-range {reach:g} --voxel-size {max(size, config.voxel_size):g} "
+            "(ranges are measured to stereo.max_depth)"
         )
     if run.builder.assumed_poses:
         assumed = run.assumed

@@ -1,0 +1,258 @@
+"""The figures of a release: real cameras in real places, with default settings only.
+
+Localization on all sequences beside what one writes with OpenCV in an afternoon; range on pairs
+with true disparity beside the plain matcher; a map of a real room against frames that were left out
+of it. Prints one JSON line; with `--write` also docs/results/kpi.md.
+
+    python benchmarks/kpi.py [--data FOLDER] [--work FOLDER] [--write]
+
+Real data are looked for in `--data` (default: INFOMAP_DATA or ../shared/data); what is absent is
+named and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from localize_sequences import ROOT, SEQUENCES, bag_of, compare, views_of
+from trajectory_errors import truth_at
+
+import infomap_ros
+from infomap_ros.errors import InfomapError
+from infomap_ros.geometry import PoseRecord, transform_points
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
+from infomap_ros.stereo import StereoConfig
+from infomap_ros.stereo.evaluation import measure_errors
+from infomap_ros.stereo.ground_truth import load_pairs
+
+PAGE = ROOT / "docs" / "results" / "kpi.md"
+PAIRS = ("stereo_motorcycle", "stereo_opencv_samples")
+ROOM = "rgbd_kitchen"
+LEFT_OUT = 10  # every so many frames one is not mapped
+EVERY = 31  # pixel of such a frame is compared
+NEIGHBORS = np.array(np.meshgrid(*[(-1, 0, 1)] * 3)).reshape(3, -1).T
+Row = dict[str, Any]
+
+
+def localization(data: Path, work: Path, absent: list[str]) -> list[Row]:
+    """Errors on each sequence, of this package and of two peers on the same frames."""
+    rows = []
+    for name, sequence in SEQUENCES.items():
+        bag = bag_of(sequence, data, work)
+        if bag is None:
+            absent.append(name)
+            continue
+        for method, figures in compare(bag, sequence, ["klt_pnp", "orb_pnp"]).items():
+            meters = float(figures["delta"])
+            rows.append(
+                {
+                    "sequence": name,
+                    "method": method,
+                    "views": int(figures["views"]),
+                    "not_located": int(figures["not_located"]),
+                    "ape_mm": 1e3 * figures["ape"],
+                    "translation_percent": figures["rpe_percent"],
+                    "rotation_deg_per_m": figures["rpe_degrees"] / meters,
+                    "frames_per_second": figures["views"] / figures["seconds"],
+                }
+            )
+    return rows
+
+
+def stereo_range(data: Path, absent: list[str]) -> list[Row]:
+    """Density, bad pixels and honesty of the range on pairs with truth."""
+    rows = []
+    for folder in PAIRS:
+        try:
+            pairs = load_pairs(data / folder)
+        except InfomapError:
+            absent.append(folder)
+            continue
+        for pair in pairs:
+            errors = measure_errors(pair, StereoConfig())
+            rows.append(
+                {
+                    "pair": pair.name,
+                    "density": errors.density,
+                    "bad": errors.bad,
+                    "plain_density": errors.plain_density,
+                    "plain_bad": errors.plain_bad,
+                    "within": errors.shares(),
+                    "within_exact_truth": errors.shares(with_truth_sigma=False),
+                }
+            )
+    return rows
+
+
+def room(data: Path, work: Path, absent: list[str]) -> Row | None:
+    """A map from true poses, against frames that are not in it."""
+    sequence = SEQUENCES[ROOM]
+    path = bag_of(sequence, data, work)
+    if path is None:
+        absent.append(f"{ROOM}, map")
+        return None
+    voxel_map, kept, seconds = VoxelMap(), [], 0.0
+    with BagReader(path) as bag:
+        records = [entry.record for entry in bag.records([sequence.truth])]
+        poses = [record for record in records if isinstance(record, PoseRecord)]
+    with BagReader(path) as bag:
+        for number, view in enumerate(views_of(bag, LocalizeOptions())):
+            known, truth = truth_at(poses, [view.stamp])
+            if not known[0]:
+                continue
+            cloud = view.cloud()
+            if number % LEFT_OUT == LEFT_OUT // 2:
+                kept.append((cloud.points[::EVERY].astype(float), truth[0]))
+                continue
+            begin = time.perf_counter()
+            voxel_map.integrate(
+                cloud.organized_points,
+                truth[0],
+                cloud.organized_covariances,
+                camera=cloud.camera,
+                error_correlation=cloud.error_correlation,
+            )
+            seconds += time.perf_counter() - begin
+    compared = [against(voxel_map, points, pose) for points, pose in kept]
+    errors = np.concatenate([each[0] for each in compared])
+    occupied, free = (np.concatenate([each[n] for each in compared]) for n in (1, 2))
+    return {
+        "frames": len(kept),
+        "voxel_size": voxel_map.config.voxel_size,
+        "surface_voxels": voxel_map.surface_voxels,
+        "median_mm": 1e3 * float(np.median(errors)),
+        "error_90_mm": 1e3 * float(np.quantile(np.abs(errors), 0.9)),
+        "occupied_recall": float(occupied.mean()),
+        "free_recall": float(free.mean()),
+        "fused_per_second": (len(poses) - len(kept)) / seconds,
+    }
+
+
+def against(
+    voxel_map: VoxelMap, points: np.ndarray, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One frame that was left out against the map.
+
+    Returns:
+        How much farther than the measurement rays meet an occupied voxel, of those that meet one
+        [m]; of each point, whether a voxel of the 27 about it is occupied; and of each place half
+        way to a point, whether it is known to be free.
+    """
+    config, origin = voxel_map.config, pose[:3, 3]
+    distances = np.linalg.norm(points, axis=1)
+    points, distances = (
+        points[distances < config.max_range],
+        distances[distances < config.max_range],
+    )
+    there = transform_points(pose, points)
+    cast, met = voxel_map.cast_rays(origin, there - origin, config.max_range)
+    around = there[:, None, :] + config.voxel_size * NEIGHBORS
+    occupied = voxel_map.log_odds(around.reshape(-1, 3)).reshape(len(there), -1) > 0.0
+    half = 0.5 * (there + origin)
+    free = np.logical_and(voxel_map.is_known(half), voxel_map.log_odds(half) < 0.0)
+    return (cast - distances)[met], np.asarray(occupied.any(axis=1)), free
+
+
+def percents(shares: Sequence[float]) -> str:
+    return " / ".join(f"{100 * share:.0f}" for share in shares)
+
+
+def page(figures: Row) -> str:
+    """The figures as Markdown."""
+    lines = [
+        "# Figures of a release",
+        "",
+        "Real cameras in real places, with default settings only; data that are not part of the "
+        "package. Made by",
+        "",
+        "    make kpi",
+        "",
+        f"with version {figures['version']} on {figures['date']}, in {figures['minutes']:.0f} "
+        f"minutes on {os.cpu_count()} cores. Absent: {', '.join(figures['absent']) or 'nothing'}.",
+        "",
+        "## Localization",
+        "",
+        "Errors over pieces of the path as evo takes them ([sequences and peers]"
+        "(localization.md)). KLT and ORB with PnP follow the same frames and range images.",
+        "",
+        "| sequence | method | views | not located | APE [mm] | translation [%] "
+        "| rotation [deg/m] | frames/s |",
+        "|" + " --- |" * 8,
+    ]
+    lines += [
+        f"| {row['sequence']} | {row['method']} | {row['views']} | {row['not_located']} "
+        f"| {row['ape_mm']:.1f} | {row['translation_percent']:.2f} "
+        f"| {row['rotation_deg_per_m']:.3f} | {row['frames_per_second']:.1f} |"
+        for row in figures["localization"]
+    ]
+    lines += [
+        "",
+        "## Range",
+        "",
+        "Density: measured pixels of those with a truth; bad: off by more than 3 px. Within 1, 2, "
+        "3 sigma: of the others, the truth's own error added, and with the truth taken as exact.",
+        "",
+        "| pair | density | bad | plain matcher: density | bad "
+        "| within 1 / 2 / 3 sigma [%] | truth as exact [%] |",
+        "|" + " --- |" * 7,
+    ]
+    lines += [
+        f"| {row['pair']} | {row['density']:.1%} | {row['bad']:.2%} | {row['plain_density']:.1%} "
+        f"| {row['plain_bad']:.2%} | {percents(row['within'])} "
+        f"| {percents(row['within_exact_truth'])} |"
+        for row in figures["range"]
+    ]
+    if (of := figures["room"]) is not None:
+        lines += [
+            "",
+            "## Map",
+            "",
+            f"`{ROOM}`, a depth camera in a real kitchen, with the poses that come with it; every "
+            f"{LEFT_OUT}th frame is left out and compared with the map.",
+            "",
+            "| voxels | surface voxels | rays meet an occupied voxel: median, 90 % | points with "
+            "an occupied voxel within one | half-way places known free | scans/s |",
+            "|" + " --- |" * 6,
+            f"| {1e3 * of['voxel_size']:.0f} mm | {of['surface_voxels']:,} "
+            f"| {of['median_mm']:+.0f} mm, {of['error_90_mm']:.0f} mm "
+            f"| {of['occupied_recall']:.1%} | {of['free_recall']:.1%} "
+            f"| {of['fused_per_second']:.1f} |",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    """Measure all of it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    default = os.environ.get("INFOMAP_DATA", str(ROOT.parent / "shared" / "data"))
+    parser.add_argument("--data", type=Path, default=Path(default))
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
+    parser.add_argument("--write", action="store_true", help="docs/results/kpi.md")
+    arguments = parser.parse_args()
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    begin, absent = time.monotonic(), list[str]()
+    figures: Row = {"benchmark": "kpi", "version": infomap_ros.__version__}
+    figures["date"] = datetime.date.today().isoformat()
+    figures["localization"] = localization(arguments.data, arguments.work, absent)
+    figures["range"] = stereo_range(arguments.data, absent)
+    figures["room"] = room(arguments.data, arguments.work, absent)
+    figures |= {"absent": absent, "minutes": (time.monotonic() - begin) / 60.0}
+    print(json.dumps(figures))
+    if arguments.write:
+        PAGE.write_text(page(figures), encoding="utf-8")
+    else:
+        print(page(figures))
+
+
+if __name__ == "__main__":
+    main()

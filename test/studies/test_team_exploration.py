@@ -54,7 +54,7 @@ def test_two_rovers_with_losses_and_a_restart_end_with_one_map(tmp_path: Path) -
     assert figures["true_coverage"] > 0.3
     assert figures["contacts"] == 0
     for robot, start in zip((one, two), exploration.world.starts, strict=True):
-        declared = robot.outfit.options.planner.start_clearance
+        declared = robot.equipment.options.planner.start_clearance
         assert declared == min(options.planner.start_clearance, start.clearance)
 
 

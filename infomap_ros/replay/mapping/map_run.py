@@ -168,10 +168,9 @@ class MapRun:
             self.frames += 1
             self.points += done.report.points_used
             self.points_beyond += done.report.points_out_of_range
-            points = done.scan.cloud.points.reshape(-1, 3)[::_EVERY]
-            distances = np.linalg.norm(points, axis=1)
-            if (measured := np.isfinite(distances)).any():
-                self.reaches.append(float(np.quantile(distances[measured], 0.9)))
+            points = done.scan.cloud.cloud.points[::_EVERY]
+            if len(points):
+                self.reaches.append(float(np.quantile(np.linalg.norm(points, axis=1), 0.9)))
             self.first = self.first or done.scan.cloud
             self.camera_path.append(done.scan.pose.transform[:3, 3])
 

@@ -74,7 +74,11 @@ def test_points_that_are_too_far_for_the_map_are_told(tmp_path, run):
     bag = write(tmp_path / "bag", depth_frames())
     arguments = ("map", bag, "--out", tmp_path / "out")
     assert "beyond" not in run(*arguments)[2]
-    assert "of the points are beyond 1.6 m" in run(*arguments, "--overwrite", "--max-range", 1.6)[2]
+    said = run(*arguments, "--overwrite", "--max-range", 1.6)[2]
+    assert "of the points are beyond 1.6 m" in said
+    again = said.partition("try ")[2].partition(" (")[0].split()
+    assert again[::2] == ["--max-range", "--voxel-size"]
+    assert "points are beyond" not in run(*arguments, "--overwrite", *again)[2]
 
 
 @pytest.mark.parametrize(

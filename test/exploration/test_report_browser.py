@@ -230,7 +230,8 @@ def test_a_pointer_on_a_chart_tells_the_value(page: Browser) -> None:
     page.evaluate("document.querySelector('svg.chart').scrollIntoView({block: 'center'})")
     box = "JSON.stringify(document.querySelector('svg.chart').getBoundingClientRect())"
     values = json.loads(page.evaluate(box))
-    page.mouse("mouseMoved", values["right"] - 0.04 * values["width"], values["y"] + 0.5 * values["height"])
+    x = values["right"] - 0.04 * values["width"]
+    page.mouse("mouseMoved", x, values["y"] + 0.5 * values["height"])
     text = page.evaluate("document.querySelector('svg.chart .mark-text').textContent")
     assert text.endswith("at views 12")
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 
@@ -52,7 +53,12 @@ class MapProgress:
 
 
 def measure_progress(
-    voxel_map: VoxelMap, region: ArrayLike, inside: ArrayLike, surface_sigma: float
+    voxel_map: VoxelMap,
+    region: ArrayLike,
+    inside: ArrayLike,
+    surface_sigma: float,
+    interests: Sequence[FloatArray] = (),
+    interest_sigma: float = 0.0,
 ) -> MapProgress:
     """Measure expanse and resolution of a map.
 
@@ -78,6 +84,8 @@ def measure_progress(
         inside: a point of the free space about the robot, such as the camera's position, shape (3,)
             [m].
         surface_sigma: that is precise enough [m].
+        interests: boxes about places of interest, shape (2, 3) each, map frame [m].
+        interest_sigma: that is precise enough in them [m].
 
     Raises:
         InvalidInputError: the region is not a finite box.
@@ -85,23 +93,41 @@ def measure_progress(
     box = float_array(region, "region")
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] <= box[0]).any():
         raise InvalidInputError("region", f"is {box.tolist()}, expected finite (low, high) corners")
+    indices, _, covariances = voxel_map.gaussians()
+    centers = (indices + 0.5) * voxel_map.config.voxel_size
+    sigmas = surface_sigmas(covariances)
+
+    def inner_sigmas(box: FloatArray) -> FloatArray:
+        return np.asarray(sigmas[((centers >= box[0]) & (centers <= box[1])).all(axis=1)])
+
+    def precise_fraction(known: float, inner: FloatArray, limit: float) -> float:
+        return known * float((inner <= limit).mean()) if len(inner) else 0.0
+
+    known, inner = _known_fraction(voxel_map, box, inside), inner_sigmas(box)
+    shares = (
+        precise_fraction(
+            _known_fraction(voxel_map, place, inside), inner_sigmas(place), interest_sigma
+        )
+        for place in interests
+    )
+    return MapProgress(
+        known,
+        voxel_map.entropy_bits(box),
+        float(inner.mean()) if len(inner) else float("nan"),
+        len(inner),
+        voxel_map.known_voxels,
+        precise_fraction(known, inner, surface_sigma),
+        min(shares, default=1.0),
+    )
+
+
+def _known_fraction(voxel_map: VoxelMap, box: FloatArray, inside: ArrayLike) -> float:
+    """K / (K + M) of `measure_progress`."""
     window = voxel_map.window(box[0], box[1])
     states = window.states()
     start = np.clip(window.positions_of(np.reshape(inside, (1, 3)))[0], 0, _last(states))
     known, missing = count_surface(states, start, voxel_map.config.voxel_size)
-    indices, _, covariances = voxel_map.gaussians()
-    centers = (indices + 0.5) * voxel_map.config.voxel_size
-    chosen = ((centers >= box[0]) & (centers <= box[1])).all(axis=1)
-    sigmas = surface_sigmas(covariances[chosen])
-    known_fraction = known / (known + missing) if known else 0.0
-    return MapProgress(
-        known_fraction,
-        voxel_map.entropy_bits(box),
-        float(sigmas.mean()) if len(sigmas) else float("nan"),
-        int(chosen.sum()),
-        voxel_map.known_voxels,
-        known_fraction * float((sigmas <= surface_sigma).mean()) if len(sigmas) else 0.0,
-    )
+    return known / (known + missing) if known else 0.0
 
 
 def count_surface(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -80,8 +81,8 @@ class TaskConfig:
     )
     min_gain: float = setting(
         0.001,
-        "Share of the reachable surface that must become known for views not to be in vain; while "
-        "the mean standard deviation is larger than asked, also the share by which it shrinks.",
+        "Share of the reachable surface that must become known, or known precisely enough, for "
+        "views not to be in vain.",
         low=0.0,
         high=1.0,
     )
@@ -124,17 +125,16 @@ class TaskConfig:
                 raise ConfigError(name, getattr(self, name), "three coordinates x, y, z")
         if not all(low < high for low, high in zip(self.region_low, self.region_high, strict=True)):
             raise ConfigError("region_high", self.region_high, f"above {self.region_low}")
-
         if self.interest_sigma > self.surface_sigma:
             expected = f"at most surface_sigma {self.surface_sigma}"
             raise ConfigError("interest_sigma", self.interest_sigma, expected)
-        rows = len(self.interests) // 5
-        cubes = np.reshape(self.interests[: 5 * rows], (rows, 5))
-        if len(self.interests) != 5 * rows or (cubes[:, 3] <= 0.0).any() or (cubes[:, 4] < 0).any():
+        try:
+            _ = self.places
+        except ValueError as error:
             expected = "five numbers a place: x, y, z, an edge above 0, a weight of at least 0"
-            raise ConfigError("interests", self.interests, expected)
+            raise ConfigError("interests", self.interests, expected) from error
 
-    @property
+    @cached_property
     def places(self) -> tuple[Interest, ...]:
         """The places of interest."""
         cubes = np.reshape(self.interests, (-1, 5))

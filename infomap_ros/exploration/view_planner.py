@@ -17,7 +17,7 @@ from infomap_ros.exploration.unproductive_views import StrategyAlternator
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
-from infomap_ros.geometry import Box, PlacedSolid, StereoRig
+from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
@@ -25,6 +25,7 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.gain_prior import GainPrior
@@ -91,8 +92,6 @@ class ViewPlanner:
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
         self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
         self._fine: tuple[Interest, ...] = ()
-        self._places: tuple[Interest, ...] = ()
-        self._places_of: TaskConfig | None = None
         self._configure(task, settings)
         self._goal: FloatArray | None = None
         self._measured: MapProgress | None = None
@@ -105,7 +104,7 @@ class ViewPlanner:
 
         What past views have told, and which could not be reached, stays known.
         """
-        self._choose_by(task, config, ())
+        self._choose_by(task, config, self._fine)
         self._motion.config, self._motion.task = config, task
 
     def _choose_by(
@@ -118,8 +117,6 @@ class ViewPlanner:
 
     def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         self.config, self._task = config, task
-        if self._places_of is not task:
-            self._places_of, self._places = task, task.places
         sensor = replace(
             InformationConfig.of_stereo(self._rig),
             wanted_sigma=task.precise_sigma if self._fine else task.surface_sigma,
@@ -154,9 +151,9 @@ class ViewPlanner:
 
     def _with_places_of_task(self, around: Surrounding) -> Surrounding:
         """Add the task's places of interest; those that matter more are mapped more precisely."""
-        interests = (*self._places, *around.interests)
+        interests = (*self._task.places, *around.interests)
         fine = tuple(each for each in interests if each.weight > 1.0)
-        if [each.place for each in fine] != [each.place for each in self._fine]:
+        if fine != self._fine:
             self._choose_by(self._task, self.config, fine)
         return replace(around, interests=interests)
 
@@ -279,13 +276,11 @@ class ViewPlanner:
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:
         task, inside = self._task, state.T_map_camera[:3, 3]
-        progress = measure_progress(voxel_map, task.region, inside, task.surface_sigma)
-        shares = [
-            measure_progress(voxel_map, box, inside, task.precise_sigma).precise_fraction
-            for each in self._fine
-            if (box := _box_about(each, task.region)) is not None
-        ]
-        self._measured = replace(progress, interest_fraction=min(shares, default=1.0))
+        boxes = (_box_about(each, task.region) for each in self._fine)
+        places = [box for box in boxes if (box[1] > box[0]).all()]
+        self._measured = measure_progress(
+            voxel_map, task.region, inside, task.surface_sigma, places, task.precise_sigma
+        )
         return self._measured
 
     def _situation(
@@ -323,16 +318,10 @@ class ViewPlanner:
         return np.asarray(T_map_base @ self.robot.arm.camera_pose(postures))
 
 
-def _box_about(interest: Interest, region: FloatArray) -> FloatArray | None:
-    """What of a region is about a place of interest, shape (2, 3) [m]; None where nothing is."""
-    middle, reach = interest.place.transform[:3, 3], interest.place.solid.bounding_radius
-    if isinstance(interest.place.solid, Box):
-        turned = np.abs(interest.place.transform[:3, :3])
-        half = 0.5 * turned @ np.asarray(interest.place.solid.size)
-    else:
-        half = np.full(3, reach)
-    box = np.array([np.maximum(middle - half, region[0]), np.minimum(middle + half, region[1])])
-    return box if (box[1] > box[0]).all() else None
+def _box_about(interest: Interest, region: FloatArray) -> FloatArray:
+    """What of a region is about a place of interest, (low, high), shape (2, 3) [m]."""
+    low, high = solid_extent(interest.place)
+    return np.array([np.maximum(low, region[0]), np.minimum(high, region[1])])
 
 
 def _choice_of(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +94,6 @@ class SimulatorNode(MonitoredNode):
     )
 
     def __init__(self, **node_arguments: Any) -> None:
-        self._is_waiting = False
         super().__init__("simulator", **node_arguments)
         self._config = self.config(SimulatorNodeConfig)
         self._simulator, scene = self._build()
@@ -137,7 +135,8 @@ class SimulatorNode(MonitoredNode):
         self._teammates.join(self._outputs.publish_state)
         pace = _Pace(self._config.pace, lambda: self._simulator.is_moving)
         try:
-            self._wait_for_others(LockstepConductor.begin)
+            if self._conductor is not None:
+                self._conductor.begin()
             while not self._stopping:
                 self._inputs.carry_out()
                 if self._actions is not None:
@@ -147,29 +146,14 @@ class SimulatorNode(MonitoredNode):
                     continue
                 self._simulator.step(TICK)
                 self.guard("simulation", self._outputs.publish_due)
-                if self._outputs.has_measured:
-                    self._wait_for_others(
-                        partial(LockstepConductor.settle, stamp=self._simulator.stamp)
-                    )
+                if self._conductor is not None and self._outputs.has_measured:
+                    self._conductor.settle(self._simulator.stamp)
                 self.guard("state_file", self._account.save_when_due)
                 self._inputs.tell_problem()
                 if self._conductor is None:
                     time.sleep(pace.wait(TICK))
         finally:
             self._simulator.close()
-
-    def _wait_for_others(self, wait: Callable[[LockstepConductor], None]) -> None:
-        """In lockstep, wait for the other nodes; meanwhile this one reports as they do."""
-        if self._conductor is None:
-            return
-        self._is_waiting = True
-        self._report_rest()
-        wait(self._conductor)
-        self._is_waiting = False
-
-    def _rests(self) -> bool:
-        """Whether the worker waits for the others, as it simulates without an end."""
-        return self._is_waiting and not self._is_in_callback
 
     def destroy_node(self) -> None:
         """Stop simulating, then the node."""

@@ -163,7 +163,7 @@ class MonitoredNode(Node):
             from_peer: whether other robots publish it; then see `guard_peer`.
         """
         name = self.resolve_topic_name(topic)
-        profile = profile if self.lockstep is None else qos.complete(profile)
+        profile = self._quality(profile)
         latched = profile.durability == qos.latched().durability
         self.health.watch(name, required=required, latched=latched)
         self._listened[name] = _type_name(message_type), profile
@@ -207,7 +207,7 @@ class MonitoredNode(Node):
             if on_subscriber is not None and event.total_count_change > 0:
                 on_subscriber()
 
-        profile = profile if self.lockstep is None else qos.complete(profile)
+        profile = self._quality(profile)
         events = PublisherEventCallbacks(matched=on_matched) if on_subscriber else None
         publisher = self.create_publisher(
             message_type,
@@ -220,6 +220,10 @@ class MonitoredNode(Node):
         if self.lockstep is not None:
             self.lockstep.count(publisher)
         return publisher
+
+    def _quality(self, profile: QoSProfile) -> QoSProfile:
+        """In lockstep nothing may be lost, as time waits for all that was sent."""
+        return profile if self.lockstep is None else qos.complete(profile)
 
     @property
     def is_working(self) -> bool:

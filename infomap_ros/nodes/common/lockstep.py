@@ -110,14 +110,14 @@ class LockstepReporter:
 
     def report(self) -> None:
         """Report, where something has changed and the node rests."""
+        if not self._rests():
+            return
         with self._lock:
-            waited = self.waited_until()
-            self._counts = self.counts()
-            is_same = self._counts == self._reported and waited == self._waited
-            if is_same or not self._rests():
+            counts, waited = self.counts(), self.waited_until()
+            if counts == self._reported and waited == self._waited:
                 return
-            self._reported, self._waited = self._counts.copy(), waited
-            values = dict(self._counts) if waited is None else {**self._counts, _WAITED: waited}
+            self._reported, self._waited = counts, waited
+            values = dict(counts) if waited is None else {**counts, _WAITED: waited}
             pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
             self._publisher.publish(DiagnosticStatus(name=self._name, values=pairs))
 

@@ -18,7 +18,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 _CURRENT = Duration(seconds=2)
 """Longer than a subscriber on a busy machine takes to fetch a sample."""
-_LONG = 1000
+_LONG = 1000  # messages; a node that plans for minutes is sent two a second
 
 
 def sensor_data(depth: int = 10) -> QoSProfile:

@@ -107,6 +107,8 @@ setup(
         "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
         # Not in requirements.lock: large, and only `exploration.rerun_recording` needs it.
         "rerun": ["rerun-sdk>=0.24"],
+        # The page that shows a run while it goes on.
+        "viewer": ["viser>=1.1,<2"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],
         "docs": ["furo>=2024.8", "myst-parser>=4.0", "sphinx>=8.1"],
     },
@@ -121,6 +123,7 @@ setup(
             "fiducial_localization = infomap_ros.nodes.fiducial_localization:main",
             "dead_reckoning = infomap_ros.nodes.dead_reckoning:main",
             "robot_driver = infomap_ros.nodes.robot_driver:main",
+            "web_viewer = infomap_ros.nodes.web_viewer:main",
             "infomap = infomap_ros.cli.app:main",
         ],
     },

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as nodes and commands do: its threads spin
 
@@ -27,6 +30,21 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real data absent: no folder {folder} (set INFOMAP_DATA)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A real browser, 1000 x 700 px, that draws without a graphics card."""
+    place = REPOSITORY / "test" / "exploration" / "browser.py"
+    spec = importlib.util.spec_from_file_location("a_browser", place)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.find_browser() is not None, module.MISSING
+    profile = tmp_path_factory.mktemp("browser") / "profile"
+    with module.Browser(profile, module.SOFTWARE_WEBGL, (1000, 700)) as browser:
+        yield browser
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ RANKS = (
     {"team", "localization", "views"},
     {"motion"},
     {"exploration"},
-    {"messages"},
+    {"messages", "viewer"},
     {"pipeline"},
     {"replay"},
     {"simulation"},

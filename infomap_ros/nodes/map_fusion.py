@@ -64,7 +64,7 @@ class MapFusionConfig:
         ConfigError: a value is out of its range.
     """
 
-    queue_size: int = parameter(
+    queue_size: int = setting(
         10, "Scans that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
     autosave_period: float = parameter(

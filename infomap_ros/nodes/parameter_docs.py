@@ -24,6 +24,7 @@ from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.robot_driver import RobotDriverNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
+from infomap_ros.nodes.web_viewer import WebViewerNode
 
 NODES = {
     "stereo_range": StereoRangeNode.CONFIGS,
@@ -35,6 +36,7 @@ NODES = {
     "explorer": ExplorerNode.CONFIGS,
     "dead_reckoning": DeadReckoningNode.CONFIGS,
     "robot_driver": RobotDriverNode.CONFIGS,
+    "web_viewer": WebViewerNode.CONFIGS,
 }
 _HEAD = """# Parameters of the nodes
 

@@ -22,7 +22,7 @@ from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
-from infomap_ros.nodes.live.demo_command import run_demo_command
+from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
     check_not_failed,
@@ -94,6 +94,7 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
     status, parameters = Status(status_line({}), console=console), _parameters(config, world)
     with status:
         with LiveExploration(out, parameters, lockstep=config.lockstep) as run:
+            say_page(run.open_page(), console)
             observed, picture = LiveTruth(run), FirstPicture(run.map_file, out / PICTURE_FILE)
             _start(run, picture, status, console)
             run.follow(lambda: status.update(status_line(run.figures)), config.timeout)

@@ -17,6 +17,12 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
+def say_page(address: str, console: Console) -> None:
+    """Say where the run can be watched; nothing where there is no page."""
+    if address:
+        console.print(f"watch it in a browser: {address}", highlight=False, soft_wrap=True)
+
+
 def run_demo_command(name: str, out: Path, run: Callable[[Console], Mapping[str, object]]) -> int:
     """Run a demo and print its figures as one line of JSON; progress goes to stderr.
 

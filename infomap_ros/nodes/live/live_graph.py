@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ProcessError
@@ -21,6 +23,9 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import process_environment
 from infomap_ros.nodes.live.processes import NodeProcesses, private_graph
 from infomap_ros.nodes.live.run_state import RunState
+
+_VIEWER = "web_viewer"
+_PAGE_TIMEOUT = 30.0  # [s]
 
 
 class LiveGraph:
@@ -42,7 +47,9 @@ class LiveGraph:
         self.pids: dict[str, int] = {}
         self._watched: Counter[str] = Counter()
         environment = process_environment(private_graph())
-        self._processes = NodeProcesses(out / "log", environment=environment)
+        self._log_folder = out / "log"
+        self._processes = NodeProcesses(self._log_folder, environment=environment)
+        self._page: NodeProcesses | None = None  # which may end as it likes
         self._context = rclpy.Context()
         self._environment = environment
 
@@ -64,6 +71,8 @@ class LiveGraph:
         trace: TracebackType | None,
     ) -> None:
         self._processes.stop()
+        if self._page is not None:
+            self._page.stop(timeout=3.0)
         self._node.destroy_node()
         self._context.try_shutdown()
 
@@ -81,6 +90,37 @@ class LiveGraph:
     def publisher(self, kind: type, topic: str) -> Any:
         """A publisher of a topic of the graph, as a user or another node would have it."""
         return self._node.create_publisher(kind, topic, qos.stream())
+
+    def open_page(
+        self,
+        namespace: str = "/",
+        parameters: Mapping[str, object] | None = None,
+        remaps: Mapping[str, str] | None = None,
+    ) -> str:
+        """Start web_viewer, so that the run can be watched from its first second.
+
+        Args:
+            namespace: of the robot.
+            parameters: of the node.
+            remaps: of its topics.
+
+        Returns:
+            Address of the page; empty where viser is not installed, or no page comes up.
+
+        Raises:
+            ProcessError: another process failed.
+        """
+        if importlib.util.find_spec("viser") is None:
+            return ""
+        found: list[str] = []
+        topic = f"{namespace.rstrip('/')}/{_VIEWER}/address"
+        self.subscribe(String, topic, lambda message: found.append(message.data), qos.latched())
+        self._page = NodeProcesses(self._log_folder, namespace, self._environment)
+        self._page.start(_VIEWER, parameters or {}, remaps)
+        page, end = self._page, time.monotonic() + _PAGE_TIMEOUT
+        is_over = lambda: page.status(_VIEWER) is not None or time.monotonic() > end  # noqa: E731
+        self.spin_until(lambda: bool(found) or is_over(), "the page", 2.0 * _PAGE_TIMEOUT)
+        return found[0] if found else ""
 
     def spin_until(
         self,

@@ -44,7 +44,7 @@ class FiducialLocalizationConfig:
         low=0.0,
         high=1.0,
     )
-    queue_size: int = parameter(
+    queue_size: int = setting(
         10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
     )
     min_correction: float = setting(

@@ -12,6 +12,7 @@ from std_msgs.msg import ColorRGBA
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
+from infomap_ros.exploration.records.rating_text import rating_text
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.motions import (
@@ -23,6 +24,9 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
+
+CANDIDATES, REJECTED = "candidates", "rejected"
+"""Namespaces of the markers on view_candidates."""
 
 _ARROW = (0.12, 0.012, 0.03)  # length, shaft and head of a candidate [m]
 _REJECTED = ColorRGBA(r=0.55, g=0.55, b=0.55, a=0.35)
@@ -76,9 +80,9 @@ class PlanOutputs:
         array = MarkerArray(markers=[forget])
         shares = _shares([each["rating"] for each in candidates])
         for number, (each, share) in enumerate(zip(candidates, shares, strict=True)):
-            marker = self._marker(stamp, "rejected" if each["rejection"] else "candidates", number)
+            marker = self._marker(stamp, REJECTED if each["rejection"] else CANDIDATES, number)
             marker.color = _REJECTED if each["rejection"] else _color(share)
-            marker.text = each["rejection"] or _terms(each)
+            marker.text = each["rejection"] or rating_text(each["rating"], each["terms"])
             start = np.asarray(each["position"], dtype=float)
             end = start + _ARROW[0] * np.asarray(each["direction"], dtype=float)
             marker.points = [_point(start), _point(end)]
@@ -113,12 +117,6 @@ def _color(share: float) -> ColorRGBA:
     stops = np.linspace(0.0, 1.0, len(_RATINGS))
     r, g, b = (float(np.interp(share, stops, channel)) for channel in _RATINGS.T)
     return ColorRGBA(r=r, g=g, b=b, a=0.9)
-
-
-def _terms(candidate: Mapping[str, Any]) -> str:
-    terms = ", ".join(f"{name} {value:.3g}" for name, value in candidate["terms"].items())
-    rating = candidate["rating"]
-    return terms if rating is None else f"rating {rating:.3g}: {terms}"
 
 
 def _point(place: FloatArray) -> Point:

@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, JointState
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import CameraCalibration, Record, TransformRecord
+from infomap_ros.geometry import CameraCalibration, PoseRecord, Record, TransformRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -76,26 +76,39 @@ class RobotTracker:
     Args:
         node: has the configurations of tracker, joint buffer and assumed pose.
         infos: topics of the left and, for a stereo pair, the right camera info.
+        required: whether the node cannot work without them.
     """
 
     def __init__(
         self,
         node: MonitoredNode,
         infos: tuple[str, ...] = ("left/camera_info", "right/camera_info"),
+        *,
+        required: bool = True,
     ) -> None:
         self._config = node.config(RobotTrackerConfig)
         self._tracked = TrackedRobot(node.config(JointBufferConfig), node.config(AssumedPoseConfig))
         self._news = threading.Condition()
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
         self._description = self._read = self._description_hash = ""
+        self._newest_pose: PoseRecord | None = None
         self._lockstep: LockstepTime | None = None
         self._log = node.get_logger()
         node.listen(
-            PoseWithCovarianceStamped, "camera_pose", self._on_pose, qos.sensor_data(depth=50)
+            PoseWithCovarianceStamped,
+            "camera_pose",
+            self._on_pose,
+            qos.sensor_data(depth=50),
+            required=required,
         )
-        node.listen(JointState, "joint_states", self._on_joints, qos.sensor_data(100))
+        joints = qos.sensor_data(100)
+        node.listen(JointState, "joint_states", self._on_joints, joints, required=required)
         self._texts = DescriptionListener(
-            node, self._on_description, self._config.frame_prefix, on_edge=self._on_edge
+            node,
+            self._on_description,
+            self._config.frame_prefix,
+            required=required,
+            on_edge=self._on_edge,
         )
         self._odometries = OdometryListener(
             node,
@@ -106,7 +119,8 @@ class RobotTracker:
             required=False,
         )
         for number, topic in enumerate(infos):
-            node.listen(CameraInfo, topic, self._info_listener(number), qos.sensor_data())
+            listener = self._info_listener(number)
+            node.listen(CameraInfo, topic, listener, qos.sensor_data(), required=required)
 
     @property
     def description_hash(self) -> str:
@@ -155,6 +169,12 @@ class RobotTracker:
         """Stamp of the newest camera_pose or odometry [ns]; None before the first pose."""
         with self._news:
             return self._tracked.newest_stamp
+
+    @property
+    def newest_pose(self) -> PoseRecord | None:
+        """The newest camera_pose, whether or not the robot is known; None before the first."""
+        with self._news:
+            return self._newest_pose
 
     def stamped_state(self) -> tuple[int, RobotState]:
         """As `state`, with its stamp [ns].
@@ -243,6 +263,8 @@ class RobotTracker:
             raise FrameError(
                 f"pose in frame '{pose.frame_id}', the map is '{self._config.map_frame}'"
             )
+        with self._news:
+            self._newest_pose = pose
         self._add(pose)
 
     def _on_joints(self, message: JointState) -> None:

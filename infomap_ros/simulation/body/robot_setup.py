@@ -26,7 +26,7 @@ class RobotSetupConfig:
         ("front_right_wheel_joint", "rear_right_wheel_joint"), "Joints of the driven right wheels."
     )
     casters: tuple[str, ...] = parameter((), "Links that slide on the ground without friction.")
-    hovering: tuple[str, ...] = parameter(
+    hovering: tuple[str, ...] = setting(
         (), "Links that are drawn down to the ground, and in truth are clear of it."
     )
     arm_joints: tuple[str, ...] = parameter(

@@ -1,0 +1,1 @@
+"""What the node web_viewer reads from the graph and writes to it."""

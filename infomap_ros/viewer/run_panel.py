@@ -1,0 +1,108 @@
+"""What the run is doing, in words and as curves, and the buttons that steer it."""
+
+from __future__ import annotations
+
+import html
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from infomap_ros.errors import InfomapError
+
+_LINES = 14  # of the log that are shown
+_CURVE = 400  # points of the curves; of more, every other one is left out
+_NOTICE = 6.0  # for which the answer to an order is shown [s]
+_LEVELS = {"warning": "#b06000", "error": "#c5221f"}
+
+
+class RunPanel:
+    """State, figures, curves, log and buttons.
+
+    Args:
+        viser: the server.
+        orders: what buttons do, by their labels; an order returns its answer in words.
+    """
+
+    def __init__(self, viser: Any, orders: Mapping[str, Callable[[], str]]) -> None:
+        self._viser, self._lock = viser, threading.Lock()
+        gui = viser.gui
+        self._state = gui.add_markdown("**starting**")
+        self._figures = gui.add_html("")
+        self._orders = orders
+        if orders:
+            gui.add_button_group("Robot", tuple(orders)).on_click(self._give)
+        self._curves = gui.add_uplot(
+            (np.zeros(1), np.zeros(1), np.zeros(1)),
+            (
+                {"label": "s"},
+                {"label": "known [%]", "stroke": "#0072b2", "width": 2},
+                {"label": "precise [%]", "stroke": "#d55e00", "width": 2},
+            ),
+            scales={"x": {"time": False}, "y": {"range": (0.0, 105.0)}},
+            height=190,
+            visible=False,
+        )
+        self._points: list[tuple[float, float, float]] = []
+        self._begin = time.monotonic()
+        self._lines: deque[str] = deque(maxlen=_LINES)
+
+    def add_log(self) -> None:
+        """Put the log where the panel now goes on."""
+        self._log = self._viser.gui.add_html("")
+
+    def show_state(self, state: str, figures: Mapping[str, str]) -> None:
+        """Say what the run is doing.
+
+        Args:
+            state: in a few words.
+            figures: by name, each with its unit.
+        """
+        self._state.content = f"**{state}**"
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td>"
+            f'<td style="text-align:right"><b>{html.escape(value)}</b></td></tr>'
+            for name, value in figures.items()
+        )
+        table = '<table style="width:100%;padding:0 0.6em;font-size:0.8em">'
+        self._figures.content = f"{table}{rows}</table>"
+
+    def add_point(self, known_fraction: float, precise_fraction: float) -> None:
+        """Add to the curves how far the map is now, 0 to 1 each; NaN is left out."""
+        if not np.isfinite([known_fraction, precise_fraction]).all():
+            return
+        seconds = time.monotonic() - self._begin
+        with self._lock:
+            self._points.append((seconds, 100.0 * known_fraction, 100.0 * precise_fraction))
+            if len(self._points) > _CURVE:
+                self._points = self._points[::2]
+            columns = np.array(self._points).T
+        self._curves.data = tuple(np.ascontiguousarray(column) for column in columns)
+        self._curves.visible = len(self._points) > 1
+
+    def say(self, text: str, level: str = "info") -> None:
+        """Add a line to the log; level: info, warning or error."""
+        color = _LEVELS.get(level, "inherit")
+        seconds = time.monotonic() - self._begin
+        line = (
+            f'<div style="color:{color};margin-bottom:0.3em"><span style="opacity:0.6">'
+            f"{seconds:.0f} s</span> {html.escape(text)}</div>"
+        )
+        with self._lock:
+            self._lines.append(line)
+            lines = "".join(reversed(self._lines))
+        self._log.content = f'<div style="padding:0 0.6em;font-size:0.75em">{lines}</div>'
+
+    def _give(self, event: Any) -> None:
+        """Carry out what a button is for, and tell who has pressed it what came of it."""
+        label = str(event.target.value)
+        try:
+            answer, color = self._orders[label](), None
+        except InfomapError as error:
+            answer, color = str(error), "red"
+        self.say(f"{label}: {answer}", "info" if color is None else "error")
+        if event.client is not None:
+            event.client.add_notification(label, answer, auto_close_seconds=_NOTICE, color=color)

@@ -1,28 +1,25 @@
 """Command ``infomap explore``."""
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from infomap_ros.cli.command_options import Out, Overwrite, Setting, chosen, lists_settings
+from infomap_ros.cli.interrupts import INTERRUPTED, stops_when_interrupted
 from infomap_ros.cli.progress_bar import says_when_it_compiles
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.cli.study_options import check_strategy
 from infomap_ros.errors import ExplorationError, InvalidInputError
-from infomap_ros.exploration.control import Control, Request
+from infomap_ros.exploration.control import Request
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.exploring.run_progress import RunProgress
 
 _DEFAULTS = ExplorationOptions()
-_INTERRUPTED = 130  # exit status, as shells have it
 _FILES = {
     "report.html": "the run in a browser: map in 3-D, each choice and its reason",
     "map.png": "the map from above and from the side, and its uncertainty",
@@ -71,7 +68,8 @@ def _explore(options: ExplorationOptions, out: Path) -> None:
     console = Console(stderr=True)
     with RunProgress(console) as progress, says_when_it_compiles(console):
         run = ExplorationRun(options, out, progress.show)
-        with _stops_when_interrupted(run.control, console):
+        stop = partial(run.control.ask, Request.STOP)
+        with stops_when_interrupted(stop, console, "map and report"):
             ending = run.run()
     summary = run.write_results(ending)
     run.close()
@@ -91,21 +89,4 @@ def _explore(options: ExplorationOptions, out: Path) -> None:
     if ending.reason is EndReason.FAILED:
         raise ExplorationError(ending.detail)
     if ending.reason is EndReason.STOPPED:
-        raise typer.Exit(_INTERRUPTED)
-
-
-@contextmanager
-def _stops_when_interrupted(control: Control, console: Console) -> Iterator[None]:
-    """Let Ctrl-C end the exploration in order; a second one ends the program."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        signal.signal(signal.SIGINT, before)
-        control.ask(Request.STOP)
-        console.print("infomap: stopping; map and report follow (Ctrl-C again: leave at once)")
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        raise typer.Exit(INTERRUPTED)

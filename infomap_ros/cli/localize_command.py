@@ -20,6 +20,7 @@ from infomap_ros.cli.command_options import (
     lists_settings,
     takes_topics,
 )
+from infomap_ros.cli.interrupts import INTERRUPTED
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError
@@ -50,7 +51,10 @@ def localize(
     overwrite: Overwrite = False,
     settings: Annotated[bool, lists_settings(LocalizeOptions)] = False,
 ) -> None:
-    """Estimate the camera's trajectory: TUM file, 6x6 covariances, picture, summary.json."""
+    """Estimate the camera's trajectory: TUM file, 6x6 covariances, picture, summary.json.
+
+    Ctrl-C ends the run early: the trajectory until then is written.
+    """
     del settings  # the callback has answered it
     shortcuts: dict[str, tuple[str, object]] = {
         "--source": ("input.source", source),
@@ -65,11 +69,13 @@ def localize(
 
 def _localize(recording: Recording, out: Path, options: LocalizeOptions) -> None:
     run = LocalizeRun(recording, options)
-    run_with_bar(run.run, "locating", "views", run.inputs.frames)
+    run_with_bar(run.run, run.stop, "locating", "views", run.inputs.frames)
     summary = write_localize_files(run, out)
     for text in [*recording.problems, *_remarks(run)]:
         typer.echo(f"infomap: {text}", err=True)
     say_results(_sentences(run, summary), summary, out, FILES)
+    if run.stopped:
+        raise typer.Exit(INTERRUPTED)
     poses, views = int(summary["poses"]), int(summary["views"])
     if 2 * poses < views:
         raise BagError(f"{views - poses} of {views} views could not be located")
@@ -78,8 +84,9 @@ def _localize(recording: Recording, out: Path, options: LocalizeOptions) -> None
 def _sentences(run: LocalizeRun, summary: Mapping[str, int | float | str]) -> list[str]:
     """The run as a person is told it."""
     motion = run.inputs.odometry_topic or "the images alone"
+    early = "interrupted: " if run.stopped else ""
     return [
-        f"{summary['poses']} of {summary['views']} views located in {run.seconds:.1f} s, "
+        f"{early}{summary['poses']} of {summary['views']} views located in {run.seconds:.1f} s, "
         f"by {motion}",
         f"path of {length(float(summary['path_length']))}, position sigma at its end "
         f"{length(float(summary['final_position_sigma']))}",

@@ -22,6 +22,7 @@ from infomap_ros.cli.command_options import (
     lists_settings,
     takes_topics,
 )
+from infomap_ros.cli.interrupts import INTERRUPTED
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError, CapacityError
@@ -59,7 +60,10 @@ def map_bag(
     overwrite: Overwrite = False,
     settings: Annotated[bool, lists_settings(MapOptions)] = False,
 ) -> None:
-    """Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json."""
+    """Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json.
+
+    Ctrl-C ends the run early: what was mapped until then is written.
+    """
     del settings  # the callback has answered it
     shortcuts: dict[str, tuple[str, object]] = {
         "--voxel-size": ("map.voxel_size", voxel_size),
@@ -77,13 +81,15 @@ def map_bag(
 
 def _map(recording: Recording, out: Path, options: MapOptions) -> None:
     run = MapRun(recording, options)
-    run_with_bar(run.run, "mapping", "frames", run.inputs.frames)
+    run_with_bar(run.run, run.stop, "mapping", "frames", run.inputs.frames)
     summary = write_map_files(run, out)
     for text in _remarks(run, recording):
         typer.echo(f"infomap: {text}", err=True)
     say_results(_sentences(run), summary, out, FILES)
     if run.full:
         raise CapacityError(f"the map is full, what came later is not in it: {run.full}")
+    if run.stopped:
+        raise typer.Exit(INTERRUPTED)
     if why := run.why_mostly_dropped():
         raise BagError(why)
 
@@ -93,6 +99,8 @@ def _sentences(run: MapRun) -> list[str]:
     of = run.frames + sum(run.dropped.values())
     bounds, size = run.map.bounds(), run.map.config.voxel_size
     lines = [f"{run.frames} of {of} frames mapped in {run.seconds:.1f} s"]
+    if run.stopped:
+        lines[0] = f"interrupted after {of} of {run.inputs.frames} frames: {lines[0]}"
     lines.append(f"{run.map.surface_voxels:,} surface voxels of {length(size)}")
     if bounds is not None:
         low, high = bounds[0] * size, (bounds[1] + 1) * size

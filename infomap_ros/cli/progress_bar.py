@@ -12,16 +12,23 @@ from numba.core import event
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+from infomap_ros.cli.interrupts import stops_when_interrupted
+
 _LEAST_COMPILED = 3.0  # what takes less is not worth a line [s]
 
 
 def run_with_bar(
-    run: Callable[[Callable[[int, int], None]], None], doing: str, what: str, total: int
+    run: Callable[[Callable[[int, int], None]], None],
+    stop: Callable[[], None],
+    doing: str,
+    what: str,
+    total: int,
 ) -> None:
-    """Run something that tells how many of how many are done.
+    """Run something that tells how many of how many are done; Ctrl-C ends it in order.
 
     Args:
         run: gets what is to be told.
+        stop: lets it end early.
         doing: before the bar.
         what: behind the numbers.
         total: number at the end.
@@ -29,7 +36,8 @@ def run_with_bar(
     columns = (doing, BarColumn(), MofNCompleteColumn(), what, TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=total)
-        with says_when_it_compiles(progress.console):
+        interrupts = stops_when_interrupted(stop, progress.console, "the results so far")
+        with says_when_it_compiles(progress.console), interrupts:
             run(lambda done, of: progress.update(task, completed=done, total=of))
 
 

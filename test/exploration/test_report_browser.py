@@ -261,6 +261,19 @@ def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> 
     assert high_row < low_row - 50.0
 
 
+def test_on_a_phone_the_map_fills_its_view_and_nothing_is_wider(
+    window: Browser, report: Path
+) -> None:
+    window.resize(400, 1100)
+    try:
+        window.open(report)
+        _, _, width, height = stage(window)
+        assert height <= 1.1 * width
+        assert window.evaluate("document.documentElement.scrollWidth") <= 400
+    finally:
+        window.resize(*SIZE)
+
+
 def test_without_webgl_it_says_so_and_shows_the_pictures(report: Path, tmp_path: Path) -> None:
     assert find_browser() is not None, MISSING
     with Browser(tmp_path / "profile", NO_WEBGL, SIZE) as browser:

@@ -73,6 +73,14 @@ def test_a_car_is_followed_from_the_first_pair_on(real_data):
         assert turn <= np.radians(0.1)
 
 
+def test_a_stopped_run_keeps_what_it_has_located(hand_held):
+    with BagReader(hand_held) as bag:
+        run = LocalizeRun(bag)
+        run.run(lambda done, of: run.stop() if done == 4 else None)
+    assert 4 <= len(run.log.trajectory) < 10
+    assert run.summary()["interrupted"] == 1
+
+
 def test_odometry_gives_the_frame_of_the_map(robot):
     run = localized(robot)
     assert run.inputs.odometry_topic == "/odom"

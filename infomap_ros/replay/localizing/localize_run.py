@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from itertools import chain
+from itertools import chain, takewhile
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import Record
@@ -38,6 +38,7 @@ class LocalizeRun:
         dropped: views before the first odometry, where that is wanted, by reason.
         without_motion: views for which odometry was wanted and not known, by reason.
         seconds: how long `run` took [s].
+        stopped: whether it was asked to end before the bag does.
     """
 
     def __init__(self, bag: Recording, options: LocalizeOptions | None = None) -> None:
@@ -52,7 +53,7 @@ class LocalizeRun:
         self.log = LocalizationLog()
         self.dropped: Counter[str] = Counter()
         self.without_motion: Counter[str] = Counter()
-        self.seconds = 0.0
+        self.seconds, self.stopped = 0.0, False
         localization = make_localization(self.inputs, settings, self.dropped, self.without_motion)
         self._pipeline = Pipeline(localization, None)
 
@@ -60,6 +61,10 @@ class LocalizeRun:
     def refused(self) -> Counter[str]:
         """Records that could not be used, by reason."""
         return self._pipeline.refused
+
+    def stop(self) -> None:
+        """Let `run` end after the record it is at, with the trajectory of what it has read."""
+        self.stopped = True
 
     def run(self, progress: Progress | None = None) -> None:
         """Read the whole bag; one thread reads and rectifies, this one locates.
@@ -73,13 +78,16 @@ class LocalizeRun:
         start = time.perf_counter()
         seen = self.inputs.perception.see(records_of(self._bag, self.inputs.topics))
         with closing(in_background(seen)) as items:
-            work = chain.from_iterable(self._pipeline.process(item) for item in items)
+            wanted = takewhile(lambda _: not self.stopped, items)
+            work = chain.from_iterable(self._pipeline.process(item) for item in wanted)
             for done in chain(work, self._pipeline.finish()):
                 self.log.add(done)
                 if progress is not None:
                     progress(len(self.log.localizations), self.inputs.frames)
         self.seconds = time.perf_counter() - start
         if not len(self.log.trajectory):
+            if self.stopped:
+                raise BagError("interrupted before the camera was located")
             raise BagError(f"the camera was never located: {self._why_never()}")
 
     def _why_never(self) -> str:
@@ -97,6 +105,7 @@ class LocalizeRun:
             "camera_frame": self.inputs.camera_frame,
             "views_without_odometry": sum(self.without_motion.values()),
             "records_refused": sum(self.refused.values()),
+            "interrupted": int(self.stopped),
             "images_dropped": sum(dropped.values()),
             "messages_skipped": sum(self._bag.skipped.values()),
             "bag_problems": len(self._bag.problems),

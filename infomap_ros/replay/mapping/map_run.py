@@ -71,6 +71,7 @@ class MapRun:
         camera_path: positions of the camera at the frames in the map, (x, y, z) each [m].
         assumed: covariance of poses that have none.
         seconds: how long `run` took [s].
+        stopped: whether it was asked to end before the bag does.
         full: why the map could not take more, empty while it could.
     """
 
@@ -91,7 +92,7 @@ class MapRun:
         self.first: RangeMeasurement | None = None
         self.camera_path: list[FloatArray] = []
         self.assumed = settings.assumed
-        self.seconds, self.full = 0.0, ""
+        self.seconds, self.full, self.stopped = 0.0, "", False
         localization = self._make_localization(settings)
         store = settings.scans if localization is not None else None
         self.builder = MapBuilder(
@@ -125,6 +126,10 @@ class MapRun:
     def refused(self) -> Counter[str]:
         """Records that could not be used, by reason."""
         return self._pipeline.refused
+
+    def stop(self) -> None:
+        """Let `run` end after the record it is at, with the map of what it has read."""
+        self.stopped = True
 
     def run(self, progress: Progress | None = None) -> None:
         """Read the whole bag.
@@ -160,6 +165,8 @@ class MapRun:
         with closing(in_background(seen)) as items:
             for item in items:
                 yield from self._pipeline.process(item)
+                if self.stopped:
+                    break
         yield from self._pipeline.finish()
 
     def _note(self, done: Located | Fused) -> None:
@@ -183,6 +190,8 @@ class MapRun:
         if self.frames == 0 and self.full:
             raise CapacityError(f"not one frame fits: {self.full}")
         if self.frames == 0:
+            if self.stopped:
+                raise BagError("interrupted before the first frame was mapped")
             reasons = self.dropped + self.refused
             why = "; ".join(f"{n} x {reason}" for reason, n in reasons.most_common(3))
             cause = self.why_mostly_dropped().partition(". Likely")[2]
@@ -208,6 +217,7 @@ class MapRun:
             "surface_voxels": self.map.surface_voxels,
             "seconds": round(self.seconds, 3),
             "memory_bytes": self.map.memory_bytes(),
+            "interrupted": int(self.stopped),
             "frames_dropped": sum(self.dropped.values()),
             "voxel_size": self.map.config.voxel_size,
             "map_frame": self.inputs.map_frame,

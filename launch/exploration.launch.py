@@ -85,7 +85,7 @@ def _processes(given: dict[str, str]) -> list:
         inputs["simulator"] = []
     settings = _settings(given, robot.rectify)
     nodes = [robot.node(name, settings.get(name, {}), topics) for name, topics in inputs.items()]
-    return [*nodes, robot.rviz()]
+    return [*nodes, *robot.viewers()]
 
 
 def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:

@@ -57,7 +57,7 @@ def _processes(given: dict[str, str]) -> list:
         nodes.append(robot.node("dead_reckoning", {}, [*MOTION, "left/camera_info"]))
     if bag:
         nodes.append(robot.node("bag_player", _player(bag, given, robot)))
-    return [*nodes, robot.rviz()]
+    return [*nodes, *robot.viewers()]
 
 
 def _player(bag: str, given: dict[str, str], robot: RobotLaunch) -> dict:

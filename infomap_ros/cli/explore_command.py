@@ -1,14 +1,16 @@
 """Command ``infomap explore``."""
 
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from infomap_ros.cli.command_options import Out, Overwrite, Setting, chosen, lists_settings
 from infomap_ros.cli.interrupts import INTERRUPTED, stops_when_interrupted
+from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import says_when_it_compiles
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.cli.study_options import check_strategy
@@ -18,6 +20,10 @@ from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.exploring.run_progress import RunProgress
+from infomap_ros.viewer import LivePage
+from infomap_ros.viewer.exploration_display import ExplorationDisplay
+
+Watcher = Callable[[Mapping[str, Any]], None]
 
 _DEFAULTS = ExplorationOptions()
 _FILES = {
@@ -45,6 +51,7 @@ def explore(
     ] = _DEFAULTS.task.max_views,
     setting: Setting = None,
     overwrite: Overwrite = False,
+    live: Live = False,
     settings: Annotated[bool, lists_settings(ExplorationOptions)] = False,
 ) -> None:
     """Explore a simulated world: report.html, map.png, map file, .ply and summary.json.
@@ -60,14 +67,18 @@ def explore(
         "--max-views": ("task.max_views", max_views),
     }
     options = chosen(_DEFAULTS, shortcuts, setting)
-    with results_in(out, overwrite):
-        _explore(options, out)
+    title = f"Exploring {options.world.name} {options.world.seed}"
+    with results_in(out, overwrite), live_page(live, title, has_plans=True) as page:
+        _explore(options, out, page)
 
 
-def _explore(options: ExplorationOptions, out: Path) -> None:
+def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> None:
     console = Console(stderr=True)
     with RunProgress(console) as progress, says_when_it_compiles(console):
-        run = ExplorationRun(options, out, progress.show)
+        watchers: list[Watcher] = [progress.show]
+        run = ExplorationRun(options, out, lambda entry: _tell(watchers, entry))
+        if page is not None:
+            watchers.append(ExplorationDisplay(page, run.map, run.robot.link).show)
         stop = partial(run.control.ask, Request.STOP)
         with stops_when_interrupted(stop, console, "map and report"):
             ending = run.run()
@@ -90,3 +101,9 @@ def _explore(options: ExplorationOptions, out: Path) -> None:
         raise ExplorationError(ending.detail)
     if ending.reason is EndReason.STOPPED:
         raise typer.Exit(INTERRUPTED)
+
+
+def _tell(watchers: Sequence[Watcher], entry: Mapping[str, Any]) -> None:
+    """Tell all who watch the run of an entry of its log."""
+    for watch in watchers:
+        watch(entry)

@@ -1,6 +1,7 @@
 """Command ``infomap localize``."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -21,13 +22,16 @@ from infomap_ros.cli.command_options import (
     takes_topics,
 )
 from infomap_ros.cli.interrupts import INTERRUPTED
+from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError
 from infomap_ros.replay.localizing.localize_files import FILES, write_localize_files
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
+from infomap_ros.replay.localizing.localize_run import LocalizeRun, Progress
 from infomap_ros.replay.recording import Recording, open_recording
+from infomap_ros.viewer import LivePage
+from infomap_ros.viewer.scan_display import ScanDisplay
 
 _DEFAULTS = LocalizeOptions()
 
@@ -49,6 +53,7 @@ def localize(
     robot: Urdf = "",
     setting: Setting = None,
     overwrite: Overwrite = False,
+    live: Live = False,
     settings: Annotated[bool, lists_settings(LocalizeOptions)] = False,
 ) -> None:
     """Estimate the camera's trajectory: TUM file, 6x6 covariances, picture, summary.json.
@@ -63,13 +68,20 @@ def localize(
         "--target": ("target.kind", target),
     }
     options = chosen(LocalizeOptions(topics=topics, robot=robot), shortcuts, setting)
-    with open_recording(bag, calibration or ()) as recording, results_in(out, overwrite):
-        _localize(recording, out, options)
+    with (
+        open_recording(bag, calibration or ()) as recording,
+        results_in(out, overwrite),
+        live_page(live, f"Locating {bag.name}") as page,
+    ):
+        _localize(recording, out, options, page)
 
 
-def _localize(recording: Recording, out: Path, options: LocalizeOptions) -> None:
+def _localize(
+    recording: Recording, out: Path, options: LocalizeOptions, page: LivePage | None
+) -> None:
     run = LocalizeRun(recording, options)
-    run_with_bar(run.run, run.stop, "locating", "views", run.inputs.frames)
+    with_bar = partial(run_with_bar, stop=run.stop, doing="locating", what="views")
+    with_bar(run.run if page is None else partial(_run_live, run, page), total=run.inputs.frames)
     summary = write_localize_files(run, out)
     for text in [*recording.problems, *_remarks(run)]:
         typer.echo(f"infomap: {text}", err=True)
@@ -79,6 +91,18 @@ def _localize(recording: Recording, out: Path, options: LocalizeOptions) -> None
     poses, views = int(summary["poses"]), int(summary["views"])
     if 2 * poses < views:
         raise BagError(f"{views - poses} of {views} views could not be located")
+
+
+def _run_live(run: LocalizeRun, page: LivePage, progress: Progress) -> None:
+    """Follow the camera, and show its path on a page."""
+    display = ScanDisplay(page, "views")
+
+    def show(done: int, total: int) -> None:
+        progress(done, total)
+        display.show(done, total, run.log.localizations[-1].T_map_camera)
+
+    run.run(show)
+    display.finish(None, f"{len(run.log.trajectory)} views located")
 
 
 def _sentences(run: LocalizeRun, summary: Mapping[str, int | float | str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -23,13 +24,16 @@ from infomap_ros.cli.command_options import (
     takes_topics,
 )
 from infomap_ros.cli.interrupts import INTERRUPTED
+from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError, CapacityError
 from infomap_ros.replay.mapping.map_files import FILES, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.mapping.map_run import MapRun, Progress
 from infomap_ros.replay.recording import Recording, open_recording
+from infomap_ros.viewer import LivePage
+from infomap_ros.viewer.scan_display import ScanDisplay
 
 _DEFAULTS = MapOptions()
 
@@ -58,6 +62,7 @@ def map_bag(
     robot: Urdf = "",
     setting: Setting = None,
     overwrite: Overwrite = False,
+    live: Live = False,
     settings: Annotated[bool, lists_settings(MapOptions)] = False,
 ) -> None:
     """Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json.
@@ -75,13 +80,18 @@ def map_bag(
         "--pose-frame": ("input.pose_frame", pose_frame),
     }
     options = chosen(MapOptions(topics=topics, robot=robot), shortcuts, setting)
-    with open_recording(bag, calibration or ()) as recording, results_in(out, overwrite):
-        _map(recording, out, options)
+    with (
+        open_recording(bag, calibration or ()) as recording,
+        results_in(out, overwrite),
+        live_page(live, f"Mapping {bag.name}") as page,
+    ):
+        _map(recording, out, options, page)
 
 
-def _map(recording: Recording, out: Path, options: MapOptions) -> None:
+def _map(recording: Recording, out: Path, options: MapOptions, page: LivePage | None) -> None:
     run = MapRun(recording, options)
-    run_with_bar(run.run, run.stop, "mapping", "frames", run.inputs.frames)
+    with_bar = partial(run_with_bar, stop=run.stop, doing="mapping", what="frames")
+    with_bar(run.run if page is None else partial(_run_live, run, page), total=run.inputs.frames)
     summary = write_map_files(run, out)
     for text in _remarks(run, recording):
         typer.echo(f"infomap: {text}", err=True)
@@ -92,6 +102,18 @@ def _map(recording: Recording, out: Path, options: MapOptions) -> None:
         raise typer.Exit(INTERRUPTED)
     if why := run.why_mostly_dropped():
         raise BagError(why)
+
+
+def _run_live(run: MapRun, page: LivePage, progress: Progress) -> None:
+    """Map, and show it on a page."""
+    display = ScanDisplay(page, "frames")
+
+    def show(done: int, total: int) -> None:
+        progress(done, total)
+        display.show(done, total, run.T_map_camera, run.map)
+
+    run.run(show)
+    display.finish(run.map, _sentences(run)[0])
 
 
 def _sentences(run: MapRun) -> list[str]:

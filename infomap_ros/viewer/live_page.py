@@ -49,6 +49,7 @@ class LivePage:
             an error of the library.
         on_interest: given a box that the user has placed, None where it is taken away; without it
             the page has no such control.
+        has_plans: whether views are chosen in this run; else nothing is said of them.
 
     Attributes:
         map, robot, views, team, panel: its parts.
@@ -64,6 +65,8 @@ class LivePage:
         config: PageConfig | None = None,
         orders: Mapping[str, Callable[[], str]] | None = None,
         on_interest: Callable[[InterestBox | None], None] | None = None,
+        *,
+        has_plans: bool = True,
     ) -> None:
         settings = config or PageConfig()
         self._server = WebServer(title, settings.host, settings.port)
@@ -73,7 +76,7 @@ class LivePage:
         self.panel = RunPanel(viser, orders or {})
         with viser.gui.add_folder("Map"):
             self.map = MapLayer(viser)
-        with viser.gui.add_folder("Why this view"):
+        with viser.gui.add_folder("Why this view", visible=has_plans):
             self.views = ViewsLayer(viser)
         if on_interest is not None:
             with viser.gui.add_folder("Place of interest", expand_by_default=False):

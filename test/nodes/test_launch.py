@@ -100,6 +100,21 @@ def test_a_bag_brings_its_player_and_its_clock(launch_file: ModuleType) -> None:
     assert fusion["qos_overrides./robot1/points2.subscription.reliability"] == "reliable"
 
 
+def test_a_page_is_served_where_it_is_wanted(
+    launch_file: ModuleType, exploration: ModuleType
+) -> None:
+    for module in (launch_file, exploration):
+        given = {"web": "true", "robot_id": "2", "frame_prefix": "mine/"}
+        nodes = nodes_of(module, **given)
+        settings = settings_of(nodes["web_viewer"])
+
+        assert "web_viewer" not in nodes_of(module)
+        assert settings["robot_id"] == 2
+        assert settings["base_frame"] == "mine/base_link"
+        assert ("team/map_updates", "/team/map_updates") in nodes["web_viewer"].remappings
+        check_settings(nodes)
+
+
 def player_of_poses(launch_file: ModuleType, **given: str) -> list[str]:
     """Topics of the bag that are left out because a node makes them anew."""
     nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)

@@ -21,7 +21,7 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_vertices, write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
-from infomap_ros.nodes.live.demo_command import run_demo_command
+from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
 from infomap_ros.nodes.live.live_run import LEFT, LiveRun
 from infomap_ros.nodes.live.pictures import LivePictures
 from infomap_ros.nodes.live.pose_comparison import PoseComparison
@@ -57,6 +57,7 @@ def run_demo(bag: Path, out: Path, voxel_size: float, console: Console) -> dict[
     fusion = {"voxel_size": voxel_size}
     map_file = out / MAP_FILE
     with LiveRun(bag, out, player, fusion=fusion, map_file=map_file, localization={}) as run:
+        say_page(run.open_page(), console)
         pictures, poses = LivePictures(run), PoseComparison(run)
         console.print("starting stereo_range, fiducial_localization and map_fusion")
         run.start(_START_TIMEOUT)

@@ -20,7 +20,7 @@ from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.reports.team_report import write_team_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
-from infomap_ros.nodes.live.demo_command import run_demo_command
+from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
 from infomap_ros.nodes.live.demo_exploration import (
     REPORT_FILE,
     check_not_failed,
@@ -65,6 +65,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
         def show() -> None:
             status.update(" | ".join(status_line(run.figures[n], n) for n in run.names))
 
+        say_page(run.open_team_page(), console)
         compile_kernels(
             lambda step: status.update(f"compiling kernels, minutes the first time: {step}"), TEAM
         )

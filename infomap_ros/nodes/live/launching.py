@@ -45,6 +45,7 @@ ROBOT_ARGUMENTS = {
     "log_level": ("info", "Least severity that is logged: debug, info, warn, error."),
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
+    "web": ("false", "Start web_viewer, a page in the browser; its log tells the address."),
 }
 _TIME_TO_END = "20.0"
 """After SIGINT, until a node is told a second time [s]: a map of 50 million voxels is saved by
@@ -59,8 +60,9 @@ _FRAMES = (
     "explorer",
     "dead_reckoning",
     "robot_driver",
+    "web_viewer",
 )
-_MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization", "explorer")
+_MEMBERS = ("map_fusion", "next_best_view", "fiducial_localization", "explorer", "web_viewer")
 
 
 def launch_description(
@@ -174,7 +176,12 @@ class RobotLaunch:
         names = {"base_frame": prefix + _BASE, "odom_frame": prefix + _ODOM}
         return {**names, "frame_prefix": prefix}
 
-    def rviz(self) -> Any:
+    def viewers(self) -> list[Any]:
+        """The actions that start what shows the run, where it is wanted."""
+        is_wanted = self._given["web"] == "true"
+        return [self._rviz(), *([self.node("web_viewer", {})] if is_wanted else [])]
+
+    def _rviz(self) -> Any:
         """The action that starts RViz, where it is wanted."""
         from launch.actions import Shutdown
         from launch.conditions import IfCondition

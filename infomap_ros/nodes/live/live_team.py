@@ -129,6 +129,11 @@ class LiveTeam(LiveGraph):
         for node in self._parameters[name]:
             self._team[name].kill(node)
 
+    def open_team_page(self) -> str:
+        """As `open_page`, as the first robot sees its team."""
+        team: dict[str, object] = {"robot_id": 1, "team": list(range(1, len(self.names) + 1))}
+        return self.open_page(f"/{self.names[0]}", team, SHARED)
+
     def views(self, name: str) -> int:
         """Views that a robot has taken, as far as it was told."""
         return int(self.figures[name].get("views", "0"))

@@ -51,7 +51,7 @@ Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
 
 
-_EVERY = 97  # point of a cloud whose distance is looked at
+_EVERY = 10  # row and column of a cloud whose distances are looked at
 
 
 class MapRun:
@@ -68,6 +68,7 @@ class MapRun:
         reaches: distance within which nine of ten points of a frame lie [m], of each frame.
         dropped: frames that are not, by reason.
         first: the first measurement in the map.
+        T_map_camera: pose of the camera at the newest frame, shape (4, 4); None before the first.
         camera_path: positions of the camera at the frames in the map, (x, y, z) each [m].
         assumed: covariance of poses that have none.
         seconds: how long `run` took [s].
@@ -91,6 +92,7 @@ class MapRun:
         self.dropped: Counter[str] = Counter()
         self.first: RangeMeasurement | None = None
         self.camera_path: list[FloatArray] = []
+        self.T_map_camera: FloatArray | None = None
         self.assumed = settings.assumed
         self.seconds, self.full, self.stopped = 0.0, "", False
         localization = self._make_localization(settings)
@@ -175,11 +177,13 @@ class MapRun:
             self.frames += 1
             self.points += done.report.points_used
             self.points_beyond += done.report.points_out_of_range
-            points = done.scan.cloud.cloud.points[::_EVERY]
-            if len(points):
-                self.reaches.append(float(np.quantile(np.linalg.norm(points, axis=1), 0.9)))
+            points = done.scan.cloud.cloud.organized_points[::_EVERY, ::_EVERY].reshape(-1, 3)
+            distances = np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1)
+            if len(distances):
+                self.reaches.append(float(np.quantile(distances, 0.9)))
             self.first = self.first or done.scan.cloud
-            self.camera_path.append(done.scan.pose.transform[:3, 3])
+            self.T_map_camera = done.scan.pose.transform
+            self.camera_path.append(self.T_map_camera[:3, 3])
 
     def _on_drop(self, reason: str, sentence: str) -> None:
         self.dropped[sentence if reason == "robot description" else reason] += 1

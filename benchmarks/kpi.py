@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from localize_sequences import ROOT, SEQUENCES, bag_of, compare, views_of
+from localize_sequences import ROOT, SEQUENCES, add_folders, bag_of, compare, views_of
 from trajectory_errors import truth_at
 
 import infomap_ros
@@ -236,9 +236,7 @@ def page(figures: Row) -> str:
 def main() -> None:
     """Measure all of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    default = os.environ.get("INFOMAP_DATA", str(ROOT.parent / "shared" / "data"))
-    parser.add_argument("--data", type=Path, default=Path(default))
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
+    add_folders(parser)
     parser.add_argument("--write", action="store_true", help="docs/results/kpi.md")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)

@@ -151,11 +151,16 @@ def row(name: str, method: str, figures: dict[str, float]) -> str:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_folders(parser: argparse.ArgumentParser) -> None:
+    """Options for where the data are, and where bags are made of them."""
     default = os.environ.get("INFOMAP_DATA", str(ROOT.parent / "shared" / "data"))
     parser.add_argument("--data", type=Path, default=Path(default))
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_folders(parser)
     parser.add_argument("--only", nargs="*", default=list(SEQUENCES), choices=list(SEQUENCES))
     names = list(BASELINES)
     parser.add_argument("--baselines", nargs="*", default=names, choices=names)

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import small_gicp
-from localize_sequences import ROOT, SEQUENCES, bag_of, views_of
+from localize_sequences import SEQUENCES, add_folders, bag_of, views_of
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -57,9 +55,7 @@ def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    default = os.environ.get("INFOMAP_DATA", str(ROOT.parent / "shared" / "data"))
-    parser.add_argument("--data", type=Path, default=Path(default))
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "bench" / "sequences")
+    add_folders(parser)
     parser.add_argument("--gap", type=int, default=30, help="frames between the two images")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,5 @@
 """Command ``infomap map``."""
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -28,6 +27,7 @@ from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError, CapacityError
+from infomap_ros.exploration.reports.report_page.axes import rounded_up
 from infomap_ros.replay.mapping.map_files import FILES, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun, Progress
@@ -36,6 +36,7 @@ from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.scan_display import ScanDisplay
 
 _DEFAULTS = MapOptions()
+_NEAR = 0.1  # share by which a round number may be too small
 
 
 @takes_topics(*IMAGE_TOPICS, "pose_topic", "joints")
@@ -133,12 +134,6 @@ def _sentences(run: MapRun) -> list[str]:
     return lines
 
 
-def _round_up(value: float) -> float:
-    """The next of ..., 0.1, 0.2, 0.5, 1, 2, 5, ..., up to a tenth of it below."""
-    decade = 10.0 ** math.floor(math.log10(value))
-    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= 0.9 * value)
-
-
 def _remarks(run: MapRun, recording: Recording) -> list[str]:
     """What the user should know beside the figures."""
     remarks = list(recording.problems)
@@ -147,8 +142,8 @@ def _remarks(run: MapRun, recording: Recording) -> list[str]:
     remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
     if run.points_beyond > run.points:
         share, config = run.points_beyond / (run.points_beyond + run.points), run.map.config
-        reach = _round_up(float(np.median(run.reaches)))
-        size = _round_up(reach * _DEFAULTS.map.voxel_size / _DEFAULTS.map.max_range)
+        reach = rounded_up(float(np.median(run.reaches)), _NEAR)
+        size = rounded_up(reach * _DEFAULTS.map.voxel_size / _DEFAULTS.map.max_range, _NEAR)
         remarks.append(
             f"{share:.0%} of the points are beyond {config.max_range:g} m and tell only what is "
             f"free; try --max-range {reach:g} --voxel-size {max(size, config.voxel_size):g} "

@@ -15,11 +15,16 @@ def round_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     span = high - low
     if not span > 0.0 or not math.isfinite(span):
         return [low]
-    rough = span / max(wanted, 1)
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= rough * 0.999)
+    step = rounded_up(span / max(wanted, 1), 1e-3)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(i * step, 12) for i in range(first, last + 1)]
+
+
+def rounded_up(value: float, tolerance: float) -> float:
+    """The next of ..., 0.1, 0.2, 0.5, 1, 2, 5, ..., which may be a share `tolerance` too small."""
+    power = 10.0 ** math.floor(math.log10(value))
+    least = (1.0 - tolerance) * value
+    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= least)
 
 
 def prefix(value: float) -> tuple[float, str]:

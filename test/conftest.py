@@ -34,7 +34,7 @@ def real_data() -> Path:
 
 @pytest.fixture(scope="module")
 def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A real browser, 1000 x 700 px, that draws without a graphics card."""
+    """A real browser that draws without a graphics card: a small window, as that is slow."""
     place = REPOSITORY / "test" / "exploration" / "browser.py"
     spec = importlib.util.spec_from_file_location("a_browser", place)
     assert spec is not None
@@ -43,7 +43,7 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     spec.loader.exec_module(module)
     assert module.find_browser() is not None, module.MISSING
     profile = tmp_path_factory.mktemp("browser") / "profile"
-    with module.Browser(profile, module.SOFTWARE_WEBGL, (1000, 700)) as browser:
+    with module.Browser(profile, module.SOFTWARE_WEBGL, (560, 360)) as browser:
         yield browser
 
 

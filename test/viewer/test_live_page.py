@@ -127,7 +127,7 @@ def drawn(browser: Any, path: Path) -> int:
     browser.screenshot(path)
     image = cv2.imread(str(path))
     assert image is not None
-    return int((image[:, :600].min(axis=-1) < 200).sum())
+    return int((image[:, :220].min(axis=-1) < 200).sum())
 
 
 def test_what_the_log_tells_is_said(run: Run, shown: Any) -> None:
@@ -158,7 +158,7 @@ def test_the_map_is_drawn_where_there_is_one(run: Run, shown: Any, tmp_path: Pat
     before = drawn(shown, tmp_path / "before.png")
 
     run.page.map.show(floor())
-    wait_for(lambda: drawn(shown, tmp_path / "after.png") > before + 20_000)
+    wait_for(lambda: drawn(shown, tmp_path / "after.png") > before + 3_000)
 
     shown.wait("document.body.innerText.includes('-0.05 m') || /-?0\\.\\d\\d m/.test("
                "document.body.innerText)")  # fmt: skip
@@ -172,7 +172,7 @@ def test_who_comes_late_sees_the_same(run: Run, window: Any, tmp_path: Path) -> 
     window.send("Page.navigate", url=run.page.address)
 
     window.wait("document.body?.innerText?.includes('far corner')")
-    wait_for(lambda: drawn(window, tmp_path / "late.png") > 20_000)
+    wait_for(lambda: drawn(window, tmp_path / "late.png") > 3_000)
 
 
 def test_a_button_steers_and_the_answer_is_told(run: Run, shown: Any) -> None:

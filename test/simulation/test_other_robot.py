@@ -123,8 +123,10 @@ def test_a_collision_mesh_of_an_unknown_kind_is_refused() -> None:
 
 def test_impossible_setups_are_refused() -> None:
     with pytest.raises(ConfigError, match="home"):
-        RobotSetupConfig(home=(0.0,))
+        RobotSetupConfig(home=(0.0,), arm_joints=("a", "b"))
+    with pytest.raises(ConfigError, match="cart"):
+        RobotSetupConfig(cart=(0.5, 0.4))
+    with pytest.raises(ConfigError, match="camera_mount"):
+        RobotSetupConfig(camera_mount="tool0 0 0 0")
     with pytest.raises(ConfigError, match="mimics"):
         RobotSetupConfig(mimics=("joint_a",))
-    with pytest.raises(ConfigError, match="baseline"):
-        RobotSetupConfig(right_camera_frame="")

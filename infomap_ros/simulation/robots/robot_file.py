@@ -1,0 +1,240 @@
+"""One file per robot: what simulator, planner and ``infomap explore`` must know of it.
+
+It is a ROS parameter file whose section for all nodes, ``/**``, holds the robot. Each node takes
+what it knows of it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from infomap_ros.errors import ConfigError, ResourceError
+from infomap_ros.geometry.config import build_config
+from infomap_ros.geometry.resources import find_share
+from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+
+SHARED = ("base_frame", "arm_joints")
+"""Names that planning and simulation have in common."""
+
+_SECTIONS = ("/**", "/**/simulator")
+_SETUP = {
+    "robot." + one.name if one.name not in SHARED else one.name: one.name
+    for one in fields(RobotSetupConfig)
+}
+_OTHERS = {
+    "description": "world.description",
+    "drive.turn_gain": "simulator.drive.turn_gain",
+    "reaching.vehicle.wheel_links": "planner.reaching.vehicle.wheel_links",
+    "reaching.driving_posture": "planner.reaching.driving_posture",
+}
+_NODES_ONLY = ("robot.assumed_joints", "robot.mesh_folders")
+PARAMETERS = frozenset({*_SETUP, *_OTHERS, *_NODES_ONLY})
+"""Every parameter that a robot's file may hold in the section for all nodes."""
+
+_WIDTH = 100  # of a line
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot, as its file has it.
+
+    Attributes:
+        description: path of the URDF, or its ``package://`` address.
+        setup: what the simulator must know of it; what is empty is read from the description.
+        turn_gain: see `DriveTrainConfig`; 0 for the one by geometry.
+        wheel_links: patterns of the links that planning takes for wheels; empty for its default.
+        assumed_joints: joints whose position real robots often do not report.
+        reasons: why a parameter has its value, by name; written as comments.
+        folder: of the file, where a relative description is looked for first.
+
+    Raises:
+        ConfigError: there is no description, or a value is out of its range.
+    """
+
+    description: str
+    setup: RobotSetupConfig = field(default_factory=RobotSetupConfig)
+    turn_gain: float = 0.0
+    wheel_links: str = ""
+    assumed_joints: tuple[str, ...] = ()
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not self.description:
+            raise ConfigError("description", self.description, "the path of a URDF")
+        DriveTrainConfig(turn_gain=self.turn_gain)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """ROS parameters that are not at their defaults, by name."""
+        default = RobotSetupConfig()
+        values: dict[str, Any] = {"description": self.description}
+        for name, own in _SETUP.items():
+            if getattr(self.setup, own) != getattr(default, own):
+                values[name] = getattr(self.setup, own)
+        others = {
+            "drive.turn_gain": self.turn_gain,
+            "reaching.vehicle.wheel_links": self.wheel_links,
+            "robot.assumed_joints": self.assumed_joints,
+        }
+        return values | {name: value for name, value in others.items() if value}
+
+    def text(self, title: str) -> str:
+        """The file, one line per parameter.
+
+        Args:
+            title: its first line, without the comment sign.
+        """
+        lines = [f"# {title}"[:_WIDTH], "/**:", "  ros__parameters:"]
+        for name, value in self.parameters.items():
+            line = f"    {name}: {_as_yaml(value)}"
+            reason = self.reasons.get(name, "")
+            lines.append(f"{line}  # {reason}" if reason else line)
+        return "\n".join(lines) + "\n"
+
+    @property
+    def settings(self) -> list[str]:
+        """The robot as settings of `infomap explore`, ``name=value`` each."""
+        names = {name: f"simulator.robot.{own}" for name, own in _SETUP.items()} | _OTHERS
+        values = self.parameters | {"description": str(self.description_path)}
+        return [f"{names[k]}={_as_setting(v)}" for k, v in values.items() if k in names]
+
+    @property
+    def description_path(self) -> Path:
+        """Where the URDF is.
+
+        Raises:
+            ResourceError: it is nowhere; names the places.
+        """
+        return find_description(self.description, self.folder)
+
+    @classmethod
+    def read(cls, path: str | Path) -> RobotFile:
+        """Read a file, or one of ``config/robots`` by its name.
+
+        Sections of other nodes than the simulator are left alone.
+
+        Args:
+            path: of the file; ``tiago`` for ``config/robots/tiago.yaml``.
+
+        Raises:
+            ResourceError: there is no such file.
+            ConfigError: it is no parameter file, a name is unknown, or a value is refused.
+        """
+        found = _robot_path(path)
+        try:
+            content = yaml.safe_load(found.read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            problem = " ".join(str(error).split())
+            raise ConfigError("--robot", str(found), f"a parameter file ({problem})") from error
+        values: dict[str, Any] = {}
+        for section in _SECTIONS:
+            part = (content or {}).get(section, {}) if isinstance(content, dict | None) else None
+            if not isinstance(part, dict):
+                raise ConfigError("--robot", str(found), "a parameter file of ROS")
+            values |= part.get("ros__parameters") or {}
+        return cls._of(values, found.resolve())
+
+    @classmethod
+    def _of(cls, values: Mapping[str, Any], path: Path) -> RobotFile:
+        for name in values:
+            if name not in PARAMETERS:
+                expected = f"one of {', '.join(sorted(PARAMETERS))}"
+                raise ConfigError(f"--robot {path.name}", name, expected)
+        kept = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+        own = {own: _number(kept[name]) for name, own in _SETUP.items() if name in kept}
+        try:
+            setup = build_config(RobotSetupConfig, own)
+            return cls(
+                str(kept.get("description", "")),
+                setup,
+                float(kept.get("drive.turn_gain", 0.0)),
+                str(kept.get("reaching.vehicle.wheel_links", "")),
+                tuple(kept.get("robot.assumed_joints", ())),
+                folder=path.parent,
+            )
+        except (ConfigError, TypeError, ValueError) as error:
+            if isinstance(error, ConfigError):
+                name = next((k for k, v in _SETUP.items() if v == error.parameter), "")
+                option = f"--robot {path.name}: {name or error.parameter}"
+                raise ConfigError(option, error.value, error.expected) from error
+            raise ConfigError(f"--robot {path.name}", str(error), "numbers and names") from error
+
+
+def find_description(place: str, folder: Path | None = None) -> Path:
+    """Find a URDF by a path or a ``package://`` address.
+
+    Paths are looked for beside the file that names them, in the current folder, and below the
+    share folder of this package. Packages are those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH,
+    and Python packages that are installed.
+
+    Args:
+        place: path or address.
+        folder: of the file that names it.
+
+    Raises:
+        ResourceError: it is nowhere; names the places.
+    """
+    scheme = "package://"
+    if place.startswith(scheme):
+        inside = place.removeprefix(scheme)
+        places = [root / inside for root in _package_roots()]
+    else:
+        places = [one / place for one in (folder, Path()) if one is not None]
+    for one in places:
+        if one.is_file():
+            return one.resolve()
+    if not place.startswith(scheme):
+        return find_share(place)
+    package = place.removeprefix(scheme).partition("/")[0]
+    raise ResourceError(f"{place} is nowhere: install the package {package}, of ROS or of Python")
+
+
+def _package_roots() -> Iterator[Path]:
+    """Folders that hold packages by their names."""
+    yield from map(Path, filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)))
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        yield Path(prefix) / "share"
+    for site in dict.fromkeys([sysconfig.get_path("purelib"), *sys.path]):
+        yield Path(site) / "cmeel.prefix" / "share"
+        yield Path(site)
+
+
+def _robot_path(path: str | Path) -> Path:
+    given = Path(path)
+    if given.is_file():
+        return given
+    if given.suffix or len(given.parts) > 1:
+        raise ResourceError(f"there is no robot file {given}")
+    try:
+        return find_share(f"config/robots/{given}.yaml")
+    except ResourceError as error:
+        known = ", ".join(sorted(p.stem for p in find_share("config/robots").glob("*.yaml")))
+        raise ResourceError(f"there is no robot file '{given}'; ready ones: {known}") from error
+
+
+def _number(value: Any) -> Any:
+    """Whole numbers fit where others stand."""
+    if isinstance(value, tuple):
+        return tuple(map(_number, value))
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+def _as_yaml(value: Any) -> str:
+    text: str = yaml.safe_dump(
+        list(value) if isinstance(value, tuple) else value, default_flow_style=True, width=10**6
+    )
+    return text.strip().removesuffix("...").strip()
+
+
+def _as_setting(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)

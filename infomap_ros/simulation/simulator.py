@@ -267,6 +267,11 @@ class Simulator(RobotSensors):
         return self._drive.advice
 
     @property
+    def turn_gain(self) -> float:
+        """The `turn_gain` that is used."""
+        return self._drive.gain
+
+    @property
     def fitting_turn_gain(self) -> float:
         """The `turn_gain` by which the base would have turned as told; 0 before it has turned."""
         return self._drive.fitting_gain

@@ -66,7 +66,7 @@ class DriveTrain:
 
     def restart(self) -> None:
         """Stand with the wheels as they are."""
-        self._targets = self._last = self._body.wheel_angles
+        self._targets = self._last = self._before = self._body.wheel_angles
         self._speed = self._turn_rate = self._correction = 0.0
 
     @property
@@ -88,9 +88,9 @@ class DriveTrain:
         self._turn_rate = _towards(self._turn_rate, turn_rate, change)
         self._correct(period)
         turn = self.gain * self._turn_rate + self._correction
-        self._learn(turn, float(body.base_velocity[5]), period)
         rates = self._signs * (self._speed - self._sides * turn) / self.radius
         angles = body.wheel_angles
+        self._learn(angles, period)
         lag = np.clip(self._targets + rates * period - angles, -_WINDUP, _WINDUP)
         self._targets = angles + lag
         body.command_wheels(self._targets)
@@ -104,10 +104,14 @@ class DriveTrain:
         wanted = self._correction + self._config.gyro_gain * error * period
         self._correction = float(np.clip(wanted, -bound, bound))
 
-    def _learn(self, told: float, turned: float, period: float) -> None:
-        """Note how fast the base turns while its wheels are told to turn it [rad/s]."""
+    def _learn(self, angles: FloatArray, period: float) -> None:
+        """Note how fast the base turns, and how fast its wheels would turn it without slip."""
+        rolled = self._signs * (angles - self._before) * self.radius / period  # [m/s]
+        self._before = angles
         if self._turn_rate != 0.0:
-            self._told += told * turned
+            turned = float(self._body.base_velocity[5])
+            wheels = -float(rolled @ self._sides / (self._sides @ self._sides))
+            self._told += wheels * turned
             self._turned += turned**2
             self._way_turned += abs(turned) * period
 

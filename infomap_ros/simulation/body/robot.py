@@ -171,6 +171,7 @@ def attach_robot(
     spec: mujoco.MjSpec, robot: mujoco.MjSpec, prefix: str, material: str
 ) -> mujoco.MjsBody:
     """Put what `load_robot` read into a world, fixed to it; see `add_robot`."""
+    spec.assets = {**spec.assets, **robot.assets}
     root = spec.worldbody.add_frame().attach_body(robot.worldbody.first_body(), prefix, "")
     for geom in spec.geoms:
         if material and geom.group == 1:

@@ -94,7 +94,7 @@ class RobotSetupConfig:
         if len(self.cart) not in (0, 3) or any(side < 0.0 for side in self.cart):
             raise ConfigError("cart", self.cart, "length, width, height, or nothing")
         if self.camera_mount:
-            self.mounted_camera
+            _ = self.mounted_camera
         for entry in self.mimics:
             if len(entry.split(":")) != 2:
                 raise ConfigError("mimics", entry, "follower:leader")

@@ -1,1 +1,1 @@
-"""Robots by other people: what their descriptions say, what is guessed, and the file that holds both."""
+"""Other people's robots: what is read and guessed of them, and the file that holds it."""

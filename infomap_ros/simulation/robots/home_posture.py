@@ -12,7 +12,8 @@ from infomap_ros.motion.collision.body import CollisionBody
 
 _HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
 _DOWN = 0.15  # [rad] that it looks down
-_TURN, _ROLL, _LIFT, _SIDE = 6.0, 1.5, 1.0, 1.0  # weights: 1/rad, 1/rad, 1/m, 1/m
+_TURN, _ROLL, _LIFT, _SIDE, _AHEAD = 6.0, 1.5, 1.0, 2.0, 2.0  # weights: 1/rad, 1/rad, 1/m ...
+_OVER_BASE = 0.3  # from the origin of the base to where a camera ahead costs nothing [m]
 _IN_VIEW = 20.0  # cost of a body that fills the image
 _HALF_VIEW = 0.65  # [rad]
 _FAR = 1.2  # [m]; what of the body is farther away hides little
@@ -22,7 +23,7 @@ def home_posture(robot: RobotModel) -> FloatArray:
     """Find a posture to start with, always the same for the same robot.
 
     The camera looks ahead along x of the base and 0.15 rad down, upright, about 0.9 m above the
-    ground and before the middle of the base, with little of the body in its view; nothing touches.
+    ground and over the middle of the base, with little of the body in its view; nothing touches.
 
     Args:
         robot: with its camera.
@@ -45,7 +46,9 @@ def home_posture(robot: RobotModel) -> FloatArray:
         lift = abs(float(camera[2, 3]) - bottom - _HEIGHT)
         seen = _share_in_view(camera, body.spheres(q, np.eye(4)))
         side = abs(float(camera[1, 3]))
-        return _TURN * turn + _ROLL * roll + _LIFT * lift + _SIDE * side + _IN_VIEW * seen
+        far = max(float(camera[0, 3]) - _OVER_BASE, 0.0)
+        aside = _LIFT * lift + _SIDE * side + _AHEAD * far
+        return _TURN * turn + _ROLL * roll + aside + _IN_VIEW * seen
 
     return least_posture(body, cost)
 

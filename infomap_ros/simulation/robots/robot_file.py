@@ -34,12 +34,14 @@ _OTHERS = {
     "description": "world.description",
     "drive.turn_gain": "simulator.drive.turn_gain",
     "reaching.vehicle.wheel_links": "planner.reaching.vehicle.wheel_links",
-    "reaching.driving_posture": "planner.reaching.driving_posture",
+    "reaching.collision.ground_links": "planner.reaching.collision.ground_links",
 }
 _NODES_ONLY = ("robot.assumed_joints", "robot.mesh_folders")
 PARAMETERS = frozenset({*_SETUP, *_OTHERS, *_NODES_ONLY})
 """Every parameter that a robot's file may hold in the section for all nodes."""
 
+_BASE_FRAME = "base_link"  # of the nodes, where none is given
+_OF_CART = ("left_wheels", "right_wheels", "casters")
 _WIDTH = 100  # of a line
 
 
@@ -52,6 +54,7 @@ class RobotFile:
         setup: what the simulator must know of it; what is empty is read from the description.
         turn_gain: see `DriveTrainConfig`; 0 for the one by geometry.
         wheel_links: patterns of the links that planning takes for wheels; empty for its default.
+        ground_links: patterns of the links that planning lets touch the ground; likewise.
         assumed_joints: joints whose position real robots often do not report.
         reasons: why a parameter has its value, by name; written as comments.
         folder: of the file, where a relative description is looked for first.
@@ -63,7 +66,8 @@ class RobotFile:
     description: str
     setup: RobotSetupConfig = field(default_factory=RobotSetupConfig)
     turn_gain: float = 0.0
-    wheel_links: str = ""
+    wheel_links: tuple[str, ...] = ()
+    ground_links: tuple[str, ...] = ()
     assumed_joints: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
@@ -76,14 +80,16 @@ class RobotFile:
     @property
     def parameters(self) -> dict[str, Any]:
         """ROS parameters that are not at their defaults, by name."""
-        default = RobotSetupConfig()
+        default = RobotSetupConfig(base_frame=_BASE_FRAME)
         values: dict[str, Any] = {"description": self.description}
         for name, own in _SETUP.items():
-            if getattr(self.setup, own) != getattr(default, own):
-                values[name] = getattr(self.setup, own)
+            value = getattr(self.setup, own)
+            if value != getattr(default, own) and not (self.setup.cart and own in _OF_CART):
+                values[name] = value
         others = {
             "drive.turn_gain": self.turn_gain,
-            "reaching.vehicle.wheel_links": self.wheel_links,
+            "reaching.vehicle.wheel_links": ",".join(self.wheel_links),
+            "reaching.collision.ground_links": self.ground_links,
             "robot.assumed_joints": self.assumed_joints,
         }
         return values | {name: value for name, value in others.items() if value}
@@ -105,7 +111,8 @@ class RobotFile:
     def settings(self) -> list[str]:
         """The robot as settings of `infomap explore`, ``name=value`` each."""
         names = {name: f"simulator.robot.{own}" for name, own in _SETUP.items()} | _OTHERS
-        values = self.parameters | {"description": str(self.description_path)}
+        frame = {"base_frame": self.setup.base_frame}
+        values = self.parameters | frame | {"description": str(self.description_path)}
         return [f"{names[k]}={_as_setting(v)}" for k, v in values.items() if k in names]
 
     @property
@@ -153,12 +160,13 @@ class RobotFile:
         kept = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
         own = {own: _number(kept[name]) for name, own in _SETUP.items() if name in kept}
         try:
-            setup = build_config(RobotSetupConfig, own)
+            setup = build_config(RobotSetupConfig, {"base_frame": _BASE_FRAME, **own})
             return cls(
                 str(kept.get("description", "")),
                 setup,
                 float(kept.get("drive.turn_gain", 0.0)),
-                str(kept.get("reaching.vehicle.wheel_links", "")),
+                tuple(filter(None, str(kept.get("reaching.vehicle.wheel_links", "")).split(","))),
+                tuple(kept.get("reaching.collision.ground_links", ())),
                 tuple(kept.get("robot.assumed_joints", ())),
                 folder=path.parent,
             )

@@ -30,6 +30,8 @@ from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.simulator_config import SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 
+import mujoco  # isort: skip  # after the backend has been chosen
+
 __all__ = ["Simulator", "SimulatorConfig"]
 
 _STILL_FOR = 0.4  # [s]
@@ -290,6 +292,11 @@ class Simulator(RobotSensors):
     def base_motion(self) -> tuple[bool, str]:
         """Whether the base is being driven, and why the last path was not; or empty."""
         return self._base.active, self._base.problem
+
+    @property
+    def scene(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """World and robot as MuJoCo has them, to be drawn; not to be written to."""
+        return self._body.model, self._body.data
 
     @property
     def contacts(self) -> int:

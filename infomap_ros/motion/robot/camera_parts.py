@@ -20,9 +20,10 @@ _TOOL = re.compile(r"tool|tcp|flange", re.IGNORECASE)
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("_l_", "_r_"))
 _PREFERRED = (r"left", r"rgb|color", r"")  # of frames that are alike
 LEAST_BASELINE = 0.04
-"""Of cameras that measure ranges of a room [m]: at 4 m and 340 px focal length, 3.4 px disparity."""
+"""Of cameras that measure a room [m]: 3.4 px disparity at 4 m, with 340 px focal length."""
 _PARALLEL = 1e-3  # [rad] or [m] by which the frames of a stereo pair may differ otherwise
 _SAME_PLACE = 0.01  # [m]
+_SAME_RANGE = 1e-3  # [m]
 
 
 class CameraPart(NamedTuple):
@@ -119,7 +120,8 @@ def find_telescopes(robot: RobotModel) -> dict[str, str]:
             continue
         ranges = [(limits[n].lower, limits[n].upper) for n in (name, before)]
         axes = [joint_axis(robot, joint) for joint in (index, above)]
-        if np.allclose(*ranges, atol=1e-3) and axes[0] @ axes[1] > 1.0 - 1e-6:
+        alike = np.allclose(ranges[0], ranges[1], atol=_SAME_RANGE)
+        if alike and axes[0] @ axes[1] > 1.0 - 1e-6:
             followers[name] = followers.get(before, before)
     return followers
 

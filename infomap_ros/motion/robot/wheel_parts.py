@@ -58,7 +58,10 @@ def find_wheels(robot: RobotModel) -> WheelParts:
         for link, (low, _) in extents.items()
         if low[2] < ground + _NEAR_GROUND and _is_below_arms(robot, link)
     ]
-    left, right, casters, hovering = [], [], [], []
+    left: list[str] = []
+    right: list[str] = []
+    casters: list[str] = []
+    hovering: list[str] = []
     for link in standing:
         low, high = extents[link]
         joint = _driven_by(robot, link, high - low)

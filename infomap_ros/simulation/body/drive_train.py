@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.simulation.body.robot_body import RobotBody
@@ -22,7 +22,7 @@ _WRONG = 1.5  # by this factor a gain is noticed
 class DriveTrainConfig:
     """Parameters of the wheels' control."""
 
-    turn_gain: float = parameter(
+    turn_gain: float = setting(
         0.0,
         "How much faster the wheels turn in a curve than they would without slipping sideways. "
         "0: 1 for two driven wheels, 1 + 1.4 (wheelbase / track)^2 for more, which skid.",

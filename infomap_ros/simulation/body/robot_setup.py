@@ -13,12 +13,12 @@ from infomap_ros.geometry.config import check_config, parameter, setting
 class RobotSetupConfig:
     """Parameters of the simulated robot; what is empty is read from its description.
 
-    `infomap_ros.simulation.robots.ready_robot` completes it. A robot drives with the wheels of two sides (skid steer, or differential drive with casters).
-    All its other moving joints are held and moved by servos; joints without range or effort are
-    fixed.
+    `infomap_ros.simulation.robots.ready_robot` completes it. A robot drives with the wheels of two
+    sides (skid steer, or differential drive with casters). All its other moving joints are held and
+    moved by servos; joints without range or effort are fixed.
     """
 
-    base_frame: str = parameter("", "Link whose pose is the robot's; the root link where empty.")
+    base_frame: str = setting("", "Link whose pose is the robot's; the root link where empty.")
     left_wheels: tuple[str, ...] = parameter(
         (), "Joints of the driven left wheels; by the description's geometry where empty."
     )
@@ -29,7 +29,7 @@ class RobotSetupConfig:
     hovering: tuple[str, ...] = parameter(
         (), "Links that are drawn down to the ground, and in truth are clear of it."
     )
-    arm_joints: tuple[str, ...] = parameter(
+    arm_joints: tuple[str, ...] = setting(
         (),
         "Joints whose start position `home` gives; all between base and camera where empty. The "
         "others start as near zero as they can.",
@@ -56,12 +56,12 @@ class RobotSetupConfig:
         low=0.0,
         high=2.0,
     )
-    camera_mount: str = parameter(
+    camera_mount: str = setting(
         "",
         "Where left_camera_frame is added to a description that lacks it, as a fixed joint has it: "
         "'link: x y z roll pitch yaw' [m, rad].",
     )
-    cart: tuple[float, ...] = parameter(
+    cart: tuple[float, ...] = setting(
         (),
         "Put under a description without driven wheels: length, width and height [m] of a box on "
         "two driven wheels and four casters, on which its root stands. Height 0: wheels alone.",

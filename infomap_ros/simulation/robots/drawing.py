@@ -34,6 +34,8 @@ from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.gallery import look_at
 from infomap_ros.simulation.worlds.scenes import make_world
 
+import mujoco  # isort: skip  # after the backend has been chosen
+
 _BODY, _WHEEL, _CASTER, _ARM = "#a7adb5", "#2b6cb0", "#2f9e77", "#d9822b"
 _CAMERA, _REACH, _INK = "#c2255c", "#f3d9e4", "#333a44"
 _VIEW = 0.8  # drawn length of the camera's view [m]
@@ -196,7 +198,7 @@ def _draw_reach(ax: Axes, points: FloatArray) -> None:
     """Fill the region in which points, shape (N, 2) [m], lie densely enough."""
     low, high = points.min(axis=0) - 5 * _CELL, points.max(axis=0) + 5 * _CELL
     bins = [np.arange(a, b + _CELL, _CELL) for a, b in zip(low, high, strict=True)]
-    counts = np.histogram2d(*points.T, bins=bins)[0].T
+    counts = np.histogram2d(points[:, 0], points[:, 1], bins=bins)[0].T
     smooth = gaussian_filter((counts > 0).astype(float), 1.2)
     x, y = (0.5 * (edges[1:] + edges[:-1]) for edges in bins)
     ax.contourf(x, y, smooth, levels=[0.35, 2.0], colors=[_REACH], zorder=0)
@@ -239,20 +241,31 @@ def _photos(file: RobotFile) -> list[NDArray[np.uint8]]:
     config = SimulatorConfig(robot=file.setup)
     robot = Simulator(world, read_description(file.description_path), config)
     seen = robot.capture().left
-    top = float((robot.true_camera_pose() - robot.true_pose())[2, 3])
-    middle = robot.true_pose()[:3, 3] + (0.15, 0.0, 0.5 * top)
+    base = robot.true_pose()[:3, 3]
+    top = float(_heights(robot).max() - base[2])
+    middle = base + np.array((0.15, 0.0, 0.5 * top))
     photo = _best_photo(robot, middle, max(top, 0.8))
     robot.close()
     return [photo, seen]
 
 
+def _heights(robot: Simulator) -> FloatArray:
+    """Of the middles of its solids and visuals in the world, shape (G,) [m]."""
+    model, data = robot.scene
+    return np.array(data.geom_xpos[_is_own(model)][:, 2])
+
+
+def _is_own(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms are the robot's, shape (G,)."""
+    bodies = [model.body(int(body)).name for body in model.geom_bodyid]
+    return np.array([name.startswith(PREFIX) for name in bodies], dtype=bool)
+
+
 def _best_photo(robot: Simulator, middle: FloatArray, size: float) -> NDArray[np.uint8]:
     """The robot from that place around it from which most of it is seen, shape (H, W, 3)."""
     model, data = robot.scene
-    own = np.array(
-        [model.body(int(body)).name.startswith(PREFIX) for body in model.geom_bodyid], dtype=bool
-    )
-    best, most = look_at(middle + (1.0, -1.0, 1.0), middle), -1
+    own = _is_own(model)
+    best, most = look_at(middle + np.array((1.0, -1.0, 1.0)), middle), -1
     with Renderer(model, _PHOTO.width, _PHOTO.height) as renderer:
         for angle in np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False) + 0.5:
             away = np.array([_AWAY * np.cos(angle), _AWAY * np.sin(angle), _ABOVE])

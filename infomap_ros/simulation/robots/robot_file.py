@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -21,28 +22,23 @@ from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-
-SHARED = ("base_frame", "arm_joints")
-"""Names that planning and simulation have in common."""
-
-_SECTIONS = ("/**", "/**/simulator")
-_SETUP = {
-    "robot." + one.name if one.name not in SHARED else one.name: one.name
-    for one in fields(RobotSetupConfig)
-}
-_OTHERS = {
-    "description": "world.description",
-    "drive.turn_gain": "simulator.drive.turn_gain",
-    "reaching.vehicle.wheel_links": "planner.reaching.vehicle.wheel_links",
-    "reaching.collision.ground_links": "planner.reaching.collision.ground_links",
-}
-_NODES_ONLY = ("robot.assumed_joints", "robot.mesh_folders")
-PARAMETERS = frozenset({*_SETUP, *_OTHERS, *_NODES_ONLY})
-"""Every parameter that a robot's file may hold in the section for all nodes."""
+from infomap_ros.simulation.robots.robot_parameters import OTHERS, PARAMETERS, SECTIONS, SETUP
 
 _BASE_FRAME = "base_link"  # of the nodes, where none is given
 _OF_CART = ("left_wheels", "right_wheels", "casters")
 _WIDTH = 100  # of a line
+_MEANINGS = {
+    "base_frame": "root link, whose pose is the robot's",
+    "arm_joints": "all between base and camera; those left out are held",
+    "robot.left_wheels": "driven",
+    "robot.right_wheels": "driven",
+    "robot.casters": "on the ground, and not driven",
+    "robot.left_camera_frame": "optical frame that most joints move",
+    "robot.right_camera_frame": "beside it, along its x axis",
+    "robot.assumed_joints": "joint_states may lack them",
+    "reaching.vehicle.wheel_links": "it stands on these",
+    "reaching.collision.ground_links": "the ground is no obstacle to these",
+}
 
 
 @dataclass(frozen=True)
@@ -82,7 +78,7 @@ class RobotFile:
         """ROS parameters that are not at their defaults, by name."""
         default = RobotSetupConfig(base_frame=_BASE_FRAME)
         values: dict[str, Any] = {"description": self.description}
-        for name, own in _SETUP.items():
+        for name, own in SETUP.items():
             value = getattr(self.setup, own)
             if value != getattr(default, own) and not (self.setup.cart and own in _OF_CART):
                 values[name] = value
@@ -103,14 +99,14 @@ class RobotFile:
         lines = [f"# {title}"[:_WIDTH], "/**:", "  ros__parameters:"]
         for name, value in self.parameters.items():
             line = f"    {name}: {_as_yaml(value)}"
-            reason = self.reasons.get(name, "")
-            lines.append(f"{line}  # {reason}" if reason else line)
+            comment = self.reasons.get(name, _MEANINGS.get(name, ""))
+            lines.append(f"{line}  # {comment}" if comment else line)
         return "\n".join(lines) + "\n"
 
     @property
     def settings(self) -> list[str]:
         """The robot as settings of `infomap explore`, ``name=value`` each."""
-        names = {name: f"simulator.robot.{own}" for name, own in _SETUP.items()} | _OTHERS
+        names = {name: f"simulator.robot.{own}" for name, own in SETUP.items()} | OTHERS
         frame = {"base_frame": self.setup.base_frame}
         values = self.parameters | frame | {"description": str(self.description_path)}
         return [f"{names[k]}={_as_setting(v)}" for k, v in values.items() if k in names]
@@ -128,14 +124,15 @@ class RobotFile:
     def read(cls, path: str | Path) -> RobotFile:
         """Read a file, or one of ``config/robots`` by its name.
 
-        Sections of other nodes than the simulator are left alone.
+        What only the simulator has besides, and sections of other nodes, are left alone.
 
         Args:
             path: of the file; ``tiago`` for ``config/robots/tiago.yaml``.
 
         Raises:
             ResourceError: there is no such file.
-            ConfigError: it is no parameter file, a name is unknown, or a value is refused.
+            ConfigError: it is no parameter file, a name in the section for all nodes is unknown,
+                or a value is refused.
         """
         found = _robot_path(path)
         try:
@@ -144,27 +141,26 @@ class RobotFile:
             problem = " ".join(str(error).split())
             raise ConfigError("--robot", str(found), f"a parameter file ({problem})") from error
         values: dict[str, Any] = {}
-        for section in _SECTIONS:
+        for section in SECTIONS:
             part = (content or {}).get(section, {}) if isinstance(content, dict | None) else None
             if not isinstance(part, dict):
                 raise ConfigError("--robot", str(found), "a parameter file of ROS")
-            values |= part.get("ros__parameters") or {}
+            own = part.get("ros__parameters") or {}
+            if section == SECTIONS[0]:
+                _refuse_unknown(own, found.name)
+            values |= {name: value for name, value in own.items() if name in PARAMETERS}
         return cls._of(values, found.resolve())
 
     @classmethod
     def _of(cls, values: Mapping[str, Any], path: Path) -> RobotFile:
-        for name in values:
-            if name not in PARAMETERS:
-                expected = f"one of {', '.join(sorted(PARAMETERS))}"
-                raise ConfigError(f"--robot {path.name}", name, expected)
         kept = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
-        own = {own: _number(kept[name]) for name, own in _SETUP.items() if name in kept}
+        own = {own: _number(kept[name]) for name, own in SETUP.items() if name in kept}
         try:
             setup = build_config(RobotSetupConfig, {"base_frame": _BASE_FRAME, **own})
             return cls(
                 str(kept.get("description", "")),
                 setup,
-                float(kept.get("drive.turn_gain", 0.0)),
+                float(values.get("drive.turn_gain", 0.0)),
                 tuple(filter(None, str(kept.get("reaching.vehicle.wheel_links", "")).split(","))),
                 tuple(kept.get("reaching.collision.ground_links", ())),
                 tuple(kept.get("robot.assumed_joints", ())),
@@ -172,10 +168,20 @@ class RobotFile:
             )
         except (ConfigError, TypeError, ValueError) as error:
             if isinstance(error, ConfigError):
-                name = next((k for k, v in _SETUP.items() if v == error.parameter), "")
+                name = next((k for k, v in SETUP.items() if v == error.parameter), "")
                 option = f"--robot {path.name}: {name or error.parameter}"
                 raise ConfigError(option, error.value, error.expected) from error
             raise ConfigError(f"--robot {path.name}", str(error), "numbers and names") from error
+
+
+def holds_robot(path: str | Path) -> bool:
+    """Whether a parameter file names a robot's description; one that cannot be read does not."""
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        parts = [content.get(section) or {} for section in SECTIONS]
+        return any("description" in part.get("ros__parameters", {}) for part in parts)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError):
+        return False
 
 
 def find_description(place: str, folder: Path | None = None) -> Path:
@@ -215,6 +221,15 @@ def _package_roots() -> Iterator[Path]:
     for site in dict.fromkeys([sysconfig.get_path("purelib"), *sys.path]):
         yield Path(site) / "cmeel.prefix" / "share"
         yield Path(site)
+
+
+def _refuse_unknown(names: Iterable[str], file: str) -> None:
+    """See `RobotFile.read`; a misspelt name would have no effect."""
+    for name in names:
+        if name not in PARAMETERS:
+            near = get_close_matches(name, PARAMETERS, n=1)
+            expected = f"{near[0]}?" if near else f"one of {', '.join(sorted(PARAMETERS))}"
+            raise ConfigError(f"--robot {file}", name, expected)
 
 
 def _robot_path(path: str | Path) -> Path:

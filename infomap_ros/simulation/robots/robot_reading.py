@@ -28,6 +28,7 @@ from infomap_ros.motion.robot.camera_parts import (
 )
 from infomap_ros.motion.robot.wheel_parts import WheelParts, find_wheels, link_extents
 from infomap_ros.simulation.body.extended_description import (
+    CART,
     CART_CASTERS,
     CART_WHEELS,
     DEFAULT_CAMERA,
@@ -39,7 +40,7 @@ from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.home_posture import home_posture
 from infomap_ros.simulation.robots.ready_robot import mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
-from infomap_ros.simulation.robots.trial_drive import TrialDrive, try_drive
+from infomap_ros.simulation.robots.trial_drive import try_drive
 
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]
@@ -162,7 +163,7 @@ class _Reading:
         rolls = any(_VISIBLE.search(name) for name in robot.frames)
         cart = _base_size(list(extents.values())) if rolls else _CART
         kind = "wheels that turn are missing" if rolls else "it is an arm without a base"
-        base = self._setup.base_frame if rolls else "cart"
+        base = self._setup.base_frame if rolls else CART
         left, right = CART_WHEELS
         self._setup = replace(
             self._setup,
@@ -175,7 +176,8 @@ class _Reading:
         size = " x ".join(f"{side:g}" for side in cart)
         text = f"{kind}; a base of {size} m with two driven wheels and casters is put under it"
         self._guess("robot.cart", text, f"{kind}; length, width, height")
-        self._reasons["base_frame"] = "the cart" if base == "cart" else "root"
+        if base == CART:
+            self._reasons["base_frame"] = "the base that is put under it"
 
     def _take_wheels(self, wheels: WheelParts) -> None:
         self._setup = replace(
@@ -354,7 +356,9 @@ def _optical_on(forward: FloatArray, T_base_link: FloatArray) -> FloatArray:
     Of the four rolls the one is taken whose y axis points down most, the robot at rest.
     """
     down = T_base_link[:3, :3].T @ np.array([0.0, 0.0, -1.0])
-    across = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0) if abs(axis @ forward) < 0.5]
+    across = [
+        sign * axis for axis in np.eye(3) for sign in (1.0, -1.0) if abs(axis @ forward) < 0.5
+    ]
     y = max(across, key=lambda axis: float(axis @ down))
     return np.column_stack([np.cross(y, forward), y, forward])
 

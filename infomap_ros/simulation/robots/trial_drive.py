@@ -15,8 +15,6 @@ from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
 from infomap_ros.simulation.worlds.terrain import Terrain
 
-import mujoco  # isort: skip  # after the backend has been chosen
-
 _RATE, _SPEED = 0.5, 0.2  # [rad/s], [m/s]
 _TURNING, _DRIVING, _STEP = 6.0, 3.0, 0.2  # [s]
 _LEAST_SHARE = 0.5  # of the angle and the distance that it was told
@@ -54,7 +52,9 @@ def try_drive(description: str, setup: RobotSetupConfig) -> TrialDrive:
     camera = StereoCameraConfig(width=32, height=24, supersampling=1)
     robot = Simulator(level_ground(), description, SimulatorConfig(robot=setup, camera=camera))
     if robot.true_pose()[2, 2] < np.cos(_TILTED):
-        return TrialDrive(False, robot.turn_gain, 0.0, "it tips over where it stands", _contacts(robot))
+        return TrialDrive(
+            False, robot.turn_gain, 0.0, "it tips over where it stands", _contacts(robot)
+        )
     turned, before = 0.0, planar(robot.true_pose())[2]
     for _ in range(round(_TURNING / _STEP)):
         robot.command_velocity(0.0, _RATE)

@@ -7,12 +7,13 @@ import numpy as np
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import robot_bottom
-from infomap_ros.motion.arm.driving_posture import least_posture
+from infomap_ros.motion.arm.driving_posture import driving_posture, least_posture
 from infomap_ros.motion.collision.body import CollisionBody
 
 _HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
 _DOWN = 0.15  # [rad] that it looks down
 _TURN, _ROLL, _LIFT, _SIDE, _AHEAD = 6.0, 1.5, 1.0, 2.0, 2.0  # weights: 1/rad, 1/rad, 1/m ...
+_FOLDING = 0.08  # weight of the way to the posture in which it drives [1/rad]
 _OVER_BASE = 0.3  # from the origin of the base to where a camera ahead costs nothing [m]
 _IN_VIEW = 20.0  # cost of a body that fills the image
 _HALF_VIEW = 0.65  # [rad]
@@ -23,7 +24,8 @@ def home_posture(robot: RobotModel) -> FloatArray:
     """Find a posture to start with, always the same for the same robot.
 
     The camera looks ahead along x of the base and 0.15 rad down, upright, about 0.9 m above the
-    ground and over the middle of the base, with little of the body in its view; nothing touches.
+    ground and over the middle of the base, with little of the body in its view, not far from the
+    posture in which the robot drives; nothing touches.
 
     Args:
         robot: with its camera.
@@ -35,7 +37,7 @@ def home_posture(robot: RobotModel) -> FloatArray:
         RobotModelError: no posture without contact was found.
     """
     body = CollisionBody.from_robot(robot)
-    bottom = robot_bottom(robot)
+    bottom, folded = robot_bottom(robot), driving_posture(body)
     ahead = np.array([np.cos(_DOWN), 0.0, -np.sin(_DOWN)])
 
     def cost(q: FloatArray) -> float:
@@ -48,7 +50,8 @@ def home_posture(robot: RobotModel) -> FloatArray:
         side = abs(float(camera[1, 3]))
         far = max(float(camera[0, 3]) - _OVER_BASE, 0.0)
         aside = _LIFT * lift + _SIDE * side + _AHEAD * far
-        return _TURN * turn + _ROLL * roll + aside + _IN_VIEW * seen
+        folding = _FOLDING * float(np.abs(q - folded).sum())
+        return _TURN * turn + _ROLL * roll + aside + _IN_VIEW * seen + folding
 
     return least_posture(body, cost)
 

@@ -45,7 +45,7 @@ from infomap_ros.simulation.robots.trial_drive import try_drive
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]
 _SPARE = 0.02  # from the last solid of the arm to a camera that is added [m]
-_CART = (0.55, 0.45, 0.35)  # length, width, height [m] under an arm
+_CART = (0.55, 0.45, 0.3)  # length, width, height [m] under an arm
 _LOW = 0.3  # what is below is the robot's base [m]
 _VISIBLE = re.compile(r"wheel|caster|footprint", re.IGNORECASE)  # of robots with a base
 _CAMERA = re.compile(r"cam", re.IGNORECASE)

@@ -82,7 +82,7 @@ def test_an_arm_stands_on_its_cart() -> None:
     tool = robot.forward_kinematics(joints, "tool0")
     np.testing.assert_allclose(mounted[:3, 3], tool[:3, 3] + 0.02 * tool[:3, 2], atol=1e-9)
     wheel = robot.forward_kinematics(joints, "cart_left_wheel")
-    np.testing.assert_allclose(wheel[:3, 3], (0.0, 0.18, 0.08), atol=1e-9)
+    np.testing.assert_allclose(wheel[:3, 3], (0.0, 0.18, 0.1), atol=1e-9)
     np.testing.assert_allclose(wheel[:3, 2], (0.0, 1.0, 0.0), atol=1e-6)
     assert load_robot(ready.description).compile().body("cart").mass[0] > 10.0
 

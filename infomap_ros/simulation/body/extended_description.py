@@ -19,7 +19,7 @@ CART_CASTERS = tuple(
 """Links of the cart's casters."""
 
 _NOT_LINKS = ("world", "map", "odom")  # MuJoCo's own body is called world
-_WHEEL_RADIUS, _WHEEL_WIDTH, _CASTER_RADIUS = 0.08, 0.04, 0.03  # [m]
+_WHEEL_RADIUS, _WHEEL_WIDTH, _CASTER_RADIUS = 0.1, 0.04, 0.06  # [m]
 _CLEARANCE = 0.12  # of the box above the ground, more than two voxels [m]
 _CASTER_LIFT = 0.001  # so that the wheels carry most of the weight [m]
 _DENSITY = 300.0  # of the box, batteries and electronics within sheet metal [kg/m^3]

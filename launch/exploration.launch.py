@@ -2,6 +2,7 @@
 
 ros2 launch infomap_ros exploration.launch.py world:=cave seed:=3 rviz:=true
 ros2 launch infomap_ros exploration.launch.py driver:=true
+ros2 launch infomap_ros exploration.launch.py world:=office parameters:=robot.yaml
 ros2 launch infomap_ros exploration.launch.py simulator:=false driver:=true parameters:=robot.yaml
 ros2 launch infomap_ros exploration.launch.py simulator:=false namespace:=robot1 robot_id:=1
 """
@@ -135,5 +136,5 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
             "publish_camera_pose": given["localization"] == "pose",
             **(driven_simulator() if driven else {}),
         },
-        "robot_driver": simulated_driver() if driven else {},
+        "robot_driver": simulated_driver(given["parameters"]) if driven else {},
     }

@@ -32,6 +32,11 @@ COMMANDS = {
         "Explore a simulated world: report.html, map.png, map file, .ply and summary.json.",
         "infomap explore --world office --seed 3 --max-views 10 --out out/office",
     ),
+    "robot": LateCommand(
+        "infomap_ros.cli.robot_command:robot",
+        "Read a robot's URDF: say what is understood and guessed, write its file, draw it.",
+        "infomap robot my_robot.urdf --out robot.yaml",
+    ),
     "show": LateCommand(
         "infomap_ros.cli.show_command:show",
         "Print what a map file holds, and draw it.",

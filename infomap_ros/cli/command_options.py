@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Optional, TypeVar
@@ -108,7 +108,10 @@ def lists_settings(options: Callable[[], Any]) -> Any:
 
 
 def chosen(
-    options: Options, shortcuts: Mapping[str, tuple[str, object]], more: list[str] | None
+    options: Options,
+    shortcuts: Mapping[str, tuple[str, object]],
+    more: list[str] | None,
+    before: Sequence[str] = (),
 ) -> Options:
     """The options as a command line asks for; those of ``--set`` come last, so that they count.
 
@@ -116,6 +119,7 @@ def chosen(
         options: with their defaults.
         shortcuts: setting and value by the option that stands for it; None if not given.
         more: of ``--set``.
+        before: settings that count for least, ``name=value`` each.
 
     Raises:
         ConfigError: a value is refused; names the option.
@@ -125,4 +129,4 @@ def chosen(
     names = {name: option for option, (name, _) in given.items()}
     later = {setting.partition("=")[0].strip() for setting in more or []}
     shown = {name: option for name, option in names.items() if name not in later}
-    return with_settings(options, settings + (more or []), shown)
+    return with_settings(options, [*before, *settings, *(more or [])], shown)

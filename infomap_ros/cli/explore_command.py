@@ -14,12 +14,13 @@ from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import says_when_it_compiles
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.cli.study_options import check_strategy
-from infomap_ros.errors import ExplorationError, InvalidInputError
+from infomap_ros.errors import ConfigError, ExplorationError, InvalidInputError
 from infomap_ros.exploration.control import Request
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.exploring.run_progress import RunProgress
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.exploration_display import ExplorationDisplay
 
@@ -39,6 +40,17 @@ _FILES = {
 def explore(
     out: Out,
     world: Annotated[str, typer.Option(help="mars, office or cave")] = _DEFAULTS.world.name,
+    size: Annotated[
+        float, typer.Option(help="edge of the world [m]; 0: its usual size")
+    ] = _DEFAULTS.world.size,
+    robot: Annotated[
+        str,
+        typer.Option(
+            help="file of a robot, as infomap robot writes it, or the name of a ready one: "
+            "tiago, tiago_pro, stretch, pr2, ur5_on_base, panda_on_base",
+            show_default="the rover",
+        ),
+    ] = "",
     seed: Annotated[
         int, typer.Option(help="random seed for world and noise")
     ] = _DEFAULTS.world.seed,
@@ -63,10 +75,12 @@ def explore(
     shortcuts: dict[str, tuple[str, object]] = {
         "--world": ("world.name", world),
         "--seed": ("world.seed", seed),
+        "--size": ("world.size", size),
         "--strategy": ("planner.strategy", strategy),
         "--max-views": ("task.max_views", max_views),
     }
-    options = chosen(_DEFAULTS, shortcuts, setting)
+    known = RobotFile.read(robot).settings if robot else ()
+    options = chosen(_DEFAULTS, shortcuts, setting, known)
     title = f"Exploring {options.world.name} {options.world.seed}"
     with results_in(out, overwrite), live_page(live, title, has_plans=True) as page:
         _explore(options, out, page)
@@ -76,12 +90,16 @@ def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> N
     console = Console(stderr=True)
     with RunProgress(console) as progress, says_when_it_compiles(console):
         watchers: list[Watcher] = [progress.show]
-        run = ExplorationRun(options, out, lambda entry: _tell(watchers, entry))
+        run = _run_of(options, out, lambda entry: _tell(watchers, entry))
+        for part in run.simulator.mended:
+            console.print(f"infomap: {part}", markup=False)
         if page is not None:
             watchers.append(ExplorationDisplay(page, run.map, run.robot.link).show)
         stop = partial(run.control.ask, Request.STOP)
         with stops_when_interrupted(stop, console, "map and report"):
             ending = run.run()
+    if run.simulator.advice:
+        console.print(f"infomap: {run.simulator.advice}", markup=False)
     summary = run.write_results(ending)
     run.close()
     voxels = length(run.map.config.voxel_size)
@@ -107,3 +125,15 @@ def _tell(watchers: Sequence[Watcher], entry: Mapping[str, Any]) -> None:
     """Tell all who watch the run of an entry of its log."""
     for watch in watchers:
         watch(entry)
+
+
+def _run_of(options: ExplorationOptions, out: Path, on_entry: Watcher) -> ExplorationRun:
+    """The run; what the robot lacks is asked for by the option that gives it."""
+    try:
+        return ExplorationRun(options, out, on_entry)
+    except ConfigError as error:
+        if not error.parameter.startswith("robot."):
+            raise
+        expected = f"{error.expected} (infomap robot {options.world.description} finds out)"
+        option = f"--set simulator.{error.parameter}"
+        raise ConfigError(option, error.value, expected) from error

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
-from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConductor, LockstepConfig
 from infomap_ros.nodes.common.run import run_node
@@ -31,6 +29,7 @@ from infomap_ros.nodes.simulated.simulator_teammates import (
 )
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_account import RobotAccount
+from infomap_ros.simulation.robots.robot_file import find_description
 from infomap_ros.simulation.sensor_schedule import TICK, SensorScheduleConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import SCENES, build_scene, describe_scene
@@ -53,7 +52,14 @@ class SimulatorNodeConfig:
         0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
     )
     description: str = parameter(
-        "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
+        "config/rover.urdf",
+        "Robot description: a path, one below the package's share folder, or package://.",
+    )
+    base_frame: str = parameter(
+        "", "Link whose pose is the robot's, as other nodes have it; robot.base_frame where empty."
+    )
+    arm_joints: tuple[str, ...] = parameter(
+        (), "Joints that robot.home is for, as planning has them; robot.arm_joints where empty."
     )
     pace: float = parameter(
         1.0,
@@ -119,15 +125,26 @@ class SimulatorNode(MonitoredNode):
             config.world, SCENES[config.world].config(seed=config.world_seed, **size)
         )
         world = build_scene(scene)
-        given = Path(config.description)
-        description = read_description(given if given.is_file() else find_share(given))
+        description = read_description(find_description(config.description))
         others = dict.fromkeys(teammate_names(self.config(TeammatesConfig)), description)
-        simulator = Simulator(world, description, self.config(SimulatorConfig), others)
+        simulator = Simulator(world, description, self._simulator_config(), others)
+        for part in simulator.mended:
+            self.get_logger().warning(part)
         self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
         self._account = RobotAccount(simulator, config.state_file, scene)
         if config.resume and self._account.resume():
             self.get_logger().info(f"the robot goes on from where {config.state_file} says")
         return simulator, scene
+
+    def _simulator_config(self) -> SimulatorConfig:
+        """With what other nodes have by the same name."""
+        own, config = self._config, self.config(SimulatorConfig)
+        setup = replace(
+            config.robot,
+            base_frame=own.base_frame or config.robot.base_frame,
+            arm_joints=own.arm_joints or config.robot.arm_joints,
+        )
+        return replace(config, robot=setup)
 
     def _run(self) -> None:
         """Simulate until the end; in the worker thread, to which drawing is bound."""

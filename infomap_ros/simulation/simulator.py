@@ -19,14 +19,18 @@ from infomap_ros.simulation.body.arm_motion import ArmMotion
 from infomap_ros.simulation.body.base_motion import BaseMotion
 from infomap_ros.simulation.body.contacts import ContactEvent, ContactMonitor
 from infomap_ros.simulation.body.drive_train import DriveTrain
+from infomap_ros.simulation.body.extended_description import extended_description
 from infomap_ros.simulation.body.robot_body import PREFIX, RobotBody
 from infomap_ros.simulation.body.robot_sensors import RobotSensors
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.saved_robot import SavedRobot
 from infomap_ros.simulation.cameras.depth_eye import DepthEye, DepthImage
 from infomap_ros.simulation.cameras.eyes import Eyes, StereoPair
+from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.simulator_config import SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
+
+import mujoco  # isort: skip  # after the backend has been chosen
 
 __all__ = ["Simulator", "SimulatorConfig"]
 
@@ -52,11 +56,13 @@ class Simulator(RobotSensors):
 
     Attributes:
         world: as given, the robot's own start in it.
-        description: as given.
-        config: as given.
+        description: as given, with the camera or cart that the config adds.
+        config: as given, the robot's setup completed from the description.
+        mended: what of the description could not be used as it is, and was taken for.
 
     Raises:
         RobotModelError: the description is malformed or lacks a part that the config names.
+        ConfigError: the config leaves a part open that the description leaves open too.
         SimulationError: MuJoCo refuses the world with the robot.
     """
 
@@ -69,12 +75,17 @@ class Simulator(RobotSensors):
         tags: Mapping[str, TagBoardConfig] | None = None,
     ) -> None:
         config = config or SimulatorConfig()
-        setup = config.robot
+        ready = ready_robot(description, config.robot)
+        description, setup = ready.description, ready.setup
+        config, self.mended = replace(config, robot=setup), ready.mended
+        others = {
+            name: extended_description(text, setup) for name, text in (teammates or {}).items()
+        }
         if config.start:
             x, y, yaw = config.start
             world = replace(world, start=(x, y, yaw))
         self.world, self.description = world, description
-        body = RobotBody(world, description, setup, config.dynamics, teammates, tags)
+        body = RobotBody(world, description, setup, config.dynamics, others, tags)
         seeds = np.random.SeedSequence(config.seed).spawn(5)
         joints, odometry, images, poses, depths = (np.random.default_rng(seed) for seed in seeds)
         self._drive = DriveTrain(body, config.drive, config.following)
@@ -253,6 +264,21 @@ class Simulator(RobotSensors):
         return "; ".join(filter(None, (self._base.problem, self._arm.problem)))
 
     @property
+    def advice(self) -> str:
+        """Which setting makes the base swing or creep when it turns; empty for none."""
+        return self._drive.advice
+
+    @property
+    def turn_gain(self) -> float:
+        """The `turn_gain` that is used."""
+        return self._drive.gain
+
+    @property
+    def fitting_turn_gain(self) -> float:
+        """The `turn_gain` by which the base would have turned as told; 0 before it has turned."""
+        return self._drive.fitting_gain
+
+    @property
     def arm_joints(self) -> tuple[str, ...]:
         """The joints that trajectories can name."""
         return self._arm.joints
@@ -266,6 +292,11 @@ class Simulator(RobotSensors):
     def base_motion(self) -> tuple[bool, str]:
         """Whether the base is being driven, and why the last path was not; or empty."""
         return self._base.active, self._base.problem
+
+    @property
+    def scene(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """World and robot as MuJoCo has them, to be drawn; not to be written to."""
+        return self._body.model, self._body.data
 
     @property
     def contacts(self) -> int:

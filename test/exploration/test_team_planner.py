@@ -22,7 +22,6 @@ from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of,
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.sampling.candidate_config import CandidateConfig
@@ -99,9 +98,8 @@ class Member:
 
 @pytest.fixture(scope="module")
 def robot() -> RobotModel:
-    setup = RobotSetupConfig()
     description = read_description(find_share("config/rover.urdf"))
-    return RobotModel.from_urdf(description, setup.left_camera_frame, setup.base_frame)
+    return RobotModel.from_urdf(description, "left_camera_optical_frame", "base_link")
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of,
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import Route
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 
 TASK = TaskConfig()
 BEGIN = make_transform(np.eye(3), (-1.2, 0.0, 0.09))
@@ -30,9 +29,8 @@ VIEW_FROM = np.array([0.0, 0.5, 0.4, -0.3])  # posture of the arm that has the v
 
 @pytest.fixture(scope="module")
 def robot() -> RobotModel:
-    setup = RobotSetupConfig()
     description = read_description(find_share("config/rover.urdf"))
-    return RobotModel.from_urdf(description, setup.left_camera_frame, setup.base_frame)
+    return RobotModel.from_urdf(description, "left_camera_optical_frame", "base_link")
 
 
 @pytest.fixture

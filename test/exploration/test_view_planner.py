@@ -25,7 +25,6 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.rating import RatingConfig
 
@@ -36,9 +35,8 @@ ROUNDS = 3
 
 @pytest.fixture(scope="module")
 def robot() -> RobotModel:
-    setup = RobotSetupConfig()
     description = read_description(find_share("config/rover.urdf"))
-    return RobotModel.from_urdf(description, setup.left_camera_frame, setup.base_frame)
+    return RobotModel.from_urdf(description, "left_camera_optical_frame", "base_link")
 
 
 @pytest.fixture

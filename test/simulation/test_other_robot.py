@@ -8,39 +8,28 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import yaml
 
 from infomap_ros.errors import ConfigError, RobotModelError
-from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig, planar
 from infomap_ros.simulation.body.robot import load_robot, read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
 from infomap_ros.simulation.worlds.terrain import Terrain
 
 URDF = "stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf"
-PARAMETERS = yaml.safe_load(find_share("config/stretch_simulator.yaml").read_text("utf-8"))[
-    "/**/simulator"
-]["ros__parameters"]
+FILE = RobotFile.read("stretch")
 TELESCOPE = [f"joint_arm_l{number}" for number in range(4)]
 
 
 def config() -> SimulatorConfig:
-    """The configuration of config/stretch_simulator.yaml, with small images."""
-    parts: dict[str, dict[str, object]] = {"robot": {}, "drive": {}}
-    for name, value in PARAMETERS.items():
-        part, _, field = name.partition(".")
-        if field:
-            parts[part][field] = tuple(value) if isinstance(value, list) else value
+    """The configuration of config/robots/stretch.yaml, with small images."""
     camera = StereoCameraConfig(width=64, height=48, supersampling=1)
-    return SimulatorConfig(
-        robot=RobotSetupConfig(**parts["robot"]),  # type: ignore[arg-type]
-        drive=DriveTrainConfig(**parts["drive"]),  # type: ignore[arg-type]
-        camera=camera,
-    )
+    drive = DriveTrainConfig(turn_gain=FILE.turn_gain)
+    return SimulatorConfig(robot=FILE.setup, drive=drive, camera=camera)
 
 
 def floor() -> World:
@@ -91,15 +80,13 @@ def test_the_segments_of_the_telescope_move_together(stretch: Simulator) -> None
 
 def test_the_camera_is_where_its_kinematics_say(stretch: Simulator) -> None:
     finish(stretch)
-    robot = RobotModel.from_urdf(
-        stretch.description, PARAMETERS["robot.left_camera_frame"], "base_link"
-    )
+    robot = RobotModel.from_urdf(stretch.description, FILE.setup.left_camera_frame, "base_link")
     joints = stretch.joint_state()
     positions = dict(zip(joints.names, joints.positions.tolist(), strict=True))
     expected = stretch.true_pose() @ robot.forward_kinematics(positions, robot.camera_frame)
     np.testing.assert_allclose(stretch.true_camera_pose(), expected, atol=0.01)
     right = stretch.calibrations[1].projection
-    assert -right[0, 3] / right[0, 0] == pytest.approx(0.05)
+    assert -right[0, 3] / right[0, 0] == pytest.approx(FILE.setup.baseline)
 
 
 def test_it_sees_the_floor(stretch: Simulator) -> None:
@@ -123,8 +110,10 @@ def test_a_collision_mesh_of_an_unknown_kind_is_refused() -> None:
 
 def test_impossible_setups_are_refused() -> None:
     with pytest.raises(ConfigError, match="home"):
-        RobotSetupConfig(home=(0.0,))
+        RobotSetupConfig(home=(0.0,), arm_joints=("a", "b"))
+    with pytest.raises(ConfigError, match="cart"):
+        RobotSetupConfig(cart=(0.5, 0.4))
+    with pytest.raises(ConfigError, match="camera_mount"):
+        RobotSetupConfig(camera_mount="tool0 0 0 0")
     with pytest.raises(ConfigError, match="mimics"):
         RobotSetupConfig(mimics=("joint_a",))
-    with pytest.raises(ConfigError, match="baseline"):
-        RobotSetupConfig(right_camera_frame="")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,18 +36,36 @@ def driving_posture(body: CollisionBody) -> FloatArray:
     Raises:
         RobotModelError: no posture without contact was found.
     """
+    still, moving = _standing(body)
+    low, high = _outline(body, still)
+    return least_posture(body, lambda q: _cost(body.spheres(q, np.eye(4))[moving], low, high))
+
+
+def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> FloatArray:
+    """Find the posture of least cost that touches nothing of the robot, always the same.
+
+    First of random ones, then of ever nearer neighbors of the best one.
+
+    Args:
+        body: of the robot.
+        cost: of positions of the arm, shape (n,) [rad or m].
+
+    Returns:
+        Positions of the arm, shape (n,) [rad or m].
+
+    Raises:
+        RobotModelError: no posture without contact was found.
+    """
     qs = sample_postures(body, _POSTURES)
     if not len(qs):
         raise RobotModelError(f"robot '{body.robot.name}' touches itself in every posture")
-    still, moving = _standing(body)
-    low, high = _outline(body, still)
     low_q, high_q = posture_box(body)
     spare = _SPARE * (high_q - low_q)
     low_q, high_q = low_q + spare, high_q - spare
     rng = np.random.default_rng(2)
     best, least = qs[0], np.inf
     for round_number in range(_ROUNDS + 1):
-        costs = [_cost(body.spheres(q, np.eye(4))[moving], low, high) for q in qs]
+        costs = [cost(q) for q in qs]
         if len(costs) and min(costs) < least:
             best, least = qs[int(np.argmin(costs))], min(costs)
         spread = 0.2 * 0.7**round_number * (high_q - low_q)

@@ -53,7 +53,7 @@ class CollisionConfig:
         high=0.4,
     )
     ground_links: tuple[str, ...] = setting(
-        ("*_wheel",),
+        ("*wheel*", "*caster*"),
         "Links (patterns) that stand on the ground: they are not compared with the map, as the "
         "planner of the base answers for where they stand.",
     )

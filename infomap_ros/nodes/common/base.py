@@ -47,6 +47,7 @@ from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import changed_config, declare_config
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
+from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
 
 Config = TypeVar("Config")
 
@@ -341,6 +342,7 @@ class MonitoredNode(Node):
         """Name values that were given for parameters which this node does not have."""
         known = [name for name in self._parameters if not name.startswith("qos_overrides.")]
         used = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
+        used |= PARAMETERS  # a robot's file is for all nodes, and each takes what it knows
         for name in self._parameter_overrides:
             if name not in used | set(known) and not name.startswith("qos_overrides."):
                 near = get_close_matches(name, known, n=1)

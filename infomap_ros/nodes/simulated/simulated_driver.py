@@ -6,7 +6,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from infomap_ros.nodes.simulated.simulator_actions import ARM_CONTROLLER
-from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+
+_ROVER = "config/rover.urdf"
 
 
 def has_actions() -> bool:
@@ -19,9 +20,23 @@ def driven_simulator() -> dict[str, Any]:
     return {"commands": "actions"}
 
 
-def simulated_driver() -> dict[str, Any]:
-    """Parameters of robot_driver for the controllers of the simulated rover."""
-    joints = ", ".join(RobotSetupConfig().arm_joints)
+def simulated_driver(parameters: str = "") -> dict[str, Any]:
+    """Parameters of robot_driver for the controllers of the simulated robot.
+
+    Args:
+        parameters: parameter file that names the robot; where it has none, it is the rover.
+
+    Raises:
+        InfomapError: the file or the description in it cannot be used.
+    """
+    from infomap_ros.simulation.body.robot import read_description
+    from infomap_ros.simulation.robots.ready_robot import ready_robot
+    from infomap_ros.simulation.robots.robot_file import RobotFile, holds_robot
+
+    is_named = bool(parameters) and holds_robot(parameters)
+    known = RobotFile.read(parameters) if is_named else RobotFile(_ROVER)
+    robot = ready_robot(read_description(known.description_path), known.setup)
+    joints = ", ".join(robot.setup.arm_joints)
     return {
         "arm": "follow_joint_trajectory",
         "controllers": [f"{ARM_CONTROLLER}: {joints}"],

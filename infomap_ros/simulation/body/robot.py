@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import TransformRecord, make_transform, quaternion_from_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.mended_inertias import mend_inertias
 from infomap_ros.simulation.body.robot_meshes import prepare_meshes, with_absolute_meshes
 from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
 
@@ -130,8 +131,10 @@ def load_robot(description: str) -> mujoco.MjSpec:
         options.set("discardvisual", "false")
         options.set("fusestatic", "false")
         options.set("strippath", "false")
-        prepare_meshes(tree)
+        mend_inertias(tree)
+        files = prepare_meshes(tree)
         robot = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+        robot.assets = {**robot.assets, **files}
     except (ElementTree.ParseError, ValueError) as error:
         raise RobotModelError(f"robot description: {error}") from error
     for mesh in robot.meshes:
@@ -168,6 +171,7 @@ def attach_robot(
     spec: mujoco.MjSpec, robot: mujoco.MjSpec, prefix: str, material: str
 ) -> mujoco.MjsBody:
     """Put what `load_robot` read into a world, fixed to it; see `add_robot`."""
+    spec.assets = {**spec.assets, **robot.assets}
     root = spec.worldbody.add_frame().attach_body(robot.worldbody.first_body(), prefix, "")
     for geom in spec.geoms:
         if material and geom.group == 1:

@@ -11,41 +11,43 @@ from infomap_ros.geometry.config import check_config, parameter, setting
 
 @dataclass(frozen=True)
 class RobotSetupConfig:
-    """Parameters of the simulated robot; the defaults are those of ``config/rover.urdf``.
+    """Parameters of the simulated robot; what is empty is read from its description.
 
-    A robot drives with the wheels of two sides (skid steer, or differential drive with casters).
-    All its other moving joints are held and moved by servos; joints without range or effort are
-    fixed.
+    `infomap_ros.simulation.robots.ready_robot` completes it. A robot drives with the wheels of two
+    sides (skid steer, or differential drive with casters). All its other moving joints are held and
+    moved by servos; joints without range or effort are fixed.
     """
 
-    base_frame: str = parameter("base_link", "Link whose pose is the robot's.")
+    base_frame: str = setting("", "Link whose pose is the robot's; the root link where empty.")
     left_wheels: tuple[str, ...] = parameter(
-        ("front_left_wheel_joint", "rear_left_wheel_joint"), "Joints of the driven left wheels."
+        (), "Joints of the driven left wheels; by the description's geometry where empty."
     )
     right_wheels: tuple[str, ...] = parameter(
-        ("front_right_wheel_joint", "rear_right_wheel_joint"), "Joints of the driven right wheels."
+        (), "Joints of the driven right wheels; by the description's geometry where empty."
     )
     casters: tuple[str, ...] = parameter((), "Links that slide on the ground without friction.")
     hovering: tuple[str, ...] = setting(
         (), "Links that are drawn down to the ground, and in truth are clear of it."
     )
-    arm_joints: tuple[str, ...] = parameter(
-        ("arm_pan_joint", "arm_shoulder_joint", "arm_elbow_joint", "arm_wrist_joint"),
-        "Joints whose start position `home` gives; the others start as near zero as they can.",
+    arm_joints: tuple[str, ...] = setting(
+        (),
+        "Joints whose start position `home` gives; all between base and camera where empty. The "
+        "others start as near zero as they can.",
     )
     home: tuple[float, ...] = parameter(
-        (0.0, -0.35, 0.65, 0.0), "Start positions of arm_joints [rad or m]."
+        (),
+        "Start positions of arm_joints [rad or m]. Empty: what <ros2_control> of the description "
+        "has as initial_value, else as near zero as they can.",
     )
     mimics: tuple[str, ...] = parameter(
         (),
         "Joints that follow another although the description does not say so, as follower:leader.",
     )
     left_camera_frame: str = parameter(
-        "left_camera_optical_frame", "Optical frame of the left camera."
+        "", "Optical frame of the left camera; the one of the description's pair where empty."
     )
     right_camera_frame: str = parameter(
-        "right_camera_optical_frame",
-        "Optical frame of the right camera. Empty: at `baseline` along x of the left one.",
+        "", "Optical frame of the right camera. Empty: at `baseline` along x of the left one."
     )
     baseline: float = parameter(
         0.0,
@@ -53,6 +55,16 @@ class RobotSetupConfig:
         unit="m",
         low=0.0,
         high=2.0,
+    )
+    camera_mount: str = setting(
+        "",
+        "Where left_camera_frame is added to a description that lacks it, as a fixed joint has it: "
+        "'link: x y z roll pitch yaw' [m, rad].",
+    )
+    cart: tuple[float, ...] = setting(
+        (),
+        "Put under a description without driven wheels: length, width and height [m] of a box on "
+        "two driven wheels and four casters, on which its root stands. Height 0: wheels alone.",
     )
     suspension_sag: float = setting(
         0.008,
@@ -76,15 +88,13 @@ class RobotSetupConfig:
     def __post_init__(self) -> None:
         """Validate all fields."""
         check_config(self)
-        for name in ("left_wheels", "right_wheels"):
-            if not getattr(self, name):
-                raise ConfigError(name, (), "at least one joint")
-        if len(self.home) != len(self.arm_joints):
+        if self.home and self.arm_joints and len(self.home) != len(self.arm_joints):
             expected = f"{len(self.arm_joints)} numbers, one for each of arm_joints"
             raise ConfigError("home", self.home, expected)
-        if not self.right_camera_frame and self.baseline < 0.005:
-            raise ConfigError("baseline", self.baseline, "at least 0.005 m without right camera")
-
+        if len(self.cart) not in (0, 3) or any(side < 0.0 for side in self.cart):
+            raise ConfigError("cart", self.cart, "length, width, height, or nothing")
+        if self.camera_mount:
+            _ = self.mounted_camera
         for entry in self.mimics:
             if len(entry.split(":")) != 2:
                 raise ConfigError("mimics", entry, "follower:leader")
@@ -94,6 +104,23 @@ class RobotSetupConfig:
         """Leader of each joint in `mimics`."""
         pairs = (entry.split(":") for entry in self.mimics)
         return {follower.strip(): leader.strip() for follower, leader in pairs}
+
+    @property
+    def mounted_camera(self) -> tuple[str, tuple[float, ...]]:
+        """Link of `camera_mount`, and x, y, z [m], roll, pitch, yaw [rad] on it.
+
+        Raises:
+            ConfigError: `camera_mount` has another form.
+        """
+        link, _, numbers = self.camera_mount.partition(":")
+        try:
+            place = tuple(float(number) for number in numbers.split())
+        except ValueError:
+            place = ()
+        if not link.strip() or len(place) != 6:
+            expected = "'link: x y z roll pitch yaw'"
+            raise ConfigError("camera_mount", self.camera_mount, expected)
+        return link.strip(), place
 
     @property
     def wheels(self) -> tuple[str, ...]:

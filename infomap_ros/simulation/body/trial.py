@@ -13,6 +13,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.collision.link_pairs import movable_pairs
 from infomap_ros.motion.robot.link_tree import LinkTree
+from infomap_ros.motion.robot.mimicry import read_followers
 from infomap_ros.simulation.body.robot import load_robot
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
@@ -92,7 +93,7 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
     fixed = _without_range(description)
     locked = tuple(name for name in names if name in fixed)
     servos = [n for n in names if n not in setup.wheels and n not in locked]
-    home = _home(model, servos, setup)
+    home = _home(model, servos, setup, description)
     data = mujoco.MjData(model)
     for name, position in home.items():
         data.qpos[model.joint(name).qposadr[0]] = position
@@ -128,14 +129,25 @@ def _without_range(description: str) -> set[str]:
     return found
 
 
-def _home(model: mujoco.MjModel, servos: list[str], setup: RobotSetupConfig) -> dict[str, float]:
+def _home(
+    model: mujoco.MjModel, servos: list[str], setup: RobotSetupConfig, description: str
+) -> dict[str, float]:
+    """Start positions; joints that follow another are where it has them."""
     wanted = dict(zip(setup.arm_joints, setup.home, strict=True))
-    home = {}
-    for name in servos:
-        joint = model.joint(name)
-        low, high = joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf)
-        home[name] = float(np.clip(wanted.get(name, 0.0), low, high))
+    followers = read_followers(ElementTree.fromstring(description), setup.leaders)
+    home = {name: _clipped(model, name, wanted.get(name, 0.0)) for name in servos}
+    for name, follower in followers.items():
+        if name in home and name not in wanted and follower.leader in wanted:
+            position = follower.factor * home[follower.leader] + follower.offset
+            home[name] = _clipped(model, name, position)
     return home
+
+
+def _clipped(model: mujoco.MjModel, name: str, position: float) -> float:
+    """A position within the limits of a joint."""
+    joint = model.joint(name)
+    low, high = joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf)
+    return float(np.clip(position, low, high))
 
 
 def _inertia(model: mujoco.MjModel, servos: list[str]) -> dict[str, float]:

@@ -162,10 +162,7 @@ class ExplorationRun:
         self.simulator = Simulator(world, description, settings)
         self.T_world_map = map_frame(world, options.robot)
         task = task_in(world, options.task, self.T_world_map)
-        frames = settings.robot
-        robot = RobotModel.from_urdf(
-            description, frames.left_camera_frame, frames.base_frame, mimics=frames.leaders
-        )
+        robot = planned_robot(self.simulator)
         self.map = VoxelMap(dataclasses.replace(options.map, max_range=options.planner.max_range))
         self.audit = PoseAudit(self.simulator, self.T_world_map)
         self.robot = SimulatedRobot(self.simulator, robot, self.map, options.robot, self.audit)
@@ -264,6 +261,23 @@ class ExplorationRun:
             camera={name: getattr(camera, name) for name in names},
             max_range=options.planner.max_range,
         )
+
+
+def planned_robot(simulator: Simulator) -> RobotModel:
+    """The model that plans the motions of a simulated robot, with its camera and arm.
+
+    Args:
+        simulator: of the robot.
+    """
+    setup = simulator.config.robot
+    frames = setup.left_camera_frame, setup.base_frame
+    robot = RobotModel.from_urdf(simulator.description, *frames, mimics=setup.leaders)
+    if set(robot.arm.joint_names) <= set(setup.arm_joints):
+        return robot
+    moved = tuple(name for name in setup.arm_joints if name in robot.arm.joint_names)
+    return RobotModel.from_urdf(
+        simulator.description, *frames, arm_joints=moved, mimics=setup.leaders
+    ).holding(dict(zip(setup.arm_joints, setup.home, strict=True)))
 
 
 def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = None) -> TaskConfig:

@@ -20,9 +20,8 @@ from infomap_ros.errors import ExplorationError
 from infomap_ros.exploration.loop import Ending, EndReason
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.exploring.exploration_run import map_frame, task_in
+from infomap_ros.simulation.exploring.exploration_run import map_frame, planned_robot, task_in
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.truth import TrueSurface
 from infomap_ros.simulation.multi_robot.radio import Channel, Radio
@@ -89,8 +88,7 @@ class TeamExploration:
         self.audits = [PoseAudit(robot, self.T_world_map) for robot in self.world.simulators]
         self._rng = np.random.default_rng(world.seed)
         self._channel = Channel(count, Radio(options.team.rate * 1e6, options.team.loss), self._rng)
-        frames = settings.robot
-        model = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
+        model = planned_robot(self.world.simulators[0])
         task = task_in(scene, options.task, self.T_world_map)
         task = dataclasses.replace(task, known_fraction=1.0)
         self._outfits = [

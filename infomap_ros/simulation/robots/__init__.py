@@ -1,0 +1,1 @@
+"""Other people's robots: what is read and guessed of them, and the file that holds it."""

@@ -1,0 +1,69 @@
+"""A posture in which an arm holds its camera level and looks ahead: where a simulation starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion import RobotModel
+from infomap_ros.motion.arm.camera_heights import robot_bottom
+from infomap_ros.motion.arm.driving_posture import driving_posture, least_posture
+from infomap_ros.motion.collision.body import CollisionBody
+
+_HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
+_DOWN = 0.15  # [rad] that it looks down
+_TURN, _ROLL, _LIFT, _SIDE, _AHEAD = 6.0, 1.5, 1.0, 2.0, 2.0  # weights: 1/rad, 1/rad, 1/m ...
+_FOLDING = 0.08  # weight of the way to the posture in which it drives [1/rad]
+_OVER_BASE = 0.3  # from the origin of the base to where a camera ahead costs nothing [m]
+_IN_VIEW = 20.0  # cost of a body that fills the image
+_HALF_VIEW = 0.65  # [rad]
+_FAR = 1.2  # [m]; what of the body is farther away hides little
+
+
+def home_posture(robot: RobotModel) -> FloatArray:
+    """Find a posture to start with, always the same for the same robot.
+
+    The camera looks ahead along x of the base and 0.15 rad down, upright, about 0.9 m above the
+    ground and over the middle of the base, with little of the body in its view, not far from the
+    posture in which the robot drives; nothing touches.
+
+    Args:
+        robot: with its camera.
+
+    Returns:
+        Positions of the arm, shape (n,) [rad or m].
+
+    Raises:
+        RobotModelError: no posture without contact was found.
+    """
+    body = CollisionBody.from_robot(robot)
+    bottom, folded = robot_bottom(robot), driving_posture(body)
+    ahead = np.array([np.cos(_DOWN), 0.0, -np.sin(_DOWN)])
+
+    def cost(q: FloatArray) -> float:
+        camera = robot.arm.camera_pose(q)
+        across, forward = camera[:3, 0], camera[:3, 2]
+        turn = float(np.arccos(np.clip(forward @ ahead, -1.0, 1.0)))
+        roll = float(np.arccos(np.clip(-across[1], -1.0, 1.0)))
+        lift = abs(float(camera[2, 3]) - bottom - _HEIGHT)
+        seen = _share_in_view(camera, body.spheres(q, np.eye(4)))
+        side = abs(float(camera[1, 3]))
+        far = max(float(camera[0, 3]) - _OVER_BASE, 0.0)
+        aside = _LIFT * lift + _SIDE * side + _AHEAD * far
+        folding = _FOLDING * float(np.abs(q - folded).sum())
+        return _TURN * turn + _ROLL * roll + aside + _IN_VIEW * seen + folding
+
+    return least_posture(body, cost)
+
+
+def _share_in_view(camera: FloatArray, spheres: FloatArray) -> float:
+    """Share of the image that the robot's spheres, shape (S, 4) [m], hide at the most."""
+    local = (spheres[:, :3] - camera[:3, 3]) @ camera[:3, :3]
+    distance = np.linalg.norm(local, axis=1)
+    near = (local[:, 2] > 0.0) & (distance < _FAR) & (distance > spheres[:, 3])
+    if not near.any():
+        return 0.0
+    angle = np.arctan2(np.hypot(local[near, 0], local[near, 1]), local[near, 2])
+    size = np.arcsin(np.clip(spheres[near, 3] / distance[near], 0.0, 1.0))
+    inside = np.clip((_HALF_VIEW + size - angle) / (2.0 * _HALF_VIEW), 0.0, 1.0)
+    return float(np.max(inside * np.minimum(size / _HALF_VIEW, 1.0)))

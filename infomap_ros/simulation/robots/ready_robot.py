@@ -67,7 +67,7 @@ def ready_robot(description: str, setup: RobotSetupConfig) -> ReadyRobot:
             raise ConfigError("robot.home", setup.home, expected)
         setup = replace(setup, arm_joints=joints)
     if not setup.home:
-        start = _initial_positions(tree)
+        start = initial_positions(tree)
         setup = replace(setup, home=tuple(start.get(name, 0.0) for name in setup.arm_joints))
     return ReadyRobot(text, setup, mended_parts(text))
 
@@ -138,7 +138,7 @@ def _known_frame(model: RobotModel, frame: str) -> str:
     return frame
 
 
-def _initial_positions(tree: ElementTree.Element) -> Mapping[str, float]:
+def initial_positions(tree: ElementTree.Element) -> Mapping[str, float]:
     """Start positions in ``<ros2_control>`` by joint [rad or m], as Gazebo and mock drivers do.
 
     Raises:

@@ -38,7 +38,7 @@ from infomap_ros.simulation.body.extended_description import (
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.home_posture import home_posture
-from infomap_ros.simulation.robots.ready_robot import mended_parts
+from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
 from infomap_ros.simulation.robots.trial_drive import try_drive
 
@@ -284,8 +284,16 @@ class _Reading:
     def _find_arm(self, robot: RobotModel) -> None:
         names = robot.arm.joint_names
         self._said.append(f"arm_joints: {', '.join(names)}, all between base and camera")
+        self._setup = replace(self._setup, arm_joints=names)
+        start = initial_positions(self._tree)
+        if start.keys() & set(names):
+            known = tuple(start.get(name, 0.0) for name in names)
+            values = ", ".join(f"{value:g}" for value in known)
+            self._setup = replace(self._setup, home=known)
+            self._said.append(f"robot.home: {values}, the initial values in <ros2_control>")
+            return
         home = tuple(float(round(value, 3)) + 0.0 for value in home_posture(robot))
-        self._setup = replace(self._setup, arm_joints=names, home=home)
+        self._setup = replace(self._setup, home=home)
         values = ", ".join(f"{value:g}" for value in home)
         text = f"{values}: the camera looks ahead, upright, and the arm touches nothing"
         self._guess("robot.home", text, "the camera looks ahead, the arm touches nothing")

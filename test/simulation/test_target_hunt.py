@@ -19,6 +19,7 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.simulation.worlds.target_board import WORLD_BOARD
@@ -35,7 +36,7 @@ class LookingRobot:
         description = read_description(find_share("config/rover.urdf"))
         config = SimulatorConfig(start=(0.0, 0.0, yaw), camera=CAMERA)
         self.simulator = Simulator(world, description, config)
-        frames = config.robot
+        frames = ready_robot(description, config.robot).setup
         self.model = RobotModel.from_urdf(description, frames.left_camera_frame, frames.base_frame)
         self._rectifier = StereoRectifier(*self.simulator.calibrations)
         self._sensor = StereoRangeSensor(self._rectifier.rig, StereoConfig())

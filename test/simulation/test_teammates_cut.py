@@ -15,6 +15,7 @@ from infomap_ros.motion import RobotModel
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import make_world
 
@@ -31,7 +32,7 @@ def surface_in(voxel_map: VoxelMap, bodies: list[PlacedSolid], floor: float) -> 
 
 def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
     config, world = SimulatorConfig(seed=1), make_world("office", 1)
-    frames = config.robot
+    frames = ready_robot(description, config.robot).setup
     camera_frame, base_frame = frames.left_camera_frame, frames.base_frame
     model = RobotModel.from_urdf(description, camera_frame, base_frame, mimics=frames.leaders)
     one = Simulator(world, description, config, {"two": description})

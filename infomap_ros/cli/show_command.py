@@ -4,15 +4,30 @@ import json
 from pathlib import Path
 from typing import Annotated, Optional
 
+import numpy as np
 import typer
 
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, transform_from_quaternion
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.depth_picture import draw_depth_image
 from infomap_ros.mapping.files.pictures import draw_map_views
+
+_CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
+_POSE_NUMBERS = 7
 
 
 def show(
     map_file: Annotated[Path, typer.Argument(help="a map file", show_default=False)],
     out: Annotated[Optional[Path], typer.Option(help="picture to write (.png)")] = None,
+    view_from: Annotated[
+        Optional[str],
+        typer.Option(
+            "--from",
+            help="also draw the depth and its sigma that a camera (640x480, 63 degrees wide) sees "
+            'from a pose of its optical frame: "X Y Z QX QY QZ QW", as in trajectory files [m]',
+        ),
+    ] = None,
 ) -> None:
     """Print what a map file holds, and draw it."""
     voxel_map = VoxelMap.load(map_file)
@@ -27,5 +42,27 @@ def show(
         "high": None if bounds is None else ((bounds[1] + 1) * size).round(3).tolist(),
     }
     picture = (out or map_file).with_suffix(".png")
+    if view_from is not None:
+        seen = picture.with_name(f"{picture.stem}_depth.png")
+        figures |= _draw_view(voxel_map, view_from, seen)
     draw_map_views(voxel_map, picture)
     typer.echo(json.dumps(figures | {"picture": str(picture)}))
+
+
+def _draw_view(voxel_map: VoxelMap, view_from: str, picture: Path) -> dict[str, object]:
+    """Draw what is seen from a pose; returns figures of it."""
+    try:
+        numbers = [float(word) for word in view_from.replace(",", " ").split()]
+    except ValueError as error:
+        raise InvalidInputError("--from", f"'{view_from}' holds what is no number") from error
+    if len(numbers) != _POSE_NUMBERS:
+        raise InvalidInputError("--from", f"has {len(numbers)} numbers, expected X Y Z QX QY QZ QW")
+    image = voxel_map.render_depth(_CAMERA, transform_from_quaternion(numbers[3:], numbers[:3]))
+    draw_depth_image(image, picture)
+    is_seen = np.isfinite(image.depth)
+    middle = float(np.median(image.depth[is_seen])) if is_seen.any() else None
+    return {
+        "depth_picture": str(picture),
+        "seen_share": round(float(is_seen.mean()), 4),
+        "median_depth": middle if middle is None else round(middle, 4),
+    }

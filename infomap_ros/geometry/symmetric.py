@@ -41,13 +41,13 @@ def _solve_all(matrices: Any, values: Any, axes: Any) -> None:
     """Fill values, shape (K,), and axes, shape (K, 3); NaN where the closed form is not exact."""
     for row in range(len(matrices)):
         c = matrices[row]
-        values[row], axes[row, 0], axes[row, 1], axes[row, 2] = _smallest_axis(
+        values[row], axes[row, 0], axes[row, 1], axes[row, 2] = smallest_axis(
             c[0, 0], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2]
         )
 
 
 @kernel
-def _smallest_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Any:
+def smallest_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Any:
     """Smallest eigenvalue and its direction, or four times NaN."""
     mean = (xx + yy + zz) / 3.0
     a, b, c = xx - mean, yy - mean, zz - mean

@@ -8,7 +8,7 @@ from infomap_ros.mapping.config import (
 )
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
-from infomap_ros.mapping.voxel_map import VoxelMap
+from infomap_ros.mapping.voxel_map import DepthImage, VoxelMap
 from infomap_ros.mapping.voxels.changes import VoxelChanges
 from infomap_ros.mapping.voxels.window import (
     FREE,
@@ -27,6 +27,7 @@ __all__ = [
     "SHARED_LOG_ODDS_LIMIT",
     "UNCERTAIN",
     "UNKNOWN",
+    "DepthImage",
     "IntegrationReport",
     "OccupancyThresholds",
     "Terrain",

@@ -5,14 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
-from infomap_ros.geometry import MotionClock, PinholeCamera, PoseUncertainty, point_covariances
+from infomap_ros.geometry import (
+    MotionClock,
+    PinholeCamera,
+    PoseUncertainty,
+    check_transform,
+    point_covariances,
+)
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import ray_casting
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scans import scan_input, traversal
@@ -26,6 +33,18 @@ from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
 
 _ORIGIN_ARRAY = "origin"  # in a map file
+
+
+class DepthImage(NamedTuple):
+    """Depth images of a map, shape (H, W) each; NaN where nothing is met.
+
+    Attributes:
+        depth: z in the optical frame, float32 [m].
+        sigma: its standard deviation, without the error that the whole map shares, float32 [m].
+    """
+
+    depth: NDArray[np.float32]
+    sigma: NDArray[np.float32]
 
 
 class VoxelMap:
@@ -162,7 +181,23 @@ class VoxelMap:
     def cast_rays(
         self, origins: ArrayLike, directions: ArrayLike, max_range: float
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Cast rays until they meet an occupied voxel (p > 0.5).
+        """Cast rays until they meet the surface; see `surface_along`.
+
+        Returns:
+            Distance at which each ray meets the surface, `max_range` where it meets none, shape
+            (N,) [m]; and whether it met one, shape (N,).
+        """
+        distances, _ = self.surface_along(origins, directions, max_range)
+        hits = np.isfinite(distances)
+        return np.where(hits, distances, max_range), hits
+
+    def surface_along(
+        self, origins: ArrayLike, directions: ArrayLike, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where rays meet the surface, as the Gaussians tell it (`mapping.ray_casting`).
+
+        An occupied voxel without a Gaussian stops rays where they enter it, as in a map of
+        occupancy alone, unless there is a surface in a voxel beside it.
 
         Args:
             origins: shape (N, 3) or (3,) for all rays, map frame [m].
@@ -170,8 +205,8 @@ class VoxelMap:
             max_range: [m].
 
         Returns:
-            Distance at which each ray enters the first occupied voxel, `max_range` where it meets
-            none, shape (N,) [m]; and whether it met one, shape (N,).
+            Distances and their standard deviations, without the error that the whole map shares,
+            shape (N,) each [m]; NaN where a ray is more likely to meet nothing.
 
         Raises:
             InvalidInputError: shapes do not fit, values are not finite, a direction is zero, or a
@@ -179,9 +214,50 @@ class VoxelMap:
         """
         size = self.config.voxel_size
         starts, rays = scan_input.checked_rays(origins, directions, max_range, size)
+        distances, sigmas = np.empty(len(rays)), np.empty(len(rays))
+        arrays = self._storage.blocks, self._storage.gaussians
+        found = distances, sigmas
+        limits = float(max_range), size
+        ray_casting.cast_to_surface(*arrays, starts, rays, *limits, *ray_casting.scratch(), *found)
+        return distances, sigmas
+
+    def render_depth(
+        self, camera: PinholeCamera, T_map_camera: ArrayLike, max_range: float | None = None
+    ) -> DepthImage:
+        """What a depth camera would see of the map.
+
+        Args:
+            camera: the camera.
+            T_map_camera: pose of its optical frame, shape (4, 4).
+            max_range: surfaces farther than this from the camera are not seen [m]; without it that
+                of the configuration.
+
+        Raises:
+            InvalidInputError: the pose is none, or leaves the coordinate limits.
+        """
+        pose = check_transform(T_map_camera, "T_map_camera")
+        pixels = camera.back_project(np.ones((camera.height, camera.width))).astype(np.float64)
+        rays = pixels.reshape(-1, 3) @ pose[:3, :3].T
+        reach = self.config.max_range if max_range is None else max_range
+        found = self.surface_along(pose[:3, 3], rays, reach)
+        per_depth = np.linalg.norm(pixels, axis=2)
+        depth, sigma = (each.reshape(per_depth.shape) / per_depth for each in found)
+        return DepthImage(depth.astype(np.float32), sigma.astype(np.float32))
+
+    def first_occupied(
+        self, origins: ArrayLike, directions: ArrayLike, max_range: float
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Where rays enter the first occupied voxel (p > 0.5); arguments as of `surface_along`.
+
+        Returns:
+            Distances, `max_range` where a ray enters none, shape (N,) [m]; and whether it entered
+            one, shape (N,).
+        """
+        size = self.config.voxel_size
+        starts, rays = scan_input.checked_rays(origins, directions, max_range, size)
         distances, hits = np.empty(len(rays)), np.empty(len(rays), np.bool_)
         limits = float(max_range), 1.0 / size
-        traversal.cast_rays(self._storage.blocks, starts, rays, *limits, distances, hits)
+        ray_casting.cast_to_voxels(self._storage.blocks, starts, rays, *limits, distances, hits)
         return distances, hits
 
     def entropy_bits(self, region: ArrayLike | None = None) -> float:

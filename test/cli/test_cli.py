@@ -154,6 +154,29 @@ def test_show_prints_and_draws(tmp_path, run):
     assert (high > [2.0, 0.0, 0.0]).all()
 
 
+def test_show_draws_what_a_camera_sees(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    run("map", bag, "--out", tmp_path / "out")
+    picture, map_file = tmp_path / "picture.png", tmp_path / "out" / "map.infomap"
+    pose = "0 0 0 -0.5 0.5 -0.5 0.5"  # along x
+    status, out, _ = run("show", map_file, "--out", picture, "--from", pose)
+    figures = json.loads(out)
+    assert status == 0
+    assert (tmp_path / "picture_depth.png").stat().st_size > 1000
+    assert figures["depth_picture"] == str(tmp_path / "picture_depth.png")
+    assert 0.0 < figures["seen_share"] <= 1.0
+    assert figures["median_depth"] == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("pose", ["1 2 3", "0 0 0 0 0 0 north", "0 0 0 0 0 0 0"])
+def test_show_refuses_what_is_no_pose(tmp_path, run, pose):
+    bag = write(tmp_path / "bag", depth_frames())
+    run("map", bag, "--out", tmp_path / "out")
+    status, _, error = run("show", tmp_path / "out" / "map.infomap", "--from", pose)
+    assert status == 1
+    assert len(error.strip().splitlines()) == 1
+
+
 def test_settings_are_listed(tmp_path, run):
     status, out, _ = run("map", "--settings")
     assert status == 0

@@ -167,13 +167,13 @@ def cluttered() -> VoxelMap:
     return voxel_map
 
 
-def test_cast_rays_meet_the_first_occupied_voxel(cluttered, rng):
+def test_rays_meet_the_first_occupied_voxel(cluttered, rng):
     indices, log_odds = cluttered.voxels()
     occupied = indices[log_odds > 0.0]
     origins = rng.uniform(-2.0, 2.0, (400, 3))
     targets = (occupied[rng.integers(len(occupied), size=400)] + rng.uniform(0, 1, (400, 3))) * 0.1
     directions = (targets - origins) * rng.uniform(0.2, 5.0, (400, 1))
-    distances, hits = cluttered.cast_rays(origins, directions, 1.9)
+    distances, hits = cluttered.first_occupied(origins, directions, 1.9)
     units = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     expected = np.array(
         [ray_distance(o, d, occupied, 0.1) for o, d in zip(origins, units, strict=True)]
@@ -183,13 +183,13 @@ def test_cast_rays_meet_the_first_occupied_voxel(cluttered, rng):
     assert 100 < hits.sum() < 390
 
 
-def test_cast_rays_along_the_axes(cluttered):
+def test_rays_along_the_axes(cluttered):
     indices, log_odds = cluttered.voxels()
     occupied = indices[log_odds > 0.0]
     axes = np.vstack([np.eye(3), -np.eye(3)])
     starts = (occupied[:40, None] + 0.5) * 0.1 - axes * 0.73
     directions = np.tile(axes, (40, 1))
-    distances, hits = cluttered.cast_rays(starts.reshape(-1, 3), directions, 2.0)
+    distances, hits = cluttered.first_occupied(starts.reshape(-1, 3), directions, 2.0)
     assert hits.all()
     expected = [
         ray_distance(o, d, occupied, 0.1)
@@ -201,7 +201,7 @@ def test_cast_rays_along_the_axes(cluttered):
 def test_a_ray_that_starts_in_an_occupied_voxel_is_there(cluttered):
     indices, log_odds = cluttered.voxels()
     inside = (indices[log_odds > 0.0][:5] + 0.3) * 0.1
-    distances, hits = cluttered.cast_rays(inside, np.ones((5, 3)), 1.0)
+    distances, hits = cluttered.first_occupied(inside, np.ones((5, 3)), 1.0)
     assert hits.all()
     np.testing.assert_array_equal(distances, 0.0)
 
@@ -209,13 +209,14 @@ def test_a_ray_that_starts_in_an_occupied_voxel_is_there(cluttered):
 def test_one_origin_serves_many_rays(cluttered, rng):
     directions = rng.normal(size=(50, 3))
     origin = np.array([0.1, 0.2, -0.1])
-    one = cluttered.cast_rays(origin, directions, 3.0)
-    many = cluttered.cast_rays(np.tile(origin, (50, 1)), directions, 3.0)
+    one = cluttered.first_occupied(origin, directions, 3.0)
+    many = cluttered.first_occupied(np.tile(origin, (50, 1)), directions, 3.0)
     np.testing.assert_array_equal(one, many)
 
 
-def test_rays_through_an_empty_map_meet_nothing():
-    distances, hits = VoxelMap().cast_rays([0.0, 0.0, 0.0], [[1.0, 2.0, 3.0]], 7.0)
+@pytest.mark.parametrize("cast", [VoxelMap.cast_rays, VoxelMap.first_occupied])
+def test_rays_through_an_empty_map_meet_nothing(cast):
+    distances, hits = cast(VoxelMap(), [0.0, 0.0, 0.0], [[1.0, 2.0, 3.0]], 7.0)
     assert distances.tolist() == [7.0]
     assert not hits.any()
 
@@ -235,8 +236,9 @@ def test_rays_through_an_empty_map_meet_nothing():
     ],
 )
 def test_impossible_rays_are_refused(origins, directions, max_range):
-    with pytest.raises(InvalidInputError):
-        VoxelMap().cast_rays(origins, directions, max_range)
+    for cast in (VoxelMap.cast_rays, VoxelMap.first_occupied):
+        with pytest.raises(InvalidInputError):
+            cast(VoxelMap(), origins, directions, max_range)
 
 
 @pytest.mark.parametrize("length", [0.0, 0.02])

@@ -224,7 +224,7 @@ def _hide(
     place, point = np.nonzero(sight)
     rays = points[point] - origins[place]
     distances = np.linalg.norm(rays, axis=1)
-    reached, _ = voxel_map.cast_rays(origins[place], rays, float(distances.max()))
+    reached, _ = voxel_map.first_occupied(origins[place], rays, float(distances.max()))
     sight[place, point] = reached >= distances - _TOLERANCE * voxel_map.config.voxel_size
 
 

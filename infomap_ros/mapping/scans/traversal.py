@@ -1,7 +1,6 @@
 """Exact traversal of the voxel grid by rays (Amanatides and Woo 1987).
 
-Used for clouds without a camera, whose free space is what their rays cross, and to cast rays
-through the map.
+Used for clouds without a camera, whose free space is what their rays cross.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from infomap_ros.mapping.scans.scan import (
     row_of,
     walk_through,
 )
-from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_at
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
 
 _ONE = np.uint64(1)
@@ -268,32 +266,3 @@ def unpack_all(keys: Any, count: int, coordinates: Any) -> None:
     for i in range(count):
         x, y, z = unpack(keys[i])
         coordinates[i, 0], coordinates[i, 1], coordinates[i, 2] = x, y, z
-
-
-@njit(cache=True, nogil=True)
-def cast_rays(
-    blocks: Any,
-    origins: Any,
-    directions: Any,
-    max_range: float,
-    inverse_size: float,
-    distances: Any,
-    hits: Any,
-) -> None:
-    """Distance along each ray to the first occupied voxel; see `VoxelMap.cast_rays`."""
-    for ray in range(len(origins)):
-        x, y, z = origins[ray] * inverse_size
-        dx, dy, dz = directions[ray] * inverse_size
-        voxel, crossings, steps, deltas = begin_walk(x, y, z, dx, dy, dz)
-        block_key, slot, entered = np.int64(-1), np.int64(-1), 0.0
-        distances[ray], hits[ray] = max_range, False
-        while entered < max_range:
-            i, j, k = voxel
-            key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
-            if key != block_key:
-                block_key, slot = key, np.int64(find_block(blocks, key))
-            if slot >= 0 and quanta_at(blocks, slot, local_index(i, j, k))[1] > 0:
-                distances[ray], hits[ray] = entered, True
-                break
-            entered = way_through(crossings)
-            voxel, crossings = next_voxel(voxel, crossings, steps, deltas)

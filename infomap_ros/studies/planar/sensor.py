@@ -76,7 +76,7 @@ def take_scan(
     """
     rays, _ = camera_rays(sensor.camera, sensor.ray_spacing, planar=True)
     directions = rays @ T_map_camera[:3, :3].T
-    distances, hits = truth.cast_rays(T_map_camera[:3, 3], directions, sensor.max_range)
+    distances, hits = truth.first_occupied(T_map_camera[:3, 3], directions, sensor.max_range)
     beyond = 2.0 * sensor.max_range
     lengths = np.where(hits, distances + _INSIDE * truth.config.voxel_size, beyond)
     voxel_map.integrate(rays * lengths[:, None], T_map_camera)

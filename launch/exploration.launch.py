@@ -2,8 +2,8 @@
 
 ros2 launch infomap_ros exploration.launch.py world:=cave seed:=3 rviz:=true
 ros2 launch infomap_ros exploration.launch.py driver:=true
-ros2 launch infomap_ros exploration.launch.py world:=office parameters:=robot.yaml
-ros2 launch infomap_ros exploration.launch.py simulator:=false driver:=true parameters:=robot.yaml
+ros2 launch infomap_ros exploration.launch.py world:=office robot:=robot.yaml
+ros2 launch infomap_ros exploration.launch.py simulator:=false driver:=true robot:=robot.yaml
 ros2 launch infomap_ros exploration.launch.py simulator:=false namespace:=robot1 robot_id:=1
 """
 
@@ -136,5 +136,5 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
             "publish_camera_pose": given["localization"] == "pose",
             **(driven_simulator() if driven else {}),
         },
-        "robot_driver": simulated_driver(given["parameters"]) if driven else {},
+        "robot_driver": simulated_driver(given["robot"]) if driven else {},
     }

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, ResourceError
 from infomap_ros.geometry.config import all_parameters, build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
@@ -177,11 +177,41 @@ def test_a_driver_moves_the_simulated_rover_by_actions(exploration: ModuleType) 
 
 
 def test_a_driver_of_a_robot_takes_its_controllers_from_the_file(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, simulator="false", driver="true", parameters="mine.yaml")
+    nodes = nodes_of(exploration, simulator="false", driver="true", robot="tiago")
 
     assert set(nodes) == {*EXPLORING, "robot_driver", "rviz2"}
     assert "controllers" not in settings_of(nodes["robot_driver"])
-    assert nodes["robot_driver"].parameters[-1] == "mine.yaml"
+    for name in (*EXPLORING, "robot_driver"):
+        assert nodes[name].parameters[1] == str(find_share("config/robots/tiago.yaml"))
+
+
+def test_a_simulated_robot_has_the_simulator_s_controllers(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, driver="true", robot="tiago", parameters="mine.yaml")
+    file, simulator, driver = find_share("config/robots/tiago.yaml"), "simulator", "robot_driver"
+
+    (controller,) = settings_of(nodes[driver])["controllers"]
+    assert controller.startswith("arm_controller: torso_lift_joint, arm_1_joint")
+    for name in (simulator, driver):
+        parameters = nodes[name].parameters
+        assert parameters.index(str(file)) < parameters.index(settings_part(nodes[name]))
+        assert parameters[-1] == "mine.yaml"
+
+
+def settings_part(node: Recorder) -> dict[str, Any]:
+    """What the launch file sets, and which counts for more than what stands before it."""
+    (part,) = [part for part in node.parameters if isinstance(part, dict)]
+    return part
+
+
+def test_a_robot_s_frames_get_its_prefix(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, simulator="false", robot="tiago", frame_prefix="mine/")
+
+    assert settings_of(nodes["next_best_view"])["base_frame"] == "mine/base_footprint"
+
+
+def test_a_robot_that_there_is_not_is_named(exploration: ModuleType) -> None:
+    with pytest.raises(ResourceError, match=r"'tigo'; ready ones: .*tiago"):
+        nodes_of(exploration, robot="tigo")
 
 
 @pytest.mark.parametrize("name", ["tiago", "ur5_on_base"])

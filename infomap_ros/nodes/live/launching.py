@@ -14,6 +14,7 @@ from infomap_ros.nodes.live.camera_presets import PRESETS, camera_preset
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.image_inputs import COMPRESSED, COMPRESSED_DEPTH
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
+from infomap_ros.simulation.robots.robot_file import RobotFile, robot_path
 
 ROBOT_ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
@@ -43,6 +44,11 @@ ROBOT_ARGUMENTS = {
     ),
     "respawn": ("false", "Start a node that died anew, two seconds later."),
     "log_level": ("info", "Least severity that is logged: debug, info, warn, error."),
+    "robot": (
+        "",
+        "File of the robot, as infomap robot writes it, or the name of one of config/robots; the "
+        "other arguments count for more than what it holds.",
+    ),
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
     "web": ("false", "Start web_viewer, a page in the browser; its log tells the address."),
@@ -103,6 +109,7 @@ class RobotLaunch:
         self._simulated = simulated
         self._use_sim_time = {"true": True, "false": False}.get(given["use_sim_time"], simulated)
         self._camera = camera_preset(given["camera"])
+        self._robot = str(robot_path(given["robot"])) if given.get("robot") else ""
 
     @property
     def source(self) -> str:
@@ -134,11 +141,12 @@ class RobotLaunch:
         if executable in _FRAMES and given["frame_prefix"]:
             settings |= self._frames(executable)
         own = [given["parameters"]] if given["parameters"] else []
+        robot = [self._robot] if self._robot else []
         return Node(
             package="infomap_ros",
             executable=executable,
             namespace=given["namespace"],
-            parameters=[str(find_share(f"config/{executable}.yaml")), settings, *own],
+            parameters=[str(find_share(f"config/{executable}.yaml")), *robot, settings, *own],
             remappings=self._remappings,
             additional_env=additions(),
             output="screen",
@@ -173,7 +181,8 @@ class RobotLaunch:
         prefix = self._given["frame_prefix"]
         if executable == "map_fusion":
             return {"frame_prefix": prefix}
-        names = {"base_frame": prefix + _BASE, "odom_frame": prefix + _ODOM}
+        base = RobotFile.read(self._robot).setup.base_frame if self._robot else ""
+        names = {"base_frame": prefix + (base or _BASE), "odom_frame": prefix + _ODOM}
         return {**names, "frame_prefix": prefix}
 
     def viewers(self) -> list[Any]:

@@ -20,23 +20,22 @@ def driven_simulator() -> dict[str, Any]:
     return {"commands": "actions"}
 
 
-def simulated_driver(parameters: str = "") -> dict[str, Any]:
+def simulated_driver(robot: str = "") -> dict[str, Any]:
     """Parameters of robot_driver for the controllers of the simulated robot.
 
     Args:
-        parameters: parameter file that names the robot; where it has none, it is the rover.
+        robot: its file, or the name of one of ``config/robots``; the rover where empty.
 
     Raises:
         InfomapError: the file or the description in it cannot be used.
     """
     from infomap_ros.simulation.body.robot import read_description
     from infomap_ros.simulation.robots.ready_robot import ready_robot
-    from infomap_ros.simulation.robots.robot_file import RobotFile, holds_robot
+    from infomap_ros.simulation.robots.robot_file import RobotFile
 
-    is_named = bool(parameters) and holds_robot(parameters)
-    known = RobotFile.read(parameters) if is_named else RobotFile(_ROVER)
-    robot = ready_robot(read_description(known.description_path), known.setup)
-    joints = ", ".join(robot.setup.arm_joints)
+    known = RobotFile.read(robot) if robot else RobotFile(_ROVER)
+    ready = ready_robot(read_description(known.description_path), known.setup)
+    joints = ", ".join(ready.setup.arm_joints)
     return {
         "arm": "follow_joint_trajectory",
         "controllers": [f"{ARM_CONTROLLER}: {joints}"],

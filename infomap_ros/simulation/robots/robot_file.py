@@ -134,7 +134,7 @@ class RobotFile:
             ConfigError: it is no parameter file, a name in the section for all nodes is unknown,
                 or a value is refused.
         """
-        found = _robot_path(path)
+        found = robot_path(path)
         try:
             content = yaml.safe_load(found.read_text(encoding="utf-8"))
         except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -172,16 +172,6 @@ class RobotFile:
                 option = f"--robot {path.name}: {name or error.parameter}"
                 raise ConfigError(option, error.value, error.expected) from error
             raise ConfigError(f"--robot {path.name}", str(error), "numbers and names") from error
-
-
-def holds_robot(path: str | Path) -> bool:
-    """Whether a parameter file names a robot's description; one that cannot be read does not."""
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        parts = [content.get(section) or {} for section in SECTIONS]
-        return any("description" in part.get("ros__parameters", {}) for part in parts)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError):
-        return False
 
 
 def find_description(place: str, folder: Path | None = None) -> Path:
@@ -232,7 +222,15 @@ def _refuse_unknown(names: Iterable[str], file: str) -> None:
             raise ConfigError(f"--robot {file}", name, expected)
 
 
-def _robot_path(path: str | Path) -> Path:
+def robot_path(path: str | Path) -> Path:
+    """Where a robot's file is.
+
+    Args:
+        path: of the file; ``tiago`` for ``config/robots/tiago.yaml``.
+
+    Raises:
+        ResourceError: there is no such file; names those that come with the package.
+    """
     given = Path(path)
     if given.is_file():
         return given

@@ -38,8 +38,10 @@ from infomap_ros.nodes.live.demo_exploration import (
 from infomap_ros.nodes.live.kernels import PLANNING, SENSING, KernelProcess, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth, live_map_frame
+from infomap_ros.nodes.simulated.simulated_driver import simulated_driver
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.pose_audit import pose_errors
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.worlds.builder import World
 
 PICTURE_FILE = "map.png"
@@ -58,6 +60,7 @@ class DemoConfig:
         known_fraction: of the reachable surface that the robot must know precisely.
         voxel_size: [m].
         strategy: that chooses views.
+        robot: its file, or the name of one of ``config/robots``; the rover where empty.
         timeout: [s].
         lockstep: simulated time waits for the nodes, so that the run does not depend on the
             machine; else they think while it passes.
@@ -70,6 +73,7 @@ class DemoConfig:
     known_fraction: float = 0.9
     voxel_size: float = 0.05
     strategy: str = "largest_information"
+    robot: str = ""
     timeout: float = 3600.0
     lockstep: bool = False
 
@@ -172,7 +176,10 @@ def _start(run: LiveExploration, picture: FirstPicture, status: Status, console:
 def _parameters(config: DemoConfig, world: World) -> dict[str, dict[str, object]]:
     limits = {"max_views": config.max_views, "known_fraction": config.known_fraction}
     task = task_parameters(world, limits)
+    robot = RobotFile.read(config.robot).parameters if config.robot else {}
     return {
+        "/**": robot,
+        "robot_driver": simulated_driver(config.robot),
         "simulator": {
             "world": config.world,
             "world_seed": config.seed,
@@ -201,7 +208,7 @@ def write_results(out: Path, voxel_map: VoxelMap, results: dict[str, object]) ->
         out / "exploration.jsonl",
         voxel_map,
         f"Exploring {results['world']}, seed {results['seed']}",
-        "A simulated rover with an arm and a stereo pair, each node a process of its own.",
+        "A simulated robot with an arm and a stereo pair, each node a process of its own.",
         results,
     )
 
@@ -213,6 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "demo", about, "out/demo", usual.max_views, usual.voxel_size, usual.size
     )
     parser.add_argument("--strategy", default=usual.strategy, help="that chooses views")
+    parser.add_argument("--robot", default="", help="its file, or tiago, stretch and so on")
     parser.add_argument("--lockstep", action="store_true", help="simulated time waits for nodes")
     parser.add_argument("--timeout", type=float, default=usual.timeout, help="[s]")
     options = vars(parser.parse_args(arguments))

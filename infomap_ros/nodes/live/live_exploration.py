@@ -106,7 +106,7 @@ class LiveExploration(LiveGraph):
 
     Args:
         out: folder for map, mission, log of the run and logs of the nodes.
-        parameters: further parameters by node name.
+        parameters: further parameters by node name; ``/**`` has those of all nodes.
         localized: by fiducial_localization; else the simulator tells the camera's pose.
         lockstep: simulated time waits for the nodes.
 
@@ -130,7 +130,8 @@ class LiveExploration(LiveGraph):
         self.map_file, self.log_file = out / MAP_FILE, out / LOG_FILE
         own = robot_parameters(out, localized=localized, lockstep=lockstep)
         given = parameters or {}
-        self._parameters = {name: {**own[name], **given.get(name, {})} for name in own}
+        shared = given.get("/**", {})
+        self._parameters = {name: {**shared, **own[name], **given.get(name, {})} for name in own}
 
     def start(self) -> None:
         """Start all nodes; the explorer begins by itself when the others are there."""

@@ -26,6 +26,7 @@ EXECUTABLES = (
     "fiducial_localization",
     "robot_driver",
     "dead_reckoning",
+    "web_viewer",
 )
 """Programs of this package that run a node, which are modules of `infomap_ros.nodes` too."""
 

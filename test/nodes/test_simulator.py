@@ -33,8 +33,10 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
 from infomap_ros.nodes.robot_driver import RobotDriverNode
+from infomap_ros.nodes.simulated.simulated_driver import simulated_driver
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.worlds.scenes import build_scene
 
 TYPES = RclpyMessageTypes()
@@ -233,6 +235,36 @@ def test_it_moves_by_actions_through_robot_driver(graph: Any) -> None:
     states = decode_joint_state(bench.joints[-1])
     pan = states.positions[states.names.index("arm_pan_joint")]
     assert pan == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.skipif(
+    find_spec("control_msgs") is None or find_spec("nav2_msgs") is None,
+    reason="control_msgs and nav2_msgs: python -m infomap_ros.nodes.common.message_packages",
+)
+def test_the_controller_of_a_robot_from_its_file_has_the_arm_without_the_hand(graph: Any) -> None:
+    robot = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in RobotFile.read("panda_on_base").parameters.items()
+    }
+    driver = graph.add(RobotDriverNode, **{**robot, **simulated_driver("panda_on_base")})
+    bench = Bench(graph, commands="actions", **robot)
+    results: list[MotionResult] = []
+    graph.tester.create_subscription(
+        DiagnosticArray, "motion_results", lambda m: results.append(read_motion_result(m)), 10
+    )
+    graph.connect(driver._results)
+    graph.spin_until(lambda: driver._drivers[0]._joints._limits, "description")
+    client = driver._drivers[0]._carrier._clients["arm_controller"]
+    graph.spin_until(client.server_is_ready, "the server")
+    states = decode_joint_state(bench.joints[-1])
+    start = states.positions[states.names.index("panda_joint1")]
+    path = ArmPath(("panda_joint1",), np.full((1, 1), start + 0.3), np.array([2.0]))
+
+    bench.commands["arm_trajectory"].publish(encode_arm_trajectory(TYPES, 0, path, label="turn"))
+    graph.spin_until(lambda: results, "the result of the trajectory", 60.0)
+
+    assert any("finger" in name for name in states.names)
+    assert results[0].outcome == Outcome.SUCCEEDED, results
 
 
 def test_a_contact_is_told(graph: Any) -> None:

@@ -98,7 +98,7 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
     status, parameters = Status(status_line({}), console=console), _parameters(config, world)
     with status:
         with LiveExploration(out, parameters, lockstep=config.lockstep) as run:
-            say_page(run.open_page(), console)
+            say_page(run.open_own_page(), console)
             observed, picture = LiveTruth(run), FirstPicture(run.map_file, out / PICTURE_FILE)
             _start(run, picture, status, console)
             run.follow(lambda: status.update(status_line(run.figures)), config.timeout)

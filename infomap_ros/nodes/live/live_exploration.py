@@ -132,6 +132,11 @@ class LiveExploration(LiveGraph):
         given = parameters or {}
         shared = given.get("/**", {})
         self._parameters = {name: {**shared, **own[name], **given.get(name, {})} for name in own}
+        self._page_parameters = {**shared, **given.get("web_viewer", {})}
+
+    def open_own_page(self) -> str:
+        """As `open_page`, of this robot."""
+        return self.open_page(parameters=self._page_parameters)
 
     def start(self) -> None:
         """Start all nodes; the explorer begins by itself when the others are there."""

@@ -81,7 +81,8 @@ class SimulatorActions:
             command = decode_arm_trajectory(goal.trajectory)
         except InfomapError as error:
             return str(error)
-        return why_refused(command, self._simulator.arm_joints, self._simulator.stamp)
+        joints = self._simulator.config.robot.arm_joints  # hands and heads have their own
+        return why_refused(command, joints, self._simulator.stamp)
 
     def _begin_trajectory(self, goal: Any) -> None:
         command = decode_arm_trajectory(goal.trajectory)

@@ -100,7 +100,7 @@ class NodeProcesses:
             self._processes[name].send_signal(signal.SIGINT)
         self.wait(name, timeout)
 
-    def kill(self, name: str, timeout: float = 15.0) -> None:
+    def kill(self, name: str, timeout: float = 60.0) -> None:
         """End a process at once, without a chance to tidy up.
 
         Raises:

@@ -47,7 +47,6 @@ from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import changed_config, declare_config
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
-from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
 
 Config = TypeVar("Config")
 
@@ -342,9 +341,19 @@ class MonitoredNode(Node):
         """Name values that were given for parameters which this node does not have."""
         known = [name for name in self._parameters if not name.startswith("qos_overrides.")]
         used = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
-        used |= PARAMETERS  # a robot's file is for all nodes, and each takes what it knows
-        for name in self._parameter_overrides:
-            if name not in used | set(known) and not name.startswith("qos_overrides."):
+        unknown = [
+            name
+            for name in self._parameter_overrides
+            if name not in used | set(known) and not name.startswith("qos_overrides.")
+        ]
+        if not unknown:
+            return
+        # A robot's file is for all nodes, and each takes what it knows. Imported here, as that
+        # looks for a graphics card, which other starts need not wait for.
+        from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
+
+        for name in unknown:
+            if name not in PARAMETERS:
                 near = get_close_matches(name, known, n=1)
                 hint = f": is {near[0]} meant?" if near else ""
                 self.get_logger().warning(f"parameter {name} is not known and not used{hint}")

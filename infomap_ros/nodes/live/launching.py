@@ -14,7 +14,6 @@ from infomap_ros.nodes.live.camera_presets import PRESETS, camera_preset
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.image_inputs import COMPRESSED, COMPRESSED_DEPTH
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
-from infomap_ros.simulation.robots.robot_file import RobotFile, robot_path
 
 ROBOT_ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
@@ -109,7 +108,9 @@ class RobotLaunch:
         self._simulated = simulated
         self._use_sim_time = {"true": True, "false": False}.get(given["use_sim_time"], simulated)
         self._camera = camera_preset(given["camera"])
-        self._robot = str(robot_path(given["robot"])) if given.get("robot") else ""
+        self._robot = self._base = ""
+        if given["robot"]:
+            self._robot, self._base = _robot(given["robot"])
 
     @property
     def source(self) -> str:
@@ -181,8 +182,7 @@ class RobotLaunch:
         prefix = self._given["frame_prefix"]
         if executable == "map_fusion":
             return {"frame_prefix": prefix}
-        base = RobotFile.read(self._robot).setup.base_frame if self._robot else ""
-        names = {"base_frame": prefix + (base or _BASE), "odom_frame": prefix + _ODOM}
+        names = {"base_frame": prefix + (self._base or _BASE), "odom_frame": prefix + _ODOM}
         return {**names, "frame_prefix": prefix}
 
     def viewers(self) -> list[Any]:
@@ -221,6 +221,18 @@ class RobotLaunch:
         membership: dict[str, object] = {"robot_id": int(given["robot_id"])}
         membership |= {"team": team} if team else {}
         return membership | ({"team_key": given["team_key"]} if given["team_key"] else {})
+
+
+def _robot(name: str) -> tuple[str, str]:
+    """Where a robot's file is, and the base frame in it.
+
+    Raises:
+        InfomapError: there is no such file, or it cannot be used.
+    """
+    # Imported here, as it brings the simulation, which a launch without it need not wait for.
+    from infomap_ros.simulation.robots.robot_file import RobotFile, robot_path
+
+    return str(robot_path(name)), RobotFile.read(name).setup.base_frame
 
 
 def numbers(text: str) -> list[float]:

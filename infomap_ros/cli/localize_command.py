@@ -80,8 +80,8 @@ def _localize(
     recording: Recording, out: Path, options: LocalizeOptions, page: LivePage | None
 ) -> None:
     run = LocalizeRun(recording, options)
-    with_bar = partial(run_with_bar, stop=run.stop, doing="locating", what="views")
-    with_bar(run.run if page is None else partial(_run_live, run, page), total=run.inputs.frames)
+    work = run.run if page is None else partial(_run_live, run, page)
+    run_with_bar(work, run.stop, "locating", "views", run.inputs.frames)
     summary = write_localize_files(run, out)
     for text in [*recording.problems, *_remarks(run)]:
         typer.echo(f"infomap: {text}", err=True)

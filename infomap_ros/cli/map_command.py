@@ -91,8 +91,8 @@ def map_bag(
 
 def _map(recording: Recording, out: Path, options: MapOptions, page: LivePage | None) -> None:
     run = MapRun(recording, options)
-    with_bar = partial(run_with_bar, stop=run.stop, doing="mapping", what="frames")
-    with_bar(run.run if page is None else partial(_run_live, run, page), total=run.inputs.frames)
+    work = run.run if page is None else partial(_run_live, run, page)
+    run_with_bar(work, run.stop, "mapping", "frames", run.inputs.frames)
     summary = write_map_files(run, out)
     for text in _remarks(run, recording):
         typer.echo(f"infomap: {text}", err=True)

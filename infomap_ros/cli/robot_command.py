@@ -12,8 +12,6 @@ from infomap_ros.simulation.robots.drawing import draw_robot
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.robots.robot_reading import RobotReading, read_robot
 
-_LONGEST_TITLE = 60
-
 
 def robot(
     urdf: Annotated[

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from infomap_ros.viewer.colors import PLACE
+
 _EDGES = np.array(
     [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 )  # of a cube, pairs of its corners
 _SIGNS = np.array([[i >> axis & 1 for axis in range(3)] for i in range(8)]) - 0.5
-_COLOR = (204, 121, 167)
 
 
 @dataclass(frozen=True)
@@ -67,16 +68,17 @@ class InterestControls:
             return
         corners = _SIGNS * np.asarray(self._size.value)
         self._viser.scene.add_line_segments(
-            "/interest/box", corners[_EDGES].astype(np.float32), _COLOR, thickness=3.0,
+            "/interest/box", corners[_EDGES].astype(np.float32), PLACE, thickness=3.0,
             thickness_units="screen",
         )  # fmt: skip
 
     def _send(self) -> None:
         if self._handle is None:
             self._begin()
-        center = tuple(float(value) for value in self._handle.position)
-        size = tuple(float(value) for value in self._size.value)
-        self._on_change(InterestBox(center, size, float(self._weight.value)))  # type: ignore[arg-type]
+        x, y, z = (float(value) for value in self._handle.position)
+        length, width, height = (float(value) for value in self._size.value)
+        weight = float(self._weight.value)
+        self._on_change(InterestBox((x, y, z), (length, width, height), weight))
 
     def _remove(self) -> None:
         if self._handle is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +22,7 @@ from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLO
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.viewer.colors import REJECTED, colored
 from infomap_ros.viewer.live_page import LivePage
+from infomap_ros.viewer.run_panel import map_figures
 from infomap_ros.viewer.views_layer import ConsideredView
 
 
@@ -70,10 +70,7 @@ class LogDisplay:
 def figures_of(progress: Progress) -> dict[str, str]:
     """How far a run is, as a page tells it."""
     figures = {"views": str(progress.views), "way": f"{progress.distance:.1f} m"}
-    shares = {"known": progress.known_fraction, "precise": progress.precise_fraction}
-    figures |= {name: f"{share:.1%}" for name, share in shares.items() if math.isfinite(share)}
-    if math.isfinite(progress.mean_sigma):
-        figures["mean sigma"] = f"{1e3 * progress.mean_sigma:.1f} mm"
+    figures |= map_figures(progress.known_fraction, progress.precise_fraction, progress.mean_sigma)
     figures["surface"] = f"{progress.surface_voxels:,} voxels"
     figures["left to know"] = f"{progress.entropy_bits:,.0f} bits"
     return figures

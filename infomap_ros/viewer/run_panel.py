@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import threading
 import time
 from collections import deque
@@ -17,6 +18,23 @@ _LINES = 14  # of the log that are shown
 _CURVE = 400  # points of the curves; of more, every other one is left out
 _NOTICE = 6.0  # for which the answer to an order is shown [s]
 _LEVELS = {"warning": "#b06000", "error": "#c5221f"}
+
+
+def map_figures(
+    known_fraction: float, precise_fraction: float, mean_sigma: float
+) -> dict[str, str]:
+    """How good a map is, for `RunPanel.show_state`; what is not finite is left out.
+
+    Args:
+        known_fraction: of what is to be mapped, 0 to 1.
+        precise_fraction: of it, what is known precisely enough.
+        mean_sigma: of the surface along its normal [m].
+    """
+    shares = {"known": known_fraction, "precise": precise_fraction}
+    figures = {name: f"{share:.1%}" for name, share in shares.items() if math.isfinite(share)}
+    return figures | (
+        {"mean sigma": f"{1e3 * mean_sigma:.1f} mm"} if math.isfinite(mean_sigma) else {}
+    )
 
 
 class RunPanel:

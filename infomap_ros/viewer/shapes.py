@@ -55,7 +55,8 @@ def draw_solid(scene: Any, name: str, shape: BodyShape, color: Color) -> Any:
         return scene.add_cylinder(name, solid.radius, solid.length, color)
     if isinstance(solid, Sphere):
         return scene.add_icosphere(name, solid.radius, color)
-    vertices = np.asarray(shape.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
+    vertices = shape.vertices
+    assert vertices is not None  # what is no plain shape is a mesh
     hull = ConvexHull(vertices)
     inward = np.einsum("ij,ij->i", hull.equations[:, :3], _facet_normals(vertices, hull.simplices))
     faces = np.where((inward < 0.0)[:, None], hull.simplices[:, ::-1], hull.simplices)

@@ -43,6 +43,13 @@ class BodyShape:
     placement: FloatArray
     geometry: coal.CollisionGeometry
 
+    @property
+    def vertices(self) -> FloatArray | None:
+        """Of a mesh, in the frame of `solid`, shape (V, 3) [m]; None for a plain shape."""
+        if not hasattr(self.geometry, "vertices"):
+            return None
+        return np.asarray(self.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
+
 
 def body_shapes(
     model: pinocchio.Model, description: RobotDescription, package_folders: Sequence[str | Path]

@@ -211,9 +211,9 @@ def _length(robot: RobotModel, joint: int, link: str, outward: FloatArray) -> fl
     for shape, solid in zip(robot.shapes, solids, strict=True):
         if joint not in model.supports[shape.joint]:
             continue
-        if hasattr(shape.geometry, "vertices"):
-            points = np.asarray(shape.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
-            points = points @ solid.transform[:3, :3].T + solid.transform[:3, 3]
+        vertices = shape.vertices
+        if vertices is not None:
+            points = vertices @ solid.transform[:3, :3].T + solid.transform[:3, 3]
             reach.append(float((points @ outward).max()))
         else:
             middle = float(solid.transform[:3, 3] @ outward)

@@ -85,9 +85,9 @@ def link_extents(robot: RobotModel) -> Mapping[str, Extent]:
     placed = robot.solids_in(robot.base_frame, joints)
     found: dict[str, Extent] = {}
     for shape, solid in zip(robot.shapes, placed, strict=True):
-        if hasattr(shape.geometry, "vertices"):
-            points = np.asarray(shape.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
-            points = points @ solid.transform[:3, :3].T + solid.transform[:3, 3]
+        vertices = shape.vertices
+        if vertices is not None:
+            points = vertices @ solid.transform[:3, :3].T + solid.transform[:3, 3]
             low, high = points.min(axis=0), points.max(axis=0)
         else:
             low, high = solid_extent(solid)

@@ -118,8 +118,11 @@ class LiveGraph:
         self._page = NodeProcesses(self._log_folder, namespace, self._environment)
         self._page.start(_VIEWER, parameters or {}, remaps)
         page, end = self._page, time.monotonic() + _PAGE_TIMEOUT
-        is_over = lambda: page.status(_VIEWER) is not None or time.monotonic() > end  # noqa: E731
-        self.spin_until(lambda: bool(found) or is_over(), "the page", 2.0 * _PAGE_TIMEOUT)
+
+        def is_settled() -> bool:
+            return bool(found) or page.status(_VIEWER) is not None or time.monotonic() > end
+
+        self.spin_until(is_settled, "the page", 2.0 * _PAGE_TIMEOUT)
         return found[0] if found else ""
 
     def spin_until(

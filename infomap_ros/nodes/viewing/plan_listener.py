@@ -19,10 +19,11 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.planning.plan_outputs import CANDIDATES, REJECTED
 from infomap_ros.viewer import LivePage
+from infomap_ros.viewer.run_panel import map_figures
 from infomap_ros.viewer.views_layer import ConsideredView
 
 _MARKERS = "visualization_msgs/msg/MarkerArray"
-_SHARES = {"known fraction": "known", "precise fraction": "precise"}
+_SHARES = ("known fraction", "precise fraction")
 _COUNTS = {"views": "views", "surface voxels": "surface voxels", "failures": "views in vain"}
 
 
@@ -109,10 +110,8 @@ def _figures(values: dict[str, str]) -> dict[str, str]:
     """Of exploration_status, as the page tells them."""
     figures = {name: values[key] for key, name in _COUNTS.items() if key in values}
     figures |= {"way": f"{values['distance [m]']} m"} if "distance [m]" in values else {}
-    shares = {name: _number(values.get(key, "")) for key, name in _SHARES.items()}
-    figures |= {name: f"{share:.1%}" for name, share in shares.items() if math.isfinite(share)}
-    sigma = _number(values.get("mean sigma [m]", ""))
-    return figures | ({"mean sigma": f"{1e3 * sigma:.1f} mm"} if math.isfinite(sigma) else {})
+    known, precise, sigma = (_number(values.get(key, "")) for key in (*_SHARES, "mean sigma [m]"))
+    return figures | map_figures(known, precise, sigma)
 
 
 def _number(text: str) -> float:

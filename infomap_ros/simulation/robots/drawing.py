@@ -174,9 +174,9 @@ def _points(shape: BodyShape, placed: PlacedSolid) -> FloatArray:
     if isinstance(solid, Cylinder):
         ends = [ring * solid.radius + (0.0, 0.0, z * solid.length) for z in (-0.5, 0.5)]
         return transform_points(placed.transform, np.concatenate(ends))
-    if hasattr(shape.geometry, "vertices"):
-        points = np.asarray(shape.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
-        return transform_points(placed.transform, points)
+    vertices = shape.vertices
+    if vertices is not None:
+        return transform_points(placed.transform, vertices)
     rings = [np.roll(ring, turn, axis=1) * solid.bounding_radius for turn in range(3)]
     return transform_points(placed.transform, np.concatenate(rings))
 

@@ -13,7 +13,8 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError
 
-_TIMEOUT = 5.0  # [s]
+_FINDING = 2.0  # for which a service is looked for: it may just have come up [s]
+_TIMEOUT = 30.0  # for which an answer is waited for: a busy explorer answers late [s]
 _ORDERS = ("start", "pause", "resume", "home", "stop")
 
 
@@ -35,7 +36,7 @@ def _call(client: Client) -> str:
         ExplorationError: nobody offers it or answers, or the answer is a refusal.
     """
     name = client.srv_name
-    if not client.service_is_ready():
+    if not client.wait_for_service(_FINDING):
         raise ExplorationError(f"nobody offers the service {name}")
     done = threading.Event()
     answer: Future = client.call_async(Trigger.Request())

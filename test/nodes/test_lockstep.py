@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -16,7 +17,12 @@ from infomap_ros.cli.settings import with_settings
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.lockstep import TIME, LockstepConductor, LockstepConfig
+from infomap_ros.nodes.common.lockstep import (
+    REPORTS,
+    TIME,
+    LockstepConductor,
+    LockstepConfig,
+)
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.live.live_exploration import robot_parameters
@@ -181,3 +187,11 @@ def test_what_is_latched_has_been_used_when_time_begins(graph: Any) -> None:
     listener = graph.add(Listener, lockstep=True)
     in_thread(graph, speaker.conductor.begin)
     assert listener.texts == ["one", "two"]
+
+
+def test_time_begins_also_where_a_node_has_reported_before_the_simulator_came(graph: Any) -> None:
+    graph.add(Listener, lockstep=True)
+    reports = graph.collect(DiagnosticStatus, REPORTS)
+    graph.spin_until(lambda: len(reports) > 1, "the listener to report, and again")
+    speaker = graph.add(Speaker, lockstep=True)
+    in_thread(graph, speaker.conductor.begin)

@@ -303,7 +303,8 @@ class MonitoredNode(Node):
             raise RuntimeError("the worker thread has ended by an error, see above")
         self._warn_of_missing_inputs()
         self._note_memory()
-        self._report_rest()
+        if self.lockstep is not None:
+            self.lockstep.report(again=True)
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
             self.health.note(name, str(publisher.get_subscription_count()))

@@ -108,13 +108,18 @@ class LockstepReporter:
                 self._counts[_FOUND + publisher.topic_name] = found
             return self._counts.copy()
 
-    def report(self) -> None:
-        """Report, where something has changed and the node rests."""
+    def report(self, *, again: bool = False) -> None:
+        """Report, where something has changed and the node rests.
+
+        Args:
+            again: also where nothing has changed, for a simulator that came up after the node.
+        """
         if not self._rests():
             return
         with self._lock:
             counts, waited = self.counts(), self.waited_until()
-            if counts == self._reported and waited == self._waited:
+            is_old = counts == self._reported and waited == self._waited
+            if is_old and not again:
                 return
             self._reported, self._waited = counts, waited
             values = dict(counts) if waited is None else {**counts, _WAITED: waited}
@@ -179,7 +184,10 @@ class LockstepConductor:
 
     def _on_report(self, message: DiagnosticStatus) -> None:
         with self._news:
-            self._reported[message.name] = {pair.key: int(pair.value) for pair in message.values}
+            report = {pair.key: int(pair.value) for pair in message.values}
+            if report == self._reported.get(message.name):
+                return
+            self._reported[message.name] = report
             self._heard = time.monotonic()
             self._news.notify_all()
 

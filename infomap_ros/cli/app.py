@@ -37,6 +37,11 @@ COMMANDS = {
         "Read a robot's URDF: say what is understood and guessed, write its file, draw it.",
         "infomap robot my_robot.urdf --out robot.yaml",
     ),
+    "report": LateCommand(
+        "infomap_ros.cli.report_command:report",
+        "Write the report of an exploration from its log and map, or compare several on one page.",
+        "infomap report out/random out/largest_information --out comparison.html",
+    ),
     "show": LateCommand(
         "infomap_ros.cli.show_command:show",
         "Print what a map file holds, and draw it.",

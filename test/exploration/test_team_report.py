@@ -21,11 +21,12 @@ def test_the_report_shows_all_robots(tmp_path: Path) -> None:
     write_team_report(out, logs, made_up_map(), "Two & more", {"map hash": "c0ffee"})
 
     page = out.read_text("utf-8")
-    assert "<h3>rover &lt;1&gt;</h3>" in page
-    assert "<h3>rover 2</h3>" in page
+    assert "rover &lt;1&gt;</h3>" in page
+    assert "rover 2</h3>" in page
     assert "<title>Two &amp; more</title>" in page
     assert "c0ffee" in page
-    assert page.count('class="chart"') == 6  # views, meters and time of each
+    assert page.count('class="chart"') == 3  # views, meters and time
+    assert page.count('class="curve run-1"') == 3
     ways = [page.count(f'<polyline class="{kind}"') for kind in ("base", "base dashed")]
     assert ways[0] == ways[1] > 0
     steps = re.findall(r'data-step="(\d+)"', page)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from infomap_ros.errors import InvalidInputError
@@ -11,7 +11,7 @@ from infomap_ros.exploration.records.log_records import Motion, Progress, Record
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.reports.report_page import sections, tables
 from infomap_ros.exploration.reports.report_page.axes import duration, percent, quantity
-from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart
+from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart, run_class
 from infomap_ros.exploration.reports.report_page.page import Section, page
 from infomap_ros.exploration.reports.report_page.plan import plan
 from infomap_ros.exploration.reports.report_page.scene import scene_of
@@ -66,7 +66,7 @@ def write_team_report(
         Section("task", "Task", tables.parameters_table(everything.start.task, TaskConfig)),
         Section("figures", "Figures", tables.parameters_table(figures or {})),
     ]
-    lead = "".join(_robot(name, run) for name, run in runs.items())
+    lead = "".join(_robot(place, *item) for place, item in enumerate(runs.items()))
     text = page(title, sections.subtitle(everything), lead, scene, parts)
     out.write_text(text, encoding="utf-8")
 
@@ -79,7 +79,7 @@ def _together(runs: list[RecordedRun]) -> RecordedRun:
     return RecordedRun(tuple(records), tuple(text for run in runs for text in run.problems))
 
 
-def _robot(name: str, run: RecordedRun) -> str:
+def _robot(place: int, name: str, run: RecordedRun) -> str:
     """How a robot's exploration went, in one line of figures."""
     progress = run.of(Progress)
     looks = sum(motion.action == "look" and not motion.outcome for motion in run.of(Motion))
@@ -90,23 +90,26 @@ def _robot(name: str, run: RecordedRun) -> str:
             ("known to it", percent(progress[-1].known_fraction)),
         ]
     tiles.append(("time", duration(run.seconds)))
-    heading = f"<h3>{html.escape(name)}</h3>"
+    heading = f'<h3><i class="swatch{run_class(place)}"></i>{html.escape(name)}</h3>'
     return heading + sections.outcome(run) + sections.problems(run) + sections.tiles(tiles)
 
 
 def _curves(runs: Mapping[str, RecordedRun]) -> str:
     """What each robot knew of the map of all, over its own views and meters, and over time."""
+    axes: dict[str, Callable[[Progress], float]] = {
+        "its views": lambda record: float(record.views),
+        "distance driven [m]": lambda record: record.distance,
+        "time [s]": lambda record: record.time,
+    }
+    goals = [run.start.task.get("known_fraction") for run in runs.values()]
+    goal = next((100.0 * float(each) for each in goals if isinstance(each, int | float)), None)
     charts = []
-    for name, run in runs.items():
-        progress = run.of(Progress)
-        goal = run.start.task.get("known_fraction")
-        share = [100.0 * record.known_fraction for record in progress]
-        for label, xs in (
-            ("its views", [float(record.views) for record in progress]),
-            ("its way [m]", [record.distance for record in progress]),
-            ("time [s]", [record.time for record in progress]),
-        ):
-            wanted = 100.0 * float(goal) if isinstance(goal, int | float) else None
-            curve = Curve(f"{name}: known", "%", xs, share, label, goal=wanted, high=100.0)
-            charts.append(line_chart(curve))
+    for label, x_of in axes.items():
+        curves = []
+        for name, run in runs.items():
+            progress = run.of(Progress)
+            share = [100.0 * record.known_fraction for record in progress]
+            xs = [x_of(record) for record in progress]
+            curves.append(Curve("known", "%", xs, share, label, goal=goal, high=100.0, name=name))
+        charts.append(line_chart(*curves))
     return f'<div class="charts">{"".join(charts)}</div>'

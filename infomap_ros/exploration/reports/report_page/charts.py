@@ -12,6 +12,7 @@ from infomap_ros.exploration.reports.report_page.axes import number, prefix, rou
 
 WIDTH, HEIGHT = 380.0, 220.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 14.0, 30.0, 40.0
+_COLORS = 6  # of curves in the page's style
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Curve:
         goal: value that the task asks for; None for none.
         low: least value of the axis; None: as the values ask for.
         high: likewise largest.
-        stepped: hold each value until the next one.
+        name: of the curve, where there are several in a chart.
     """
 
     title: str
@@ -40,6 +41,7 @@ class Curve:
     goal: float | None = None
     low: float | None = 0.0
     high: float | None = None
+    name: str = ""
 
 
 class _Frame:
@@ -63,35 +65,60 @@ class _Frame:
         return round(HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM), 1)
 
 
-def line_chart(curve: Curve) -> str:
-    """Draw a curve; values that are not finite are left out.
+def line_chart(*curves: Curve) -> str:
+    """Draw curves over one axis; values that are not finite are left out.
+
+    Args:
+        curves: one or more; all but the values and the name are taken from the first.
 
     Returns:
         An ``svg`` element, with its points as ``data-points`` for the page's pointer.
     """
-    points = [(x, y) for x, y in zip(curve.xs, curve.ys, strict=True) if math.isfinite(x + y)]
-    if not points:
+    curve = curves[0]
+    rows = [
+        [(x, y) for x, y in zip(one.xs, one.ys, strict=True) if math.isfinite(x + y)]
+        for one in curves
+    ]
+    if not any(rows):
         return f'<p class="empty">{html.escape(curve.title)}: the log tells no value.</p>'
-    factor, name = prefix(max(abs(y) for _, y in points)) if curve.scaled else (1.0, "")
-    points = [(x, y / factor) for x, y in points]
+    largest = max(abs(y) for row in rows for _, y in row)
+    factor, name = prefix(largest) if curve.scaled else (1.0, "")
+    rows = [[(x, y / factor) for x, y in row] for row in rows]
     goal = None if curve.goal is None else curve.goal / factor
     unit = f"{name}{curve.unit}"
-    frame = _Frame(_rescaled(curve, goal), points)
+    frame = _Frame(_rescaled(curve, goal), [point for row in rows for point in row])
     label = f"{curve.title} [{unit}]" if unit else curve.title
-    trace = " ".join(f"{frame.x(x)},{frame.y(y)}" for x, y in points)
     parts = [
         *_grid(frame, curve.x_label),
         f'<text class="title" x="{_LEFT}" y="16">{html.escape(label)}</text>',
         "" if goal is None else _goal(frame, goal),
-        f'<polyline class="curve" points="{trace}"/>',
-        *(f'<circle class="dot" cx="{frame.x(x)}" cy="{frame.y(y)}" r="2"/>' for x, y in points),
     ]
-    marks = json.dumps([[frame.x(x), frame.y(y), _tip(x, y, curve, unit)] for x, y in points])
+    marks: list[tuple[float, float, str]] = []
+    for number_of_run, (one, row) in enumerate(zip(curves, rows, strict=True)):
+        parts += _drawn(frame, row, "" if len(curves) == 1 else run_class(number_of_run))
+        tips = [_tip(x, y, curve, unit, one.name) for x, y in row]
+        marks += [(frame.x(x), frame.y(y), tip) for (x, y), tip in zip(row, tips, strict=True)]
     return (
         f'<svg class="chart" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
         f'aria-label="{html.escape(f"{label} over {curve.x_label}")}" '
-        f'data-points="{html.escape(marks)}">{"".join(parts)}</svg>'
+        f'data-points="{html.escape(json.dumps(marks))}">{"".join(parts)}</svg>'
     )
+
+
+def run_class(number_of_run: int) -> str:
+    """Class of what belongs to one of several runs: its color, and dashes when these repeat."""
+    again = " again" if number_of_run >= _COLORS else ""
+    return f" run-{number_of_run % _COLORS}{again}"
+
+
+def _drawn(frame: _Frame, points: Sequence[tuple[float, float]], kind: str) -> list[str]:
+    """One curve with its points."""
+    places = [(frame.x(x), frame.y(y)) for x, y in points]
+    trace = " ".join(f"{x},{y}" for x, y in places)
+    return [
+        f'<polyline class="curve{kind}" points="{trace}"/>',
+        *(f'<circle class="dot{kind}" cx="{x}" cy="{y}" r="2"/>' for x, y in places),
+    ]
 
 
 def _rescaled(curve: Curve, goal: float | None) -> Curve:
@@ -124,7 +151,7 @@ def _goal(frame: _Frame, goal: float) -> str:
     )
 
 
-def _tip(x: float, y: float, curve: Curve, unit: str) -> str:
+def _tip(x: float, y: float, curve: Curve, unit: str, whose: str) -> str:
     name, _, rest = curve.x_label.partition(" [")
     at = f"{name} {number(x)}" + (f" {rest.rstrip(']')}" if rest else "")
-    return f"{number(y, 4)} {unit} at {at}"
+    return f"{whose}: {number(y, 4)} {unit} at {at}".removeprefix(": ")

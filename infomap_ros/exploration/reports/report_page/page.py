@@ -15,9 +15,10 @@ from infomap_ros.exploration.reports.report_page.scene import pack
 
 # In the order in which they build on each other.
 _SCRIPTS = (
-    *("data.js", "vectors.js", "orbit.js", "drawing.js", "layers.js"),
+    *("basics.js", "data.js", "vectors.js", "orbit.js", "drawing.js", "layers.js"),
     *("overlay.js", "viewer.js", "panel.js", "main.js"),
 )
+_PLAIN_SCRIPTS = ("basics.js", "plain.js")
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def page(
     title: str,
     subtitle: str,
     lead: str,
-    scene: Mapping[str, Any],
+    scene: Mapping[str, Any] | None,
     sections: Sequence[Section],
 ) -> str:
     """Put the page together.
@@ -48,20 +49,25 @@ def page(
         title: plain text.
         subtitle: HTML below it.
         lead: HTML before the 3-D view.
-        scene: of `scene_of`.
+        scene: of `scene_of`; None for a page without a 3-D view.
         sections: what follows the 3-D view.
     """
-    places, data = pack(scene["arrays"])
-    manifest = json.dumps({**scene["manifest"], "arrays": places}, allow_nan=False)
     return Template(_asset("page.html")).substitute(
         title=html.escape(title),
         subtitle=subtitle,
         lead=lead,
         sections="\n".join(_section(section) for section in sections if section.body),
         style=_asset("page.css"),
-        script="\n".join(_asset(name) for name in _SCRIPTS),
-        data=_data("manifest", "application/json", manifest) + _data("arrays", "text/plain", data),
+        viewer="" if scene is None else _asset("viewer.html"),
+        script="\n".join(map(_asset, _PLAIN_SCRIPTS if scene is None else _SCRIPTS)),
+        data="" if scene is None else _scene_data(scene),
     )
+
+
+def _scene_data(scene: Mapping[str, Any]) -> str:
+    places, data = pack(scene["arrays"])
+    manifest = json.dumps({**scene["manifest"], "arrays": places}, allow_nan=False)
+    return _data("manifest", "application/json", manifest) + _data("arrays", "text/plain", data)
 
 
 def _section(section: Section) -> str:

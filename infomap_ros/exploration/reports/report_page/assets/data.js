@@ -1,5 +1,4 @@
 // The page's data: one JSON object, and arrays in one block that is compressed with zlib.
-const byId = (id) => document.getElementById(id);
 const ARRAY_TYPES = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, i1: Int8Array };
 
 const manifest = JSON.parse(byId("manifest").textContent);

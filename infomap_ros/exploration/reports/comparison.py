@@ -1,0 +1,238 @@
+"""Several explorations on one page: what each was asked, and what came of it."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.exploration.records.log_records import Motion, Progress
+from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.reports.report_page import sections
+from infomap_ros.exploration.reports.report_page.axes import DASH, duration, percent, quantity
+from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart, run_class
+from infomap_ros.exploration.reports.report_page.page import Section, page
+from infomap_ros.exploration.reports.report_page.plan import plan
+from infomap_ros.exploration.reports.report_page.tables import (
+    as_text,
+    kinds_of_rejections,
+    table,
+    words,
+)
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.files.pictures import MapImage, map_from_above
+
+LOG_FILE, MAP_FILE, SUMMARY_FILE = "exploration.jsonl", "map.infomap", "summary.json"
+
+_SHARES = (0.5, 0.8, 0.9)  # of the surface, for which the views and the way are told
+
+
+@dataclass(frozen=True, eq=False)
+class RunFolder:
+    """What a folder holds of a run.
+
+    Attributes:
+        run: its log.
+        map_file: None where there is none.
+        figures: its summary, name -> value; empty where there is none.
+    """
+
+    run: RecordedRun
+    map_file: Path | None
+    figures: Mapping[str, object]
+
+
+def read_folder(folder: Path) -> RunFolder:
+    """Read what an exploration left in its folder.
+
+    Raises:
+        InvalidInputError: the folder holds no log of an exploration, or its summary is no summary.
+        RunLogError: the log cannot be used; names the line and the reason.
+    """
+    log, summary = folder / LOG_FILE, folder / SUMMARY_FILE
+    if not log.is_file():
+        raise InvalidInputError(str(folder), f"holds no {LOG_FILE}, the log of an exploration")
+    figures: object = {}
+    if summary.is_file():
+        try:
+            figures = json.loads(summary.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InvalidInputError(str(summary), f"is not JSON: {error}") from error
+    if not isinstance(figures, dict):
+        raise InvalidInputError(str(summary), "is no JSON object")
+    map_file = folder / MAP_FILE
+    return RunFolder(read_run(log), map_file if map_file.is_file() else None, figures)
+
+
+def write_comparison(out: Path, folders: Mapping[str, Path]) -> None:
+    """Write a page that compares explorations.
+
+    Args:
+        out: the HTML file.
+        folders: of the runs, by the names that the page gives them.
+
+    Raises:
+        InvalidInputError: there are fewer than two runs, or a folder holds none.
+        RunLogError: a log cannot be used; names the line and the reason.
+        MapFileError: a map file cannot be used.
+        OSError: the page cannot be written.
+    """
+    if len(folders) < 2:
+        raise InvalidInputError("runs", "expected at least two to compare")
+    found = {name: read_folder(folder) for name, folder in folders.items()}
+    runs = {name: one.run for name, one in found.items()}
+    asked = _rows(_asked(run) for run in runs.values())
+    parts = [
+        Section("asked", "What was asked differently", _differences(asked, runs)),
+        Section("results", "Results", _table(_rows(map(_results, runs.values())), runs)),
+        Section("progress", "Progress", _curves(runs)),
+        Section("figures", "Figures", _table(_rows(_numbers(one) for one in found.values()), runs)),
+        Section("rejected", "Rejected candidates, by reason", _rejections(runs)),
+        Section("maps", "The maps from above", _maps(found)),
+    ]
+    text = page("Explorations compared", "", _lead(runs), None, parts)
+    out.write_text(text, encoding="utf-8")
+
+
+def _lead(runs: Mapping[str, RecordedRun]) -> str:
+    """Each run with its color and how it ended."""
+    lines = []
+    for place, (name, run) in enumerate(runs.items()):
+        end = run.end
+        ended = "not ended" if end is None else f"{end.reason}, {end.detail}".rstrip(", ")
+        swatch = f'<i class="swatch{run_class(place)}"></i>'
+        said = f"{swatch}<b>{html.escape(name)}</b>: {html.escape(ended)}"
+        lines.append(f"<li>{said}{sections.problems(run)}</li>")
+    return f'<ul class="runs">{"".join(lines)}</ul>'
+
+
+def _asked(run: RecordedRun) -> dict[str, object]:
+    start = run.start
+    return {
+        "robot": start.robot,
+        "world": start.world,
+        "strategy": start.strategy,
+        "voxel size [m]": start.voxel_size,
+        "range [m]": start.max_range,
+        **start.task,
+    }
+
+
+def _results(run: RecordedRun) -> dict[str, object]:
+    """What came of a run, as text."""
+    progress = run.of(Progress)
+    looks = sum(motion.action == "look" and not motion.outcome for motion in run.of(Motion))
+    rows: dict[str, object] = {"views": str(max(looks, progress[-1].views if progress else 0))}
+    rows["views that brought no look"] = str(sum(not step.taken for step in run.steps))
+    rows["time"] = duration(run.seconds)
+    if not progress:
+        return rows
+    last = progress[-1]
+    rows |= {
+        "driven": quantity(last.distance, "m"),
+        "known": percent(last.known_fraction),
+        "known precisely": percent(last.precise_fraction),
+        "mean sigma": quantity(last.mean_sigma, "m"),
+        "entropy left": quantity(last.entropy_bits, "bit"),
+    }
+    for share in _SHARES:
+        first = next((record for record in progress if record.known_fraction >= share), None)
+        text = DASH
+        if first is not None:
+            text = f"{first.views} views, {quantity(first.distance, 'm')}, {duration(first.time)}"
+        rows[f"until {share:.0%} were known"] = text
+    return rows
+
+
+def _numbers(found: RunFolder) -> dict[str, object]:
+    """What a summary tells in numbers; words of it stand above the table."""
+    return {name: value for name, value in found.figures.items() if isinstance(value, int | float)}
+
+
+def _rows(columns: Iterator[Mapping[str, object]]) -> dict[str, list[str]]:
+    """Rows of a table from its columns; a dash where a column does not have a row."""
+    every = list(columns)
+    names = dict.fromkeys(name for column in every for name in column)
+    return {name: [_text(column.get(name)) for column in every] for name in names}
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float) and not math.isfinite(value):
+        return DASH
+    return as_text(value) or DASH
+
+
+def _differences(rows: Mapping[str, Sequence[str]], runs: Mapping[str, RecordedRun]) -> str:
+    different = {name: row for name, row in rows.items() if len(set(row)) > 1}
+    return _table(different, runs) if different else "<p>Nothing: all were asked the same.</p>"
+
+
+def _table(rows: Mapping[str, Sequence[str]], runs: Mapping[str, RecordedRun]) -> str:
+    if not rows:
+        return ""
+    cells = [[html.escape(words(name)), *map(html.escape, row)] for name, row in rows.items()]
+    return table(["", *(f"#{name}" for name in runs)], cells, "parameters")
+
+
+def _curves(runs: Mapping[str, RecordedRun]) -> str:
+    """What was known, how precisely and how surely, over views, meters and time."""
+    axes: list[tuple[str, Callable[[Progress], float]]] = [
+        ("views", lambda record: float(record.views)),
+        ("distance driven [m]", lambda record: record.distance),
+        ("time [s]", lambda record: record.time),
+    ]
+    values: list[tuple[Curve, Callable[[Progress], float]]] = [
+        (Curve("known", "%", (), (), "", high=100.0), lambda r: 100.0 * r.known_fraction),
+        (
+            Curve("known precisely", "%", (), (), "", high=100.0),
+            lambda r: 100.0 * r.precise_fraction,
+        ),
+        (Curve("entropy left", "bit", (), (), "", scaled=True), lambda r: r.entropy_bits),
+        (Curve("mean sigma", "m", (), (), "", scaled=True), lambda r: r.mean_sigma),
+    ]
+    charts = []
+    for label, x_of in axes:
+        for pattern, y_of in values:
+            curves = []
+            for name, run in runs.items():
+                progress = run.of(Progress)
+                xs, ys = [x_of(r) for r in progress], [y_of(r) for r in progress]
+                curve = Curve(
+                    pattern.title, pattern.unit, xs, ys, label, pattern.scaled, None, 0.0,
+                    pattern.high, name,
+                )  # fmt: skip
+                curves.append(curve)
+            charts.append(line_chart(*curves))
+    return f'<div class="charts">{"".join(charts)}</div>'
+
+
+def _rejections(runs: Mapping[str, RecordedRun]) -> str:
+    counts = [kinds_of_rejections([step.decision for step in run.steps]) for run in runs.values()]
+    rows = {
+        kind: [f"{count[kind]:,}" for count in counts]
+        for kind, _ in sum(counts, start=type(counts[0])()).most_common()
+    }
+    return _table(rows, runs)
+
+
+def _maps(found: Mapping[str, RunFolder]) -> str:
+    """The map of each run from above, with its ways."""
+    drawn = []
+    for place, (name, one) in enumerate(found.items()):
+        image = _above(one.map_file)
+        body = "<p>no surface, or no map file</p>" if image is None else plan(image, one.run)
+        swatch = f'<i class="swatch{run_class(place)}"></i>'
+        drawn.append(f"<div><h3>{swatch}{html.escape(name)}</h3>{body}</div>")
+    return f'<div class="maps">{"".join(drawn)}</div>'
+
+
+def _above(map_file: Path | None) -> MapImage | None:
+    if map_file is not None:
+        with suppress(InvalidInputError):  # no surface yet
+            return map_from_above(VoxelMap.load(map_file))
+    return None

@@ -1,0 +1,4 @@
+// A page without a 3-D view.
+connectCharts();
+connectTheme();
+document.documentElement.dataset.ready = "2d";

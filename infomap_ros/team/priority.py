@@ -61,7 +61,7 @@ class _Comparison(NamedTuple):
         divergences: bits by evidence now and before.
         probabilities: by evidence.
         sigmas: by their codes, in voxels.
-        scratch: memory for two records, shape (2, 12), float32.
+        scratch: memory for two records, shape (2, 13), float32.
         shared: what the error of the map as a whole adds to the covariances of a block, as (xx, xy,
             xz, yy, yz, zz) [m^2] at the center of each block, shape (n, 6).
     """

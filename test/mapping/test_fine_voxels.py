@@ -62,3 +62,25 @@ def test_memory_does_not_depend_on_the_distance_between_two_patches():
         sizes.append(voxel_map.memory_bytes())
     assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
     assert sizes[1] < 50e6
+
+
+@pytest.mark.parametrize("size", [0.001, 0.002, 0.003])
+@pytest.mark.parametrize("scans", [1, 10])
+def test_voxels_finer_than_the_noise_claim_no_more_than_is_true(size, scans):
+    """A point with a sigma of 5 mm informs voxels up to three away, 3 mm of them: the mean of what
+    a voxel gets stays near it, wherever the surface is."""
+    rng, sigma = np.random.default_rng(3), 0.005
+    camera = PinholeCamera(60, 45, 200.0, 200.0, 29.5, 22.5)
+    normal = np.array([0.2, 0.1, -1.0]) / np.linalg.norm([0.2, 0.1, -1.0])
+    rays = camera.back_project(np.ones((45, 60))).astype(np.float64)
+    plane = rays * (0.503 * normal[2] / (rays @ normal))[..., None]
+    config = VoxelMapConfig(voxel_size=size, default_sigma=sigma, error_correlation=0.0)
+    voxel_map = VoxelMap(config)
+    for _ in range(scans):
+        points = plane + rng.normal(0.0, sigma, plane.shape)
+        voxel_map.integrate(points, np.eye(4), camera=camera)
+    _, means, covariances = voxel_map.gaussians()
+    assert len(means) > 500
+    errors = (means @ normal - 0.503 * normal[2]) / np.sqrt(normal @ covariances @ normal)
+    assert 0.4 < np.mean(errors**2) < 1.1
+    assert np.mean(np.abs(errors) < 2.0) > 0.93

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, PoseUncertainty, make_transform
 from infomap_ros.geometry.transforms import FloatArray
@@ -118,12 +121,76 @@ def test_sharing_never_makes_surer_and_never_less_sure_than_to_share_all(scans):
     for clock, sigma, share in scans:
         weight = 1.0 / sigma**2
         information = np.array([[weight, 0, 0, weight, 0, weight, 0, 0, 0]], np.float32)
-        shares = np.array([np.sqrt(share) * sigma * weight], np.float32)
+        shares = np.array([[np.sqrt(share) * sigma * weight, 0.0]], np.float32)
         add_observations(rows, one, one, information, shares, float(np.float32(clock)), 0, 1)
     total = sum(1.0 / sigma**2 for _, sigma, _ in scans)
     roots = [np.sqrt(share) / sigma for _, sigma, share in scans]
     whole = 1.0 + (sum(roots) ** 2 - sum(root**2 for root in roots)) / total
     assert 1.0 <= inflation(rows[0]) <= whole * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.1, 50.0])
+def test_what_noise_chose_is_in_all_scans_whatever_their_clocks(step):
+    """Of v = r / k + white of each scan all have 0.15 r / k in common, and no more."""
+    scans, white, voxel_map = 40, 0.0005, VoxelMap(replace(CONFIG, error_correlation=0.0))
+    for k in range(scans):
+        voxel_map.integrate(WALL, HERE, None, pose(step * k, 0.0, white), CAMERA)
+    voxels, pixels = np.unique(
+        np.floor(WALL[..., :2].reshape(-1, 2) / CONFIG.voxel_size), axis=0, return_counts=True
+    )
+    of_mean = RANGE**2 / pixels[(np.abs(voxels + 0.5) < 2.0).all(axis=1)]
+    expected = (of_mean + white**2) / scans + 0.15 * of_mean * (1.0 - 1.0 / scans)
+    assert claimed(voxel_map) == pytest.approx(np.median(expected), rel=0.01)
+
+
+def test_scans_with_an_error_in_common_come_in_any_order(rng):
+    fewer = [WALL[:, :30], WALL[:24], WALL, WALL[12:36]]
+    camera, found = CAMERA, []
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]):
+        voxel_map = VoxelMap(replace(CONFIG, error_correlation=0.2))
+        for i in order:
+            part = np.full_like(WALL, np.nan)
+            part[: fewer[i].shape[0], : fewer[i].shape[1]] = fewer[i]
+            voxel_map.integrate(part, HERE, None, pose(0.0, 0.0, 0.001 * (i + 1)), camera)
+        indices, _, covariances = voxel_map.gaussians()
+        found.append(covariances[np.lexsort(indices.T)])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-5, atol=1e-12)
+
+
+def ridge(rng: np.random.Generator, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """A camera's look, shape (144, 180, 3), at a right angle, and the outward normals of its faces.
+
+    The ridge is at (0, 0, 1), along y but for a little, so that it passes voxels in all places.
+    """
+    camera = PinholeCamera(180, 144, 150.0, 150.0, 89.5, 71.5)
+    turn = Rotation.from_rotvec([0.1, 0.05, 0.3]).as_matrix()
+    normals = np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0]]) / np.sqrt(2.0) @ turn.T
+    rays = camera.back_project(np.ones((144, 180))).astype(np.float64)
+    depths = normals[:, 2] / (rays @ normals.T)
+    depths = np.where(depths > 0.0, depths, -np.inf).max(axis=2)
+    return rays * (depths + rng.normal(0.0, sigma, depths.shape))[..., None], normals
+
+
+def test_looks_from_one_place_do_not_make_sure_of_a_ridge(rng):
+    """The points of a voxel with a ridge have their mean within the solid, in each look."""
+    camera, sigma = PinholeCamera(180, 144, 150.0, 150.0, 89.5, 71.5), 0.002
+    voxel_map = VoxelMap(VoxelMapConfig(default_sigma=sigma, error_correlation=0.0))
+    for k in range(50):
+        points, normals = ridge(rng, sigma)
+        voxel_map.integrate(points, HERE, None, pose(float(k), 0.0), camera)
+    _, means, covariances = voxel_map.gaussians()
+    along = np.cross(*normals) / np.linalg.norm(np.cross(*normals))
+    from_tip = means - [0.0, 0.0, 1.0]
+    across = np.linalg.norm(from_tip - np.outer(from_tip @ along, along), axis=1)
+    near = (across < 0.03) & (np.abs(from_tip @ along) < 0.3)
+    distances = from_tip[near] @ normals.T
+    face = distances.argmax(axis=1)  # of a convex solid the greater is the distance
+    faced = normals[face]
+    variances = np.einsum("ni,nij,nj->n", faced, covariances[near], faced)
+    errors = distances[np.arange(len(face)), face] / np.sqrt(variances)
+    assert near.sum() > 20
+    assert np.mean(errors**2) < 2.0
 
 
 def test_what_is_shared_by_the_whole_map_is_added_when_it_is_read():

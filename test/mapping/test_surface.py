@@ -52,7 +52,7 @@ def test_sums_are_those_of_a_dictionary(rng):
         voxels, rows = scan(rng)
         surface, places = with_records(surface, BLOCKS, voxels)
         order = rng.permutation(len(voxels))
-        given = order, rows[:, :9], np.zeros(len(voxels), np.float32), float(clock)
+        given = order, rows[:, :9], np.zeros((len(voxels), 2), np.float32), float(clock)
         add_observations(surface.rows, places[order], *given, 0, len(order))
         for voxel, row in zip(voxels.tolist(), rows.astype(np.float64), strict=True):
             sums[voxel] = sums.get(voxel, np.zeros(9)) + row[:9]

@@ -254,7 +254,7 @@ def describe_surface(
 def _describe_surface(
     gaussians: Any, size: float, voxels: Any, described: Any, both: Any, scratch: Any
 ) -> None:
-    """`describe_surface` with memory to work with, shapes (2, 12) float32 and (2, 6)."""
+    """`describe_surface` with memory to work with, shapes (2, 13) float32 and (2, 6)."""
     indices, quanta, owners = voxels
     has_gaussian, means, covariances = described
     information, other, work, mean = both[0], both[1], scratch[0], scratch[1]

@@ -62,7 +62,8 @@ class Observations:
             entry is 0 where there is none.
         hits: occupancy evidence of each row, shape (n,), int32 [quanta].
         sides: from which the surface is seen, shape (n,), uint8.
-        shares: how much of its variance is drift, b of `voxels.surface`, shape (n,), float32 [1/m].
+        shares: how much of its variance other scans have too, b and a of `voxels.surface`, shape
+            (n, 2), float32 [1/m].
         clock: of the drift.
     """
 
@@ -88,7 +89,7 @@ def empty_observations(parts: list[ScanRows], ends: list[int], clock: float) -> 
         np.empty((count, INFORMATION_SIZE), np.float32),
         np.empty(count, np.int32),
         np.zeros(count, np.uint8),
-        np.zeros(count, np.float32),
+        np.zeros((count, 2), np.float32),
         float(np.float32(clock)),
     )
 

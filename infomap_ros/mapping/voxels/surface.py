@@ -5,19 +5,22 @@ block therefore has two sheets, number ``2 * slot + side``, and a voxel up to tw
 ``512 * sheet + local index``; `side_of` a normal tells which. How they become one estimate is told
 in `surface_kernels`.
 
-A record is a row of twelve float32. Nine are the information of all scans
-(`infomap_ros.mapping.voxels.gaussians`), as if their errors were independent. Three say how far
+A record is a row of thirteen float32. Nine are the information of all scans
+(`infomap_ros.mapping.voxels.gaussians`), as if their errors were independent. Four say how far
 they are not. The error of a pose drifts: of two scans with clocks c and d it correlates by
-``exp(-|c - d|)`` (`infomap_ros.geometry.pose_uncertainty`). The mean of a voxel weighs observation
-k by the information I_k = 1 / v_k along its normal. Where s_k^2 of the variance v_k is drift, the
-variance of that mean is
+``exp(-|c - d|)`` (`infomap_ros.geometry.pose_uncertainty`). What a plane leaves out of a voxel
+(`infomap_ros.mapping.scans.observation`) belongs to the voxel: all scans have it, whatever their
+clocks. The mean of a voxel weighs observation k by the information I_k = 1 / v_k along its normal.
+Where s_k^2 of the variance v_k is drift and u_k^2 what the plane leaves out, the variance of that
+mean is
 
-    (1 + E / I) / I,    I = sum of I_k,    E = sum over j != k of b_j b_k exp(-|c_j - c_k|),
+    (1 + E / I) / I,    I = sum of I_k,
+    E = sum over j != k of b_j b_k exp(-|c_j - c_k|) + a_j a_k,    b = s / v,    a = u / v.
 
-with b = s / v. A scan adds ``2 b m`` to E, m being the sum of the earlier b_j, each by now
-correlated by ``exp(-|c_j - c|)``: one number that is carried on from clock to clock. So the row
-holds E, m and the clock at which m was so. The covariance that a map claims is that of the nine
-numbers times ``1 + E / I``.
+A scan adds ``2 b m`` to E, m being the sum of the earlier b_j, each by now correlated by
+``exp(-|c_j - c|)``: one number that is carried on from clock to clock; and ``2 a`` times the sum of
+the earlier a_j. So the row holds E, m, the clock at which m was so, and the sum of the a_j. The
+covariance that a map claims is that of the nine numbers times ``1 + E / I``.
 
 A sheet with records has a page that names the row of each of its voxels.
 """
@@ -59,7 +62,7 @@ class SurfaceArrays(NamedTuple):
     Attributes:
         page: of each sheet, or -1, int32.
         places: of each page the rows of its voxels, or -1, int32, shape (n, 512).
-        rows: the records, float32, shape (m, 12); see `surface_kernels`.
+        rows: the records, float32, shape (m, 13); see `surface_kernels`.
         counts: pages and rows in use, int64.
     """
 
@@ -127,7 +130,7 @@ def put_records(
         surface: the arrays; what they hold is changed.
         blocks: number of block slots of the map, at most `MAX_BLOCKS`.
         records: 512 * sheet + local index, shape (n,); each at most once.
-        rows: shape (n, 12), or (n, 9) for information of which nothing is shared with scans.
+        rows: shape (n, 13), or (n, 9) for information of which nothing is shared with scans.
 
     Returns:
         The arrays, larger ones where there was no room.
@@ -139,7 +142,7 @@ def put_records(
 
 
 def records_of(surface: SurfaceArrays) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """All records with information in the order of their numbers: numbers (n,), rows (n, 12)."""
+    """All records with information in the order of their numbers: numbers (n,), rows (n, 13)."""
     count = int(surface.counts[ROW_COUNT])
     records, rows = np.empty(count, np.int64), np.empty((count, ROW_SIZE), np.float32)
     found = int(kernels.list_records(surface, records, rows))

@@ -12,11 +12,11 @@ from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, gaussian_of, 
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 
 SIDES = 2
-EXCESS, MEMORY, CLOCK = 9, 10, 11
-"""Columns of a row after its information: E, m and the clock of m."""
+EXCESS, MEMORY, CLOCK, COMMON = 9, 10, 11, 12
+"""Columns of a row after its information: E, m, the clock of m, and the sum of the a_j."""
 
-ROW_SIZE = 12
-NOTHING = np.array([0.0] * CLOCK + [-np.inf], np.float32)
+ROW_SIZE = 13
+NOTHING = np.array([0.0] * CLOCK + [-np.inf, 0.0], np.float32)
 """A row without information."""
 
 PAGE_COUNT, ROW_COUNT = 0, 1
@@ -79,7 +79,7 @@ def add_observations(
         places: row of each observation, shape (n,); each row at most once.
         order: number of each observation in what follows, shape (n,).
         information: shape (m, 9), float32.
-        shares: b = s / v of each observation [1/m], shape (m,).
+        shares: b = s / v and a = u / v of each observation [1/m], shape (m, 2).
         clock: of the scan.
         first: first observation.
         last: one past the last.
@@ -89,7 +89,10 @@ def add_observations(
         row, source = places[i], order[i]
         for column in range(INFORMATION_SIZE):
             rows[row, column] += information[source, column]
-        share = np.float64(shares[source])
+        common = np.float64(shares[source, 1])
+        rows[row, EXCESS] += 2.0 * common * np.float64(rows[row, COMMON])
+        rows[row, COMMON] += common
+        share = np.float64(shares[source, 0])
         if share <= 0.0:
             continue
         before, memory = np.float64(rows[row, CLOCK]), np.float64(rows[row, MEMORY])
@@ -106,7 +109,7 @@ def add_observations(
 
 @kernel
 def read_record(surface: Any, record: int, row: Any) -> bool:
-    """Copy a record, 512 * sheet + local index, into `row`, shape (12,); False without one."""
+    """Copy a record, 512 * sheet + local index, into `row`, shape (13,); False without one."""
     sheet = record >> 9
     if sheet >= len(surface.page) or surface.page[sheet] < 0:
         return False
@@ -148,8 +151,8 @@ def read_information(
         local: its index in the block.
         half: half a voxel [m].
         row: receives matrix and vector in its first nine columns, so that the inverse matrix is
-            the covariance with all that scans share; shape (12,), float32.
-        other: to work with, shape (12,), float32.
+            the covariance with all that scans share; shape (13,), float32.
+        other: to work with, shape (13,), float32.
     """
     record = slot * SIDES * BLOCK_VOXELS + local
     is_one = read_record(surface, record, row)
@@ -176,8 +179,8 @@ def read_block(surface: Any, slot: int, half: float, locals_: Any, rows: Any, ot
         slot: of the block.
         half: half a voxel [m].
         locals_: receives local indices, shape (512,).
-        rows: receives what is known of each, shape (512, 12), float32.
-        other: to work with, shape (12,), float32.
+        rows: receives what is known of each, shape (512, 13), float32.
+        other: to work with, shape (13,), float32.
     """
     sheet, found = slot * SIDES, 0
     if sheet + 1 >= len(surface.page) or max(surface.page[sheet], surface.page[sheet + 1]) < 0:

@@ -175,7 +175,7 @@ def _put_states(
 ) -> None:
     """Put the evidence; list in `records` those whose information is other than before.
 
-    `stored` is memory, shape (12,), float32.
+    `stored` is memory, shape (13,), float32.
     """
     kinds, bases, planes = blocks.kind, blocks.base, blocks.plane
     narrow, wide, tracked = blocks.narrow, blocks.wide, len(blocks.dirty) > 0

@@ -40,4 +40,4 @@ def test_a_room_takes_few_bytes_per_voxel(size, occupancy):
     blocks = int(storage.blocks.counts[BLOCK_COUNT])
     assert block_bytes(storage.blocks) <= occupancy * voxel_map.known_voxels
     estimates = len(voxel_map.state()["gaussian_owner"])
-    assert surface_bytes(storage.gaussians, blocks) <= 64.0 * estimates
+    assert surface_bytes(storage.gaussians, blocks) <= 66.0 * estimates

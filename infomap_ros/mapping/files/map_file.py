@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import MapFileError
 from infomap_ros.geometry.atomic_file import replacing
 
-MAP_FILE_VERSION = 3
+MAP_FILE_VERSION = 4
 """Version of the layout; others are refused."""
 
 _MAGIC = b"\x89INFOMAP"

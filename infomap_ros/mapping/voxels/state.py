@@ -22,7 +22,14 @@ from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, rehash
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.surface import SurfaceArrays, records_of, surface_of
-from infomap_ros.mapping.voxels.surface_kernels import EXCESS, MEMORY, NOTHING, ROW_SIZE, SIDES
+from infomap_ros.mapping.voxels.surface_kernels import (
+    COMMON,
+    EXCESS,
+    MEMORY,
+    NOTHING,
+    ROW_SIZE,
+    SIDES,
+)
 
 _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "block_keys": ("int64", ()),
@@ -36,11 +43,12 @@ _LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
     "gaussian_side": ("uint8", ()),
     "gaussian_information": ("float32", (INFORMATION_SIZE,)),
     "gaussian_excess": ("float32", ()),
+    "gaussian_common": ("float32", ()),
     "offset": ("float64", (6,)),
 }
 
 MEMORY_ARRAY = "gaussian_memory"
-"""What scans to come need to know of those before; of two sessions they share nothing."""
+"""What scans to come need to know of the drift of those before; two sessions share none."""
 
 
 def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
@@ -60,6 +68,7 @@ def storage_state(storage: MapStorage) -> dict[str, NDArray[Any]]:
         "gaussian_side": (sheets % SIDES).astype(np.uint8),
         "gaussian_information": rows[:, :INFORMATION_SIZE].copy(),
         "gaussian_excess": rows[:, EXCESS].copy(),
+        "gaussian_common": rows[:, COMMON].copy(),
         MEMORY_ARRAY: rows[:, MEMORY:].copy(),
         "offset": storage.offset.copy(),
     }
@@ -102,6 +111,7 @@ def _gaussians(arrays: Mapping[str, NDArray[Any]], memory: NDArray[Any] | None) 
     rows = np.tile(NOTHING, (len(arrays["gaussian_owner"]), 1))
     rows[:, :INFORMATION_SIZE] = arrays["gaussian_information"]
     rows[:, EXCESS] = arrays["gaussian_excess"]
+    rows[:, COMMON] = arrays["gaussian_common"]
     if memory is not None:
         if np.shape(memory) != (len(rows), ROW_SIZE - MEMORY) or np.isnan(memory).any():
             raise MapFileError(f"map state: '{MEMORY_ARRAY}' is not valid")
@@ -143,10 +153,12 @@ def _check_references(arrays: Mapping[str, NDArray[Any]]) -> None:
         raise MapFileError("map state: a Gaussian belongs to no block")
     if len(sides) != len(owners) or (sides >= SIDES).any():
         raise MapFileError("map state: 'gaussian_side' is not valid")
-    excess, offset = arrays["gaussian_excess"], arrays["offset"]
+    offset = arrays["offset"]
     if not np.isfinite(arrays["gaussian_information"]).all():
         raise MapFileError("map state: a Gaussian is not finite")
-    if len(excess) != len(owners) or not (np.isfinite(excess).all() and (excess >= 0.0).all()):
-        raise MapFileError("map state: 'gaussian_excess' is not valid")
+    for name in ("gaussian_excess", "gaussian_common"):
+        column = arrays[name]
+        if len(column) != len(owners) or not (np.isfinite(column).all() and (column >= 0.0).all()):
+            raise MapFileError(f"map state: '{name}' is not valid")
     if offset.shape != (6, 6) or not np.isfinite(offset).all():
         raise MapFileError("map state: 'offset' is not valid")

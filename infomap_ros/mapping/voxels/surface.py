@@ -19,7 +19,7 @@ mean is
 
 A scan adds ``2 b m`` to E, m being the sum of the earlier b_j, each by now correlated by
 ``exp(-|c_j - c|)``: one number that is carried on from clock to clock; and ``2 a`` times the sum of
-the earlier a_j. So the row holds E, m, the clock at which m was so, and the sum of the a_j. The
+the earlier a_j. So the row holds E, the sum of the a_j, m, and the clock at which m was so. The
 covariance that a map claims is that of the nine numbers times ``1 + E / I``.
 
 A sheet with records has a page that names the row of each of its voxels.

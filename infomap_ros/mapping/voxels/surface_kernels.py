@@ -12,11 +12,11 @@ from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, gaussian_of, 
 from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 
 SIDES = 2
-EXCESS, MEMORY, CLOCK, COMMON = 9, 10, 11, 12
-"""Columns of a row after its information: E, m, the clock of m, and the sum of the a_j."""
+EXCESS, COMMON, MEMORY, CLOCK = 9, 10, 11, 12
+"""Columns of a row after its information: E, the sum of the a_j, m, and the clock of m."""
 
 ROW_SIZE = 13
-NOTHING = np.array([0.0] * CLOCK + [-np.inf, 0.0], np.float32)
+NOTHING = np.array([0.0] * CLOCK + [-np.inf], np.float32)
 """A row without information."""
 
 PAGE_COUNT, ROW_COUNT = 0, 1

@@ -45,6 +45,7 @@ from infomap_ros.nodes.common.interrupts import release_when_leaving
 from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepReporter
 from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import changed_config, declare_config
+from infomap_ros.nodes.common.parting import part_soon
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
 
@@ -296,6 +297,7 @@ class MonitoredNode(Node):
         """Stop the workers, then the node."""
         for worker in self._workers:
             worker.stop()
+        part_soon()
         super().destroy_node()
 
     def _publish_diagnostics(self) -> None:

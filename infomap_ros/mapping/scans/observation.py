@@ -186,8 +186,10 @@ def observe_rows(
             of_point = max(0.0, variance) * share / scatter
             cut = _cut_variance(of_point, placing, size, sensor.sigmas, sensor.limit)
             common = bent + cut + _CHOSEN * independent * of_point
-            variance += bent + cut + placing
-            inside, inverse = _observe_smooth(offset, normal, variance, size, patch)
+            variance += placing
+            unseen = bent + cut
+            inside, inverse = _observe_smooth(offset, normal, variance, unseen, size, patch)
+            variance += unseen
             drift = pose_variance_along(pose[1], arm, normal)
             scale = 1.0 / max(variance, _THINNEST * patch)
             shares[row, 0] = math.sqrt(max(drift, 0.0)) * scale
@@ -277,8 +279,14 @@ def _cut_variance(point: float, placing: float, size: float, sigmas: float, limi
 
 
 @kernel
-def _observe_smooth(offset: Any, normal: Any, variance: float, size: float, patch: float) -> Any:
-    """Probability that the surface lies in a voxel, and the information; zeros where it is none."""
+def _observe_smooth(
+    offset: Any, normal: Any, variance: float, unseen: float, size: float, patch: float
+) -> Any:
+    """Probability that the surface lies in a voxel, and the information; zeros where it is none.
+
+    `variance` is that of the points, which decide where the surface lies; the information is less
+    by what they leave `unseen`.
+    """
     nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if not variance > _LEAST_VARIANCE:
         return 0.0, nothing
@@ -291,7 +299,7 @@ def _observe_smooth(offset: Any, normal: Any, variance: float, size: float, patc
     inside = 0.5 * (math.erf((half - distance) * scale) + math.erf((half + distance) * scale))
     if inside < _LEAST_SHARE:
         return 0.0, nothing
-    variance = max(variance, _THINNEST * patch)
+    variance = max(variance + unseen, _THINNEST * patch)
     return inside, plane_matrix(1.0 / variance, 1.0 / max(variance, patch), nx, ny, nz)
 
 

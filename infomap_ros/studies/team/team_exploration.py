@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import ExplorationError
+from infomap_ros.errors import ExplorationError, UpdateRefusedError
 from infomap_ros.exploration.loop import Ending, EndReason
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry.resources import find_share
@@ -226,7 +227,8 @@ class TeamExploration:
         for receiver, kind, content in self._channel.deliver(now):
             hearer = self.robots[receiver]
             if hearer is not None:
-                hearer.hear(kind, content)
+                with suppress(UpdateRefusedError):  # asks for what it was before a restart
+                    hearer.hear(kind, content)
 
     def _agree(self) -> float | None:
         """Time until all maps are the same [s]; None where they do not become it."""

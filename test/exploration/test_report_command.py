@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from exploration.made_up_run import made_up_map, write_log
 from typer.testing import CliRunner
 
 from infomap_ros.cli.app import app
 from infomap_ros.errors import InvalidInputError
+
+from .made_up_run import made_up_map, write_log
 
 
 def call(*arguments: object) -> str:

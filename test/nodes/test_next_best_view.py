@@ -288,7 +288,7 @@ def test_ways_to_known_places_are_planned(stage: Stage, name: str, place: str) -
 def test_the_arm_is_planned_again_to_the_view_planned_last(stage: Stage) -> None:
     said = stage.graph.collect(DiagnosticStatus, "route_status", qos.latched())
     assert not stage.call("plan_arm").success
-    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    stage.tell(stage.rover.updates, -0.4, 0.0, 0.4)
     view = stage.plan()
     assert view.route is not None
     answer = stage.call("plan_arm")

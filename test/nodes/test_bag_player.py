@@ -88,11 +88,11 @@ def test_clock_follows_the_recording(graph: Any, bag: Path) -> None:
     )
 
     graph.spin_until(player.finished.done, "the end of the bag")
+    graph.spin_until(lambda: stamp_of(clocks[-1]) >= STAMPS[-1], "the clock of the last message")
 
     times = [stamp_of(clock) for clock in clocks]
     assert times == sorted(times)
     assert times[0] >= START
-    assert times[-1] >= STAMPS[-1]
     assert len(times) >= COUNT
 
 

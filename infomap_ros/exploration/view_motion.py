@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from infomap_ros.exploration.robot import KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -23,7 +25,9 @@ from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_check import RouteCheck
 from infomap_ros.motion.traversability import traversability
 from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.views.situation import MotionTimes
 
+_POSTURES = 500  # of which the time of a usual motion of the arm is the mean
 _CORRECTION = 1.0
 """Longest drive that corrects where the base has stopped [m]: one that goes back, turns and comes
 again brings a base there that is 0.12 m and 0.2 rad off, which counts as arrived."""
@@ -209,6 +213,25 @@ class ViewMotion:
             return ""
         fault = self._check.fault(voxel_map, state.T_map_base, state.joints, self._forbidden)
         return "" if fault is None else fault.reason
+
+    def times(self, state: RobotState) -> MotionTimes:
+        """How long motions of the robot take, by the speeds that it is driven with."""
+        reaching = self.config.reaching
+        whole, limits = WholeBody.of(self._robot, reaching, state.joints), reaching.following
+        rates = reaching.trajectory.velocities(whole.chain)
+        postures = whole.postures.q[:_POSTURES]
+        folding = (np.abs(postures - whole.driving) / rates).max(axis=1, initial=0.0)
+        ramp = float(rates.max(initial=0.0)) / reaching.trajectory.acceleration
+        arm = float(folding.mean()) + ramp if len(folding) else 0.0
+        turning = float(np.median(rates)) if len(rates) else limits.max_turn_rate
+        return MotionTimes(
+            limits.max_speed,
+            limits.max_turn_rate,
+            arm,
+            turning,
+            0.5 * whole.arm_reach,
+            self.config.look_time,
+        )
 
     def _sigma(self, state: RobotState) -> float:
         """How well it is known where the base is [m]."""

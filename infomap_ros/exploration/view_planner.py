@@ -319,6 +319,7 @@ class ViewPlanner:
             arm_views=self._arm_views(state.T_map_base),
             heights=self._heights,
             ground_height=reach.terrain.height_at,
+            times=self._motion.times(state),
         )
 
     def _body(self, state: RobotState) -> list[PlacedSolid]:

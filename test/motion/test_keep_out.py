@@ -10,6 +10,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion import BasePath, BasePlanner, Vehicle
 from infomap_ros.motion.base.base_path import BasePlannerConfig
+from infomap_ros.motion.base.drive_time import drive_seconds
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.motion.keep_out import KeepOut, with_closed_ground, with_keep_out
 from infomap_ros.motion.leaving import LeavingPlanner
 
@@ -187,3 +189,15 @@ def test_a_robot_for_which_there_is_no_way_out_says_so(terrain: Terrain, vehicle
     assert not path.complete and len(path.poses) == 0
     assert path.reason == "the robot stands in keep-out region 'all', and no way leads out"
     assert not planner.reachable_area((0.0, 0.0, 0.0)).any()
+
+
+def test_time_of_a_straight_drive_and_of_a_turn_by_hand() -> None:
+    """v / a to reach the speed and as long to stop, the rest at full speed."""
+    config = PathFollowingConfig()
+    straight = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    by_hand = 2.0 / config.max_speed + config.max_speed / config.acceleration
+    assert drive_seconds(straight, config) == pytest.approx(by_hand, rel=0.08)
+    turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    by_hand = 2.0 / config.max_turn_rate + config.max_turn_rate / config.turn_acceleration
+    assert drive_seconds(turn, config) == pytest.approx(by_hand, rel=0.15)
+    assert drive_seconds(np.zeros((0, 3)), config) == 0.0

@@ -167,7 +167,7 @@ class ExplorationRun:
         self.audit = PoseAudit(self.simulator, self.T_world_map)
         self.robot = SimulatedRobot(self.simulator, robot, self.map, options.robot, self.audit)
         rig, error = self.robot.link.rig, localization_error(self.robot, options)
-        planner = ViewPlanner(robot, rig, task, options.planner, error)
+        planner = ViewPlanner(robot, rig, task, _as_driven(options), error)
         self._planner = _MapPlanner(planner, self.map, self.audit, self.robot)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
@@ -278,6 +278,12 @@ def planned_robot(simulator: Simulator) -> RobotModel:
     return RobotModel.from_urdf(
         simulator.description, *frames, arm_joints=moved, mimics=setup.leaders
     ).holding(dict(zip(setup.arm_joints, setup.home, strict=True)))
+
+
+def _as_driven(options: ExplorationOptions) -> ViewPlannerConfig:
+    """The planner's configuration, with the speeds at which the simulator drives."""
+    reaching = dataclasses.replace(options.planner.reaching, following=options.simulator.following)
+    return dataclasses.replace(options.planner, reaching=reaching)
 
 
 def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = None) -> TaskConfig:

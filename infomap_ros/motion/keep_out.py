@@ -33,6 +33,11 @@ class KeepOut:
     regions: tuple[Polygon, ...] = ()
     fences: tuple[Polygon, ...] = ()
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether the base may be everywhere."""
+        return not self.regions and not self.fences
+
     def with_others(self, other: KeepOut) -> KeepOut:
         """What keeps to both."""
         return KeepOut(self.regions + other.regions, self.fences + other.fences)
@@ -42,7 +47,7 @@ class KeepOut:
 
         One entry for each region and then for each fence, also where it closes nothing.
         """
-        if not self.regions and not self.fences:
+        if self.is_empty:
             return []
         cells = np.indices(terrain.heights.shape).transpose(1, 2, 0)
         middles = terrain.centers_of(cells)

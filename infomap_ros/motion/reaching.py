@@ -140,6 +140,8 @@ class WholeBodyReach:
     @property
     def stands_wrongly(self) -> str:
         """Where the base stands although it must not: "in keep-out region 'stairs'"; or empty."""
+        if self._keep_out.is_empty:
+            return ""
         return self.planner.vehicle.closed_at(self.terrain, *self._xyyaw)
 
     @property

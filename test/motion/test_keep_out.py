@@ -182,6 +182,18 @@ def test_a_robot_that_leaves_one_region_stays_out_of_the_others(
     assert last_broken(path, footprint, KeepOut((band,))) > 0
 
 
+def test_a_robot_outside_a_fence_comes_in_by_the_shortest_way_and_stays(
+    terrain: Terrain, vehicle: Vehicle, footprint: FloatArray
+) -> None:
+    fence = Polygon.of([(-0.4, -2.0), (2.2, -2.0), (2.2, 2.0), (-0.4, 2.0)], "yard")
+    planner = leaving(terrain, vehicle, KeepOut((), (fence,)), KeepOut())
+    path = planner.plan((-1.2, 0.1, 0.0), (1.5, 1.2, 0.0))
+    assert path.complete, path.reason
+    row = last_broken(path, footprint, KeepOut((), (fence,)))
+    driven = np.hypot(*np.diff(path.poses[: row + 1, :2], axis=0).T).sum()
+    assert 0.8 < driven < 0.8 + footprint[:, 0].max() + 0.35
+
+
 def test_a_robot_for_which_there_is_no_way_out_says_so(terrain: Terrain, vehicle: Vehicle) -> None:
     everything = Polygon.of([(-9, -9), (9, -9), (9, 9), (-9, 9)], "all")
     planner = leaving(terrain, vehicle, KeepOut((everything,)), KeepOut())

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Point32, PolygonStamped
+from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.errors import FrameError, MalformedMessageError
+from infomap_ros.errors import ConfigError, FrameError, MalformedMessageError
 from infomap_ros.exploration.records.choice_text import route_digest
+from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.parameters import declare_config
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.planning.exploration_status import read_status
 from infomap_ros.nodes.planning.keep_out_listener import KeepOutListener
@@ -166,6 +169,32 @@ def test_another_frame_is_refused(listener: KeepOutListener) -> None:
     with pytest.raises(FrameError, match="geofence in frame 'odom'"):
         listener.set_fence(fence(*SQUARE, frame="odom"))
     assert listener.current() == before
+
+
+def test_a_node_is_started_with_regions_and_refuses_what_is_none(graph: Any) -> None:
+    given = {"task__keep_out": ["stairs: 1 0 2 0 2 1"], "task__geofence": [-3, -3, 3, -3, 3, 3]}
+    task = declare_config(graph.add(Node, "good", **given), TaskConfig, "task.")
+    (stairs,) = task.rules.regions
+    assert stairs.name == "stairs"
+    assert stairs.corners == ((1.0, 0.0), (2.0, 0.0), (2.0, 1.0))
+    assert len(task.rules.fences) == 1
+    node = graph.add(Node, "bad", task__keep_out=["stairs: 1 0 2 0"])
+    with pytest.raises(ConfigError, match=r"'task.keep_out'.*2 corners"):
+        declare_config(node, TaskConfig, "task.")
+
+
+def test_a_refused_message_is_counted_and_what_was_set_stays(graph: Any) -> None:
+    node = graph.add(MonitoredNode, "listener")
+    listener = KeepOutListener(node, "map", lambda: None)
+    regions = graph.tester.create_publisher(MarkerArray, "keep_out", qos.latched())
+    regions.publish(MarkerArray(markers=[box()]))
+    graph.spin_until(lambda: listener.current().regions, "the region")
+    bad = box(7)
+    bad.pose.position.y = NAN
+    regions.publish(MarkerArray(markers=[bad]))
+    graph.spin_until(lambda: node.health.drops(), "the refusal")
+    assert node.health.drops() == {"malformed message": 1}
+    assert [each.name for each in listener.current().regions] == ["site/1"]
 
 
 def test_a_region_across_the_way_stops_the_robot_with_the_reason(

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import InvalidInputError, PoseUnavailableError
+from infomap_ros.errors import ConfigError, InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
@@ -34,6 +34,7 @@ from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.planning_map import PlanningMap
@@ -281,7 +282,15 @@ def planned_robot(simulator: Simulator) -> RobotModel:
 
 
 def _as_driven(options: ExplorationOptions) -> ViewPlannerConfig:
-    """The planner's configuration, with the speeds at which the simulator drives."""
+    """The planner's configuration, with the speeds at which the simulator drives.
+
+    Raises:
+        ConfigError: the planner was given other ones.
+    """
+    given, driven = options.planner.reaching.following, options.simulator.following
+    if given not in (driven, PathFollowingConfig()):
+        expected = "what simulator.following says, which is what drives"
+        raise ConfigError("planner.reaching.following", given, expected)
     reaching = dataclasses.replace(options.planner.reaching, following=options.simulator.following)
     return dataclasses.replace(options.planner, reaching=reaching)
 

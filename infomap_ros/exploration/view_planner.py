@@ -119,7 +119,7 @@ class ViewPlanner:
     def stands_wrongly(self) -> str:
         """Where the base stood at the last plan although it must not, or empty.
 
-        For the end of a sentence: "in keep-out region 'stairs'". The next drive leads out first.
+        For the end of a sentence: "in or next to keep-out region 'x'". The next drive leads out.
         """
         return self._motion.stands_wrongly
 

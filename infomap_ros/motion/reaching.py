@@ -139,7 +139,10 @@ class WholeBodyReach:
 
     @property
     def stands_wrongly(self) -> str:
-        """Where the base stands although it must not: "in keep-out region 'stairs'"; or empty."""
+        """Where the base stands although it must not, or empty.
+
+        For the end of a sentence: "in or next to keep-out region 'x'".
+        """
         if self._keep_out.is_empty:
             return ""
         return self.planner.vehicle.closed_at(self.terrain, *self._xyyaw)
@@ -179,7 +182,7 @@ class WholeBodyReach:
         stuck = self._why_stuck
         reason = f"the base cannot drive: {stuck}" if stuck else _NO_PLACE
         return [
-            "" if ok else reason + self._closed_below(view)
+            "" if ok else self._closed_below(view) + reason
             for ok, view in zip(possible, views, strict=True)
         ]
 
@@ -203,7 +206,7 @@ class WholeBodyReach:
         stances = finder.find(view)
         if len(stances.places):
             return self._with_base(view, stances)
-        reason = f"{stances.reason}{self._closed_below(view)}; the arm alone: {why_not}"
+        reason = f"{self._closed_below(view)}{stances.reason}; the arm alone: {why_not}"
         return self._approach(view, finder.preferred_places(view), reason)
 
     def with_arm_alone(
@@ -266,9 +269,9 @@ class WholeBodyReach:
         return np.array([pose[0, 3], pose[1, 3], math.atan2(pose[1, 0], pose[0, 0])])
 
     def _closed_below(self, view: FloatArray) -> str:
-        """What closes the ground below a view, for the end of a reason."""
+        """What closes the ground below a view, for the beginning of a reason."""
         where = self.terrain.closed_at(view[:2, 3])
-        return f"; the ground below it is {where}" if where else ""
+        return f"the ground below is {where}; " if where else ""
 
     def _arm_may_reach(self, views: FloatArray) -> np.ndarray:
         """Whether the arm reaches views from where the base is, without a way being asked for."""

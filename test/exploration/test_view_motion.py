@@ -118,11 +118,11 @@ def test_a_region_set_across_the_base_path_is_named_until_it_is_taken_away(trip:
     trip.motion.keep_out = KeepOut((beside, across))
     problem = trip.problem_at(0)
     assert problem.startswith("the base path is blocked at (")
-    assert problem.endswith("the base would stand in keep-out region 'tape'")
+    assert problem.endswith("the base would stand in or next to keep-out region 'tape'")
     trip.motion.keep_out = KeepOut((beside,))
     assert trip.problem_at(0) == ""
     trip.motion.keep_out = KeepOut((), (beside,))
-    assert "outside geofence 'flowers'" in trip.problem_at(0)
+    assert "outside or next to geofence 'flowers'" in trip.problem_at(0)
 
 
 def test_a_box_behind_or_beside_the_base_blocks_nothing(trip: Trip) -> None:

@@ -110,14 +110,14 @@ def test_a_pose_is_refused_exactly_where_the_body_is_near(
 def test_the_reason_names_the_region(terrain: Terrain, vehicle: Vehicle) -> None:
     closed = with_keep_out(terrain, RULES)
     assert vehicle.stance(closed, 0.9, 0.0, 0.0).reason == (
-        "the base would stand in keep-out region 'stairs'"
+        "the base would stand in or next to keep-out region 'stairs'"
     )
     outside = vehicle.stance(closed, 2.2, -1.0, 0.0).reason
-    assert outside == "the base would stand outside geofence 'yard'"
+    assert outside == "the base would stand outside or next to geofence 'yard'"
     assert vehicle.stance(closed, -0.3, -0.3, 0.0).ok
     path = BasePlanner(closed, vehicle, standing=STANDING).plan((-0.3, -0.3, 0.0), (0.9, 0.0, 0.0))
     assert not path.complete
-    assert "in keep-out region 'stairs'" in path.reason
+    assert "in or next to keep-out region 'stairs'" in path.reason
 
 
 def test_heights_stay_and_no_rule_changes_nothing(terrain: Terrain) -> None:
@@ -199,7 +199,9 @@ def test_a_robot_for_which_there_is_no_way_out_says_so(terrain: Terrain, vehicle
     planner = leaving(terrain, vehicle, KeepOut((everything,)), KeepOut())
     path = planner.plan((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     assert not path.complete and len(path.poses) == 0
-    assert path.reason == "the robot stands in keep-out region 'all', and no way leads out"
+    assert (
+        path.reason == "the robot stands in or next to keep-out region 'all', and no way leads out"
+    )
     assert not planner.reachable_area((0.0, 0.0, 0.0)).any()
 
 

@@ -224,7 +224,9 @@ def test_a_region_across_the_way_stops_the_robot_with_the_reason(
     graph.spin_until(lambda: states[-1].level == DiagnosticStatus.ERROR, "the route to be blocked")
     assert states[-1].values[0].value == route_digest(sent)
     assert states[-1].message.startswith("the base path is blocked at (")
-    assert states[-1].message.endswith("the base would stand in keep-out region 'site/1'")
+    assert states[-1].message.endswith(
+        "the base would stand in or next to keep-out region 'site/1'"
+    )
     graph.spin_until(lambda: len(stage.rover.paths) > 1, "the order to stay")
 
     def failed() -> str:

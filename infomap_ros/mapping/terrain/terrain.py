@@ -81,7 +81,7 @@ class ClosedGround:
     """Ground that a rule closes to the base, whatever the map shows there.
 
     Attributes:
-        where: what lies there, as the end of a sentence: "in keep-out region 'stairs'".
+        where: what lies there, as the end of a sentence: "in or next to keep-out region 'x'".
         cells: of the terrain that are closed, shape (nx, ny).
     """
 

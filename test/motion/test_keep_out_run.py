@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from infomap_ros.cli.settings import with_settings
+from infomap_ros.exploration.commanded_robot import CommandedRobot
+from infomap_ros.exploration.robot import Interrupted, Motion
 from infomap_ros.motion.base.drive_time import drive_seconds
 from infomap_ros.motion.base.path_following import PathFollowingConfig
+from infomap_ros.motion.route import ArmPath
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.simulator import Simulator
@@ -41,9 +44,30 @@ def explored(out: Path, monkeypatch: pytest.MonkeyPatch, *settings: str) -> tupl
         step(self, duration)
         poses.append(planar(np.linalg.inv(run.T_world_map) @ self.true_pose()))
 
+    drive, move_arm = CommandedRobot.drive, CommandedRobot.move_arm
+
+    def timed_drive(self: CommandedRobot, poses: np.ndarray, interrupted: Interrupted) -> Motion:
+        begin, said = run.simulator.time, drive_seconds(poses, PathFollowingConfig())
+        motion = drive(self, poses, interrupted)
+        taken.append((said, run.simulator.time - begin))
+        return motion
+
+    def timed_arm(self: CommandedRobot, path: ArmPath, interrupted: Interrupted) -> Motion:
+        begin = run.simulator.time
+        motion = move_arm(self, path, interrupted)
+        taken.append((path.duration, run.simulator.time - begin))
+        return motion
+
+    taken: list[tuple[float, float]] = []
+    monkeypatch.setattr(CommandedRobot, "drive", timed_drive)
+    monkeypatch.setattr(CommandedRobot, "move_arm", timed_arm)
     monkeypatch.setattr(Simulator, "step", watched)
     ending = run.run()
     run.close()
+    said, took = np.array(taken).T  # motions that were told their time and the simulated time
+    assert len(took) >= 6
+    assert (np.abs(took - said) <= 0.15 * said + 0.5).all()
+    assert took.sum() == pytest.approx(said.sum(), rel=0.1)
     robot, chain = run._planner._planner.robot, run._planner._planner.robot.arm
     assert ending is not None
     reach = run._planner._planner._motion._last_reach

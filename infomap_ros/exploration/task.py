@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.geometry import Box, PlacedSolid, make_transform
+from infomap_ros.geometry import Box, PlacedSolid, Polygon, make_transform
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.views.situation import Interest
 
 
@@ -60,6 +62,18 @@ class TaskConfig:
         unit="m",
         low=0.0,
         high=10.0,
+    )
+    keep_out: tuple[str, ...] = setting(
+        (),
+        "Regions in which no part of the base may be: polygons, a name and at least three corners "
+        "x y each, map frame, as 'stairs: 1 0 2 0 2 1.5'. More may come on the topic keep_out.",
+        unit="m",
+    )
+    geofence: tuple[float, ...] = setting(
+        (),
+        "Corners x0, y0, x1, y1, ... of the polygon that no part of the base may leave, map frame; "
+        "empty for none. Another one may come on the topic geofence; then both hold.",
+        unit="m",
     )
     max_views: int = parameter(80, "Budget of views.", low=1, high=100000)
     max_distance: float = parameter(
@@ -133,6 +147,7 @@ class TaskConfig:
         except ValueError as error:
             expected = "five numbers a place: x, y, z, an edge above 0, a weight of at least 0"
             raise ConfigError("interests", self.interests, expected) from error
+        _ = self.rules
 
     @cached_property
     def places(self) -> tuple[Interest, ...]:
@@ -144,6 +159,28 @@ class TaskConfig:
             )
             for x, y, z, edge, weight in cubes.tolist()
         )
+
+    @cached_property
+    def rules(self) -> KeepOut:
+        """Where the base must not go.
+
+        Raises:
+            ConfigError: a region or the geofence is no polygon.
+        """
+        try:
+            regions = tuple(_region_of(text) for text in self.keep_out)
+            if len({region.name for region in regions}) < len(regions):
+                raise ValueError("two regions have the same name")
+        except ValueError as error:
+            expected = f"polygons 'name: x y x y x y ...' ({error})"
+            raise ConfigError("keep_out", self.keep_out, expected) from error
+        if not self.geofence:
+            return KeepOut(regions)
+        try:
+            return KeepOut(regions, (Polygon.of(_pairs(self.geofence), "of the task"),))
+        except ValueError as error:
+            expected = f"corners x0, y0, x1, y1, ... of a polygon ({error})"
+            raise ConfigError("geofence", self.geofence, expected) from error
 
     @property
     def precise_sigma(self) -> float:
@@ -158,3 +195,26 @@ class TaskConfig:
     def region(self) -> FloatArray:
         """The box as (low, high), shape (2, 3), map frame [m]."""
         return np.array([self.region_low, self.region_high])
+
+
+def _region_of(text: str) -> Polygon:
+    """The region of "name: x y x y x y ...".
+
+    Raises:
+        ValueError: it is none.
+    """
+    name, colon, corners = text.partition(":")
+    if not colon or not name.strip():
+        raise ValueError(f"'{text}' has no name")
+    return Polygon.of(_pairs([float(number) for number in corners.split()]), name.strip())
+
+
+def _pairs(numbers: Sequence[float]) -> list[tuple[float, float]]:
+    """Numbers x0, y0, x1, y1, ... as corners.
+
+    Raises:
+        ValueError: their number is odd.
+    """
+    if len(numbers) % 2:
+        raise ValueError(f"{len(numbers)} numbers are not pairs x, y")
+    return list(zip(numbers[::2], numbers[1::2], strict=True))

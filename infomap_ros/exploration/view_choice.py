@@ -166,6 +166,7 @@ def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
     cheap = replace(
         rating,
         distance_weight=share * rating.distance_weight,
+        time_weight=share * rating.time_weight,
         localization_weight=share * rating.localization_weight,
     )
     return replace(config, rating=cheap)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from infomap_ros.exploration.robot import KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -17,12 +19,15 @@ from infomap_ros.motion.base.pose_margin import base_sigma
 from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.obstacles import Obstacle
+from infomap_ros.motion.keep_out import KeepOut, with_keep_out
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_check import RouteCheck
 from infomap_ros.motion.traversability import traversability
 from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.views.situation import MotionTimes
 
+_POSTURES = 500  # of which the time of a usual motion of the arm is the mean
 _CORRECTION = 1.0
 """Longest drive that corrects where the base has stopped [m]: one that goes back, turns and comes
 again brings a base there that is 0.12 m and 0.2 rad off, which counts as arrived."""
@@ -39,10 +44,12 @@ class ViewMotion:
     Attributes:
         config: as given; may be replaced.
         task: likewise.
+        keep_out: where the base must not go besides what the task says; may be replaced.
     """
 
     def __init__(self, robot: RobotModel, config: ViewPlannerConfig, task: TaskConfig) -> None:
         self._robot, self.config, self.task = robot, config, task
+        self.keep_out = KeepOut()
         self._start: ClearStart | None = None
         self._last_reach: WholeBodyReach | None = None
         self._sent: Route | None = None
@@ -50,6 +57,16 @@ class ViewMotion:
         self._been: tuple[PlacedSolid, ...] = ()  # what the body has filled since the last choice
         self._planned: FloatArray | None = None  # way of the arm to the view planned last
         self._may_drive = True  # once more to the view planned last
+
+    @property
+    def _forbidden(self) -> KeepOut:
+        """Where the base must not go."""
+        return self.task.rules.with_others(self.keep_out)
+
+    @property
+    def stands_wrongly(self) -> str:
+        """Where the base stood at the last choice although it must not, or empty."""
+        return "" if self._last_reach is None else self._last_reach.stands_wrongly
 
     @property
     def clear_space(self) -> tuple[PlacedSolid, ...]:
@@ -87,6 +104,7 @@ class ViewMotion:
             sent=self._sent,
             obstacles=obstacles,
             sigma=self._sigma(state) if widen else 0.0,
+            keep_out=self._forbidden,
         )
         self._last_reach, self._sent = reach, None
         return reach
@@ -99,9 +117,8 @@ class ViewMotion:
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
         reach = reaching.base.standing_reach
-        return traversability(
-            with_standing_ground(terrain, vehicle, state.T_map_base, reach), vehicle
-        )
+        terrain = with_standing_ground(terrain, vehicle, state.T_map_base, reach)
+        return traversability(with_keep_out(terrain, self._forbidden), vehicle)
 
     def send(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:
         """Note the route along which the robot is sent from here.
@@ -130,7 +147,7 @@ class ViewMotion:
             whole = WholeBody.of(self._robot, reaching, state.joints)
             self._check = RouteCheck(
                 route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
-                known_free,
+                known_free, self._forbidden,
             )  # fmt: skip
 
     def withdraw(self) -> None:
@@ -194,8 +211,27 @@ class ViewMotion:
         """Why what is left of the route along which the robot was sent is blocked, or empty."""
         if self._check is None:
             return ""
-        fault = self._check.fault(voxel_map, state.T_map_base, state.joints)
+        fault = self._check.fault(voxel_map, state.T_map_base, state.joints, self._forbidden)
         return "" if fault is None else fault.reason
+
+    def times(self, state: RobotState) -> MotionTimes:
+        """How long motions of the robot take, by the speeds that it is driven with."""
+        reaching = self.config.reaching
+        whole, limits = WholeBody.of(self._robot, reaching, state.joints), reaching.following
+        rates = reaching.trajectory.velocities(whole.chain)
+        postures = whole.postures.q[:_POSTURES]
+        folding = (np.abs(postures - whole.driving) / rates).max(axis=1, initial=0.0)
+        ramp = float(rates.max(initial=0.0)) / reaching.trajectory.acceleration
+        arm = float(folding.mean()) + ramp if len(folding) else 0.0
+        turning = float(np.median(rates)) if len(rates) else limits.max_turn_rate
+        return MotionTimes(
+            limits.max_speed,
+            limits.max_turn_rate,
+            arm,
+            turning,
+            0.5 * whole.arm_reach,
+            self.config.look_time,
+        )
 
     def _sigma(self, state: RobotState) -> float:
         """How well it is known where the base is [m]."""

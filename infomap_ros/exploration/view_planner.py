@@ -24,6 +24,7 @@ from infomap_ros.mapping.files.projection import ProjectedGrid
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
 from infomap_ros.motion.collision.obstacles import Obstacle
+from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.motion.route import ReachResult, Route
@@ -107,6 +108,21 @@ class ViewPlanner:
         self._choose_by(task, config, self._fine)
         self._motion.config, self._motion.task = config, task
 
+    def forbid(self, rules: KeepOut) -> None:
+        """Keep the base out of these regions and within these fences, besides those of the task.
+
+        The route that is carried out is judged by them at the next `route_problem`.
+        """
+        self._motion.keep_out = rules
+
+    @property
+    def stands_wrongly(self) -> str:
+        """Where the base stood at the last plan although it must not, or empty.
+
+        For the end of a sentence: "in or next to keep-out region 'x'". The next drive leads out.
+        """
+        return self._motion.stands_wrongly
+
     def _choose_by(
         self, task: TaskConfig, config: ViewPlannerConfig, fine: tuple[Interest, ...]
     ) -> None:
@@ -147,7 +163,7 @@ class ViewPlanner:
         self._motion.send(voxel_map, state, route)
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
-        return _choice_of(decision, route, progress, state)
+        return _choice_of(decision, route, progress, state, self.stands_wrongly)
 
     def _with_places_of_task(self, around: Surrounding) -> Surrounding:
         """Add the task's places of interest; those that matter more are mapped more precisely."""
@@ -303,6 +319,7 @@ class ViewPlanner:
             arm_views=self._arm_views(state.T_map_base),
             heights=self._heights,
             ground_height=reach.terrain.height_at,
+            times=self._motion.times(state),
         )
 
     def _body(self, state: RobotState) -> list[PlacedSolid]:
@@ -325,7 +342,11 @@ def _box_about(interest: Interest, region: FloatArray) -> FloatArray:
 
 
 def _choice_of(
-    decision: ViewDecision, route: Route | None, progress: MapProgress, state: RobotState
+    decision: ViewDecision,
+    route: Route | None,
+    progress: MapProgress,
+    state: RobotState,
+    stands_wrongly: str,
 ) -> Choice:
     chosen = decision.chosen
     if chosen is not None and route is None:
@@ -334,4 +355,6 @@ def _choice_of(
     reason = decision.reason
     if route is not None and route.planned_by:
         reason += f"; base path by {route.planned_by}"
+    if route is not None and route.moves_base and stands_wrongly:
+        reason += f"; it first drives out, as the base stands {stands_wrongly}"
     return Choice(progress, pose, route, reason, explain(replace(decision, reason=reason), state))

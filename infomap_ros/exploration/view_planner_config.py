@@ -62,6 +62,13 @@ class ViewPlannerConfig:
         low=0.0,
         high=1.0,
     )
+    look_time: float = setting(
+        3.0,
+        "Time of a look and of choosing the view after it, where the cost of views is in seconds.",
+        unit="s",
+        low=0.0,
+        high=600.0,
+    )
     threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
     seed: int = parameter(1, "Seed of the candidates.", low=0)
     choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)

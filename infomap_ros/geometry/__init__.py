@@ -6,6 +6,7 @@ from infomap_ros.geometry.camera import (
     StereoRig,
     rig_from_calibrations,
 )
+from infomap_ros.geometry.polygon import Polygon
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.pose_uncertainty import (
     MotionClock,
@@ -63,6 +64,7 @@ __all__ = [
     "PinholeCamera",
     "PlacedSolid",
     "PointCloudRecord",
+    "Polygon",
     "PoseBuffer",
     "PoseBufferConfig",
     "PoseRecord",

@@ -29,6 +29,8 @@ from infomap_ros.motion.base.pose_margin import widenings_for
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
+from infomap_ros.motion.keep_out import KeepOut, with_closed_ground
+from infomap_ros.motion.leaving import LeavingPlanner
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
@@ -61,6 +63,8 @@ class WholeBodyReach:
         obstacles: what must not be touched and the map does not show, such as other robots.
         sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives and
             the arm are taken for wider accordingly [m].
+        keep_out: where the base must not go. Where it stands there already, its ways begin with
+            the shortest one out (`infomap_ros.motion.leaving`).
 
     Attributes:
         near: the map as its collision checks see it.
@@ -82,8 +86,10 @@ class WholeBodyReach:
         sent: Route | None = None,
         obstacles: Sequence[Obstacle] = (),
         sigma: float = 0.0,
+        keep_out: KeepOut | None = None,
     ) -> None:
         self.config, self._sigma = config or ReachingConfig(), sigma
+        self._keep_out = keep_out or KeepOut()
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
         self._whole = WholeBody.of(robot, self.config, joints)
         chain = self._whole.chain
@@ -116,10 +122,30 @@ class WholeBodyReach:
         terrain = terrain_of(self._map, self.config.terrain, self._base[:3, 3])
         if self._start is not None:
             terrain = self._start.ground(terrain, self._whole.vehicle)
-        terrain = with_obstacles(terrain, self._obstacles)
+        ground = with_obstacles(terrain, self._obstacles)
+        closed = self._keep_out.closed_ground(ground)
+        terrain = with_closed_ground(ground, closed)
         vehicle = widest_vehicle(self._whole, self.config, terrain, self._base, self._sigma)
         before, self._planner_before = self._planner_before, None
-        return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
+        if not vehicle.closed_at(terrain, *self._xyyaw):
+            return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
+        left = [
+            each
+            for each in closed
+            if not vehicle.closed_at(with_closed_ground(ground, [each]), *self._xyyaw)
+        ]
+        opened = with_closed_ground(ground, left)
+        return LeavingPlanner(terrain, opened, vehicle, self.config.base, self._standing, before)
+
+    @property
+    def stands_wrongly(self) -> str:
+        """Where the base stands although it must not, or empty.
+
+        For the end of a sentence: "in or next to keep-out region 'x'".
+        """
+        if self._keep_out.is_empty:
+            return ""
+        return self.planner.vehicle.closed_at(self.terrain, *self._xyyaw)
 
     @property
     def _last_planner(self) -> BasePlanner | None:
@@ -155,7 +181,10 @@ class WholeBodyReach:
             return [""] * len(views)
         stuck = self._why_stuck
         reason = f"the base cannot drive: {stuck}" if stuck else _NO_PLACE
-        return ["" if ok else reason for ok in possible]
+        return [
+            "" if ok else self._closed_below(view) + reason
+            for ok, view in zip(possible, views, strict=True)
+        ]
 
     def reach(self, T_map_camera: ArrayLike) -> ReachResult:
         """Plan the motion to one view.
@@ -177,7 +206,7 @@ class WholeBodyReach:
         stances = finder.find(view)
         if len(stances.places):
             return self._with_base(view, stances)
-        reason = f"{stances.reason}; the arm alone: {why_not}"
+        reason = f"{self._closed_below(view)}{stances.reason}; the arm alone: {why_not}"
         return self._approach(view, finder.preferred_places(view), reason)
 
     def with_arm_alone(
@@ -238,6 +267,11 @@ class WholeBodyReach:
     def _xyyaw(self) -> FloatArray:
         pose = self._base
         return np.array([pose[0, 3], pose[1, 3], math.atan2(pose[1, 0], pose[0, 0])])
+
+    def _closed_below(self, view: FloatArray) -> str:
+        """What closes the ground below a view, for the beginning of a reason."""
+        where = self.terrain.closed_at(view[:2, 3])
+        return f"the ground below is {where}; " if where else ""
 
     def _arm_may_reach(self, views: FloatArray) -> np.ndarray:
         """Whether the arm reaches views from where the base is, without a way being asked for."""

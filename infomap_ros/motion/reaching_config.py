@@ -10,6 +10,7 @@ from infomap_ros.mapping.terrain.terrain import TerrainConfig
 from infomap_ros.motion.arm.arm_path import ArmPathConfig
 from infomap_ros.motion.arm.trajectory import TrajectoryConfig
 from infomap_ros.motion.base.base_path import BasePlannerConfig
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.motion.base.vehicle_config import VehicleConfig
 from infomap_ros.motion.collision.collision_config import CollisionConfig
 
@@ -52,6 +53,7 @@ class ReachingConfig:
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     base: BasePlannerConfig = field(default_factory=BasePlannerConfig)
+    following: PathFollowingConfig = field(default_factory=PathFollowingConfig)
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -95,6 +95,7 @@ class ReachResult:
         route: how; None where there is none.
         partial: the route ends at the farthest safe approach, not at the view itself.
         T_map_camera: camera pose in which the route ends, shape (4, 4); NaN without a route.
+        seconds: time that the route takes, the arm before and after included [s].
     """
 
     reason: str
@@ -103,3 +104,4 @@ class ReachResult:
     route: Route | None = None
     partial: bool = False
     T_map_camera: FloatArray = field(default_factory=lambda: np.full((4, 4), np.nan))
+    seconds: float = 0.0

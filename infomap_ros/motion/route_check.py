@@ -1,6 +1,7 @@
 """Is what is left of a route still free in the map as it is now? Where not, and why?
 
-What is asked is whether the map has changed for the worse since the route was planned. A robot may
+What is asked is whether the map, or where the base must not go, has changed for the worse since
+the route was planned. A robot may
 have to leave a place where it should not stand, or an arm a contact at its start: what was not free
 when the route was planned, by the same checks, does not count.
 """
@@ -21,6 +22,7 @@ from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.keep_out import KeepOut, with_keep_out
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.motion.whole_body import WholeBody
@@ -59,6 +61,7 @@ class RouteCheck:
         joints: positions then, by name [rad or m].
         start: space that was declared clear.
         known_free: further space that was taken for free although it was never seen [map].
+        keep_out: where the base must not go, as it was then.
     """
 
     def __init__(
@@ -71,8 +74,9 @@ class RouteCheck:
         joints: Mapping[str, float],
         start: ClearStart | None = None,
         known_free: Sequence[PlacedSolid] = (),
+        keep_out: KeepOut | None = None,
     ) -> None:
-        self._known_free = known_free
+        self._known_free, self._keep_out = known_free, keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
         self._base, self._joints = T_map_base, dict(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
@@ -85,7 +89,11 @@ class RouteCheck:
         self._was_free = self._free(self._checker(voxel_map))
 
     def fault(
-        self, voxel_map: VoxelMap, T_map_base: FloatArray, joints: Mapping[str, float]
+        self,
+        voxel_map: VoxelMap,
+        T_map_base: FloatArray,
+        joints: Mapping[str, float],
+        keep_out: KeepOut | None = None,
     ) -> RouteFault | None:
         """The first fault on what is left of the route; None where it is free.
 
@@ -94,11 +102,12 @@ class RouteCheck:
                 is the last one.
             T_map_base: where the base is, shape (4, 4).
             joints: where they are, by name [rad or m].
+            keep_out: where the base must not go now.
         """
-        states = self._surroundings(voxel_map)
-        if np.array_equal(states, self._states):
+        states, rules = self._surroundings(voxel_map), keep_out or KeepOut()
+        if np.array_equal(states, self._states) and rules == self._keep_out:
             return self._fault
-        self._states = states
+        self._states, self._keep_out = states, rules
         self._advance(T_map_base, joints)
         self._fault = self._arm_fault(voxel_map) or self._base_fault(voxel_map)
         return self._fault
@@ -159,7 +168,9 @@ class RouteCheck:
         terrain = terrain_of(voxel_map, replace(config, radius=radius), self._base[:3, 3])
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
-        return with_standing_ground(terrain, vehicle, self._base, self._config.base.standing_reach)
+        reach = self._config.base.standing_reach
+        terrain = with_standing_ground(terrain, vehicle, self._base, reach)
+        return with_keep_out(terrain, self._keep_out)
 
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
         body, config = self._whole.body, self._config

@@ -14,6 +14,7 @@ from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik
 from infomap_ros.motion.arm.trajectory import time_path
 from infomap_ros.motion.base.base_path import BasePath
+from infomap_ros.motion.base.drive_time import drive_seconds
 from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.postures_near import postures_near
@@ -135,7 +136,7 @@ class RoutePlanner:
         camera = self.trail.T_map_base @ self.whole.chain.camera_pose(q)
         staying = ArmPath.staying(names, self.q)
         route = Route(staying, np.zeros((0, 3)), np.zeros((0, 4, 4)), arm, camera)
-        return ReachResult("", 0.0, arm.joint_travel, route, False, camera)
+        return ReachResult("", 0.0, arm.joint_travel, route, False, camera, arm.duration)
 
     def with_base(self, path: BasePath, q: FloatArray) -> ReachResult:
         """Fold the arm, drive, and unfold it to `q`, shape (n,).
@@ -158,7 +159,9 @@ class RoutePlanner:
         route = Route(before, path.poses, path.T_map_base, after, camera, partial, method)
         reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
-        return ReachResult(reason, path.length, travel, route, partial, camera)
+        seconds = before.duration + after.duration
+        seconds += drive_seconds(path.poses, self.config.following)
+        return ReachResult(reason, path.length, travel, route, partial, camera, seconds)
 
     def posture_like(self, view: FloatArray, T_map_base: FloatArray) -> FloatArray:
         """Of some postures, and the driving one, the one whose camera is most like a view.

@@ -42,6 +42,7 @@ from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
 from infomap_ros.nodes.planning.fiducial_listener import FiducialListener
 from infomap_ros.nodes.planning.interests import Interests
+from infomap_ros.nodes.planning.keep_out_listener import KeepOutListener
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
 from infomap_ros.nodes.planning.route_status import RouteStatusPublisher
@@ -88,7 +89,8 @@ class NextBestViewNode(MonitoredNode):
         prepare_kernels(self, planning, seconds=150.0)
         self._tracker = RobotTracker(self)
         self._fiducials = FiducialListener(self)
-        self._interests = Interests(self.config(RobotTrackerConfig).map_frame)
+        map_frame = self.config(RobotTrackerConfig).map_frame
+        self._interests = Interests(map_frame)
         self._outputs = PlanOutputs(self)
         self._news = ExplorationNews()
         self._route_status, self._is_checking = RouteStatusPublisher(self), False
@@ -99,6 +101,7 @@ class NextBestViewNode(MonitoredNode):
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1, last_job=1.0)
         self._map = MapListener(self, self._worker, on_update=self._submit_check)
+        self._keep_out = KeepOutListener(self, map_frame, self._submit_check)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
         self.listen(
             DiagnosticStatus, "exploration_status", self._on_status, qos.latched(), required=False
@@ -192,6 +195,7 @@ class NextBestViewNode(MonitoredNode):
         self._is_checking = False
         if self._planner is None or self._target is None:
             return
+        self._planner.planner.forbid(self._keep_out.current())
         try:
             state, voxel_map = self._tracker.state(), self._map.voxel_map()
             self._route_status.report(self._planner.route_problem(voxel_map, state))
@@ -204,8 +208,15 @@ class NextBestViewNode(MonitoredNode):
             self._target = choice.target
             self._route_status.begin(choice.route)
         self.get_logger().info(choice.reason)
+        self._warn_where_it_stands()
         self._traversability.publish()
         return choice_to_text(choice)
+
+    def _warn_where_it_stands(self) -> None:
+        """Warn of a base that stands where it must not."""
+        where = "" if self._planner is None else self._planner.planner.stands_wrongly
+        if where:
+            self.get_logger().warning(f"the base stands {where}: its next drive leads out first")
 
     def _ready(self) -> tuple[TeamPlanner, VoxelMap, RobotState]:
         """What a plan needs.
@@ -229,6 +240,7 @@ class NextBestViewNode(MonitoredNode):
             )
             alone = ViewPlanner(robot, rig, task, config, self._error)
             self._planner = TeamPlanner(alone, self._agents.team, self._agents.announce)
+        self._planner.planner.forbid(self._keep_out.current())
         return self._planner, voxel_map, state
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.views.decision import RatedView
 from infomap_ros.views.ranking.options import Options
-from infomap_ros.views.ranking.rating import RatingConfig
+from infomap_ros.views.ranking.rating import Cost
 from infomap_ros.views.reach import Reachability, ReachResult
 
 
@@ -60,7 +60,7 @@ class Approach:
         self,
         config: ApproachConfig,
         options: Options,
-        weights: RatingConfig,
+        cost: Cost,
         reachability: Reachability,
         compares: bool,
     ) -> None:
@@ -69,7 +69,7 @@ class Approach:
         Args:
             config: limits.
             options: the views.
-            weights: what a longer way costs.
+            cost: what a way costs.
             reachability: plans the motions.
             compares: whether scores count in full views, so that what a way costs can be taken off.
         """
@@ -77,7 +77,7 @@ class Approach:
         self.result: ReachResult | None = None
         self.is_over = False
         self.tried: list[int] = []
-        self._config, self._options, self._weights = config, options, weights
+        self._config, self._options, self._cost = config, options, cost
         self._reachability, self._compares = reachability, compares
 
     def try_in_turn(self, views: list[RatedView], order: list[int], first_wins: bool) -> None:
@@ -103,7 +103,7 @@ class Approach:
                 waiting = self._elsewhere_first(index, waiting)
                 continue
             reached += 1
-            score = views[index].score - self._surcharge(index, result)
+            score = views[index].score - self._surcharge(views[index], index, result)
             if score > best_score:
                 self.index, self.result, best_score = index, result, score
             if not self._compares or (first_wins and index == order[0]):
@@ -126,9 +126,7 @@ class Approach:
         far = [i for i, is_near in zip(waiting, near, strict=True) if not is_near]
         return far + [i for i, is_near in zip(waiting, near, strict=True) if is_near]
 
-    def _surcharge(self, index: int, result: ReachResult) -> float:
+    def _surcharge(self, view: RatedView, index: int, result: ReachResult) -> float:
         """What the way really costs beyond what the rating has assumed [full views]."""
-        assumed = self._options.path_lengths[index]
-        excess = max(result.travel - assumed, 0.0) if np.isfinite(assumed) else 0.0
-        along = np.mean(self._weights.position_weights[:2])
-        return float(self._weights.distance_weight * along * excess)
+        assumed = view.terms.get(self._cost.term.name, np.nan)
+        return self._cost.surcharge(result, assumed, float(self._options.path_lengths[index]))

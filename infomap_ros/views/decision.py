@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from textwrap import shorten
@@ -119,7 +119,7 @@ def why_this(
         share = f" ({100.0 * information / full_view:.0f} % of a full unknown view)"
     parts = [
         f"view from ({x:.2f}, {y:.2f}, {z:.2f}) m: expects {information:.{_digits(information)}f} "
-        f"{unit}{share} at distance {terms.get('distance', 0.0):.2f}"
+        f"{unit}{share} {_cost_of(terms)}"
     ]
     if kept:
         parts.append("the goal so far is kept, as no other is clearly better")
@@ -133,6 +133,13 @@ def why_this(
     better = [view for view in views if view.rejection and view.score > chosen.score]
     text = "; ".join(parts)
     return f"{text}. {_count_reasons(better, 'ranked higher but ruled out')}".rstrip()
+
+
+def _cost_of(terms: Mapping[str, float]) -> str:
+    """What a view costs, in the unit in which that was rated."""
+    if "duration" in terms:
+        return f"after {terms['duration']:.1f} s"
+    return f"at distance {terms.get('distance', 0.0):.2f}"
 
 
 def _digits(value: float) -> int:

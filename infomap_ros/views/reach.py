@@ -20,6 +20,7 @@ class ReachResult(Protocol):
         joint_travel: the way of the joint that turns most [rad].
         route: the motion itself, for whoever executes it; not looked into here.
         partial: the route ends at the farthest safe approach, not at the view.
+        seconds: time that the motion takes [s]; NaN where that is not known.
     """
 
     @property
@@ -32,6 +33,8 @@ class ReachResult(Protocol):
     def route(self) -> object | None: ...  # noqa: D102
     @property
     def partial(self) -> bool: ...  # noqa: D102
+    @property
+    def seconds(self) -> float: ...  # noqa: D102
 
 
 class Reachability(Protocol):
@@ -53,6 +56,7 @@ class Flight:
     joint_travel: float = 0.0
     route: object | None = None
     partial: bool = False
+    seconds: float = float("nan")
 
 
 class FlyingCamera:

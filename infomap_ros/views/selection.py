@@ -112,7 +112,7 @@ class Selection:
         approach = Approach(
             self._config.approach,
             self._options,
-            self._rating.config,
+            ratings.cost,
             self._reachability,
             self._strategy.requires_positive_utility,
         )

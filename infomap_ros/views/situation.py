@@ -113,6 +113,36 @@ class Teammate:
         return places
 
 
+@dataclass(frozen=True)
+class MotionTimes:
+    """How long a robot takes to bring its camera from one view to another, and to look.
+
+    Attributes:
+        speed: of the base [m/s].
+        turn_rate: of the base [rad/s].
+        arm: time of a usual motion between a view and the posture for driving [s].
+        arm_rate: angle by which the arm turns the camera in a second [rad/s].
+        arm_reach: the arm alone brings the camera so far [m].
+        look: time of a look [s].
+
+    Raises:
+        InvalidInputError: a speed is not positive, or a time negative.
+    """
+
+    speed: float = 0.25
+    turn_rate: float = 0.6
+    arm: float = 3.0
+    arm_rate: float = 0.5
+    arm_reach: float = 0.5
+    look: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = (self.speed, self.turn_rate, self.arm, self.arm_rate, self.arm_reach, self.look)
+        least = min(self.speed, self.turn_rate, self.arm_rate)
+        if not (np.isfinite(values).all() and least > 0.0 and min(values) >= 0.0):
+            raise InvalidInputError("motion times", f"are {self}")
+
+
 @dataclass(frozen=True, eq=False)
 class Situation:
     """What is known when the next view is chosen.
@@ -139,6 +169,7 @@ class Situation:
             `views.unproductive_looks`; `voxel_map` where not given.
         arm_views: ``T_map_camera`` that the arm can take while the base stays, shape (A, 4, 4);
             candidates besides those that are drawn.
+        times: of the robot's motions, for a cost in seconds.
         positions_hint: camera positions to choose from instead of sampling the free space, shape
             (K, 3) [m, map], for example those which an arm reaches from where a base can stand.
 
@@ -163,6 +194,7 @@ class Situation:
     ground_height: GroundHeight | None = None
     promising: VoxelMap | None = None
     arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    times: MotionTimes = field(default_factory=MotionTimes)
     positions_hint: FloatArray | None = None
 
     def __post_init__(self) -> None:

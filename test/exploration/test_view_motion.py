@@ -13,12 +13,13 @@ from infomap_ros.exploration.robot import RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import Polygon, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.route import Route
 from infomap_ros.simulation.body.robot import read_description
 
@@ -105,6 +106,23 @@ def test_a_box_put_on_the_base_path_is_named_until_the_base_has_passed_it(trip: 
     assert problem.startswith("the base path is blocked at (")
     where = [float(text) for text in problem.split("(")[1].split(")")[0].split(",")]
     assert np.hypot(*(np.array(where) - middle[:2])) < 0.8
+
+
+def test_a_region_set_across_the_base_path_is_named_until_it_is_taken_away(trip: Trip) -> None:
+    x, y = trip.route.base_path[len(trip.route.base_path) // 2, :2]
+    across = Polygon.of([(x, y - 0.2), (x + 0.1, y), (x, y + 0.2)], "tape")
+    beside = Polygon.of([(x, y + 1.0), (x + 0.1, y + 1.0), (x, y + 1.2)], "flowers")
+    assert trip.problem_at(0) == ""
+    trip.motion.keep_out = KeepOut((beside,))
+    assert trip.problem_at(0) == ""
+    trip.motion.keep_out = KeepOut((beside, across))
+    problem = trip.problem_at(0)
+    assert problem.startswith("the base path is blocked at (")
+    assert problem.endswith("the base would stand in or next to keep-out region 'tape'")
+    trip.motion.keep_out = KeepOut((beside,))
+    assert trip.problem_at(0) == ""
+    trip.motion.keep_out = KeepOut((), (beside,))
+    assert "outside or next to geofence 'flowers'" in trip.problem_at(0)
 
 
 def test_a_box_behind_or_beside_the_base_blocks_nothing(trip: Trip) -> None:

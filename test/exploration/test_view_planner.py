@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.exploration.robot import FailedView, RobotState
+from infomap_ros.exploration.robot import FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
-from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
+from infomap_ros.geometry import PinholeCamera, Polygon, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.voxel_states import (
@@ -22,6 +22,7 @@ from infomap_ros.mapping.voxels.voxel_states import (
     unknown_states,
 )
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
 from infomap_ros.simulation.body.robot import read_description
@@ -166,6 +167,60 @@ def test_looks_again_where_a_place_of_interest_is_not_precise_enough(robot, weig
 def test_impossible_places_of_interest_are_named(name, values):
     with pytest.raises(ConfigError, match=name):
         TaskConfig(**values)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "problem"),
+    [
+        ("keep_out", {"keep_out": ("stairs: 0 0 1 0",)}, "2 corners"),
+        ("keep_out", {"keep_out": ("stairs: 0 0 1 0 1",)}, "5 numbers are not pairs"),
+        ("keep_out", {"keep_out": ("stairs: 0 0 1 0 1 nan",)}, "not finite"),
+        ("keep_out", {"keep_out": ("stairs: 0 0 1 1 1 0 0 1",)}, "crosses or touches itself"),
+        ("keep_out", {"keep_out": ("stairs: 0 0 1 0 1 wide",)}, "wide"),
+        ("keep_out", {"keep_out": ("0 0 1 0 1 1",)}, "has no name"),
+        ("keep_out", {"keep_out": ("a: 0 0 1 0 1 1", "a: 2 0 3 0 3 1")}, "the same name"),
+        ("geofence", {"geofence": (0.0, 0.0, 1.0, 0.0)}, "2 corners"),
+        ("geofence", {"geofence": (0.0, 0.0, 1.0, 0.0, 1.0)}, "5 numbers"),
+        ("geofence", {"geofence": (0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0)}, "touches itself"),
+        ("geofence", {"geofence": (0.0, 0.0, 1.0, float("nan"), 1.0, 0.0)}, "finite"),
+    ],
+)
+def test_what_is_no_region_is_refused_with_the_reason(name, values, problem):
+    with pytest.raises(ConfigError, match=f"'{name}'.*{problem}"):
+        TaskConfig(**values)
+
+
+def test_the_base_stays_within_the_fence_and_the_arm_looks_beyond_it(robot, half_known):
+    """Where the fence leaves no room to drive, the reasons say so, and the arm looks around."""
+    task = dataclasses.replace(TASK, geofence=(-0.3, -0.6, 0.9, -0.6, 0.9, 0.6, -0.3, 0.6))
+    free = planner_of(robot).choose(half_known, standing(robot))
+    assert free.route is not None
+    choice = planner_of(robot, task).choose(half_known, standing(robot))
+    assert any(
+        "outside or next to geofence 'of the task'" in why
+        for why in choice.explanation["rejections"]
+    )
+    if choice.route is not None and choice.route.moves_base:
+        assert (np.abs(choice.route.base_path[:, :2] - (0.3, 0.0)) < 0.6).all()
+
+
+def test_a_base_that_stands_in_a_region_is_told_and_can_drive_out(robot, half_known):
+    """It is driven to where it has stood before; that is the first drive after a region is set."""
+    planner, state = planner_of(robot), standing(robot)
+    region = Polygon.of([(0.1, -0.3), (0.8, -0.3), (0.8, 0.3), (0.1, 0.3)], "puddle")
+    planner.forbid(KeepOut((region,)))
+    home = KnownPlace("home", (-0.2, 1.1, 0.0), state.joints)
+    choice = planner.way_to(half_known, state, home)
+    assert choice.route is not None, choice.reason
+    assert planner.stands_wrongly == "in or next to keep-out region 'puddle'"
+    np.testing.assert_allclose(choice.route.base_path[-1, :2], (-0.2, 1.1), atol=0.05)
+    near = region.signed_distance(choice.route.base_path[:, :2])
+    assert near[0] < 0.0 < near[-1]
+    assert (np.diff(np.sign(near)) >= 0).all(), "it goes in again"
+    assert planner.route_problem(half_known, state) == ""
+    planner.forbid(KeepOut())
+    planner.way_to(half_known, state, home)
+    assert planner.stands_wrongly == ""
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,19 @@ class TerrainConfig:
 
 
 @dataclass(frozen=True, eq=False)
+class ClosedGround:
+    """Ground that a rule closes to the base, whatever the map shows there.
+
+    Attributes:
+        where: what lies there, as the end of a sentence: "in or next to keep-out region 'x'".
+        cells: of the terrain that are closed, shape (nx, ny).
+    """
+
+    where: str
+    cells: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class Terrain:
     """Ground of the robot's level on a grid of square cells, indexed [x, y], shape (nx, ny).
 
@@ -93,6 +106,7 @@ class Terrain:
         origin: x and y of the outer corner of cell (0, 0) [m, map].
         resolution: edge of a cell [m].
         near: the point of the robot about which ground was looked for, shape (3,) [m, map].
+        closed: by rules; nothing is open there: `overhead` and `seen` are -inf.
     """
 
     heights: GridArray
@@ -105,6 +119,19 @@ class Terrain:
     origin: tuple[float, float]
     resolution: float
     near: tuple[float, float, float]
+    closed: tuple[ClosedGround, ...] = ()
+
+    def closed_at(self, points: ArrayLike) -> str:
+        """What closes the ground at the first of points, shape (N, 2 or more), that is closed.
+
+        Empty where none is.
+        """
+        cells = self.cells_of(np.atleast_2d(points))
+        cells = cells[((cells >= 0) & (cells < self.heights.shape)).all(axis=1)]
+        for ground in self.closed:
+            if ground.cells[tuple(cells.T)].any():
+                return ground.where
+        return ""
 
     def cells_of(self, points: ArrayLike) -> NDArray[np.int64]:
         """Cells that hold points, shape (..., 2 or more) [m, map] -> (..., 2); may be outside."""

@@ -174,18 +174,25 @@ class Vehicle:
         batch = self.stances(terrain, np.array([[x, y, yaw]]), q)
         measures = batch.measures[0]
         outcome = int(batch.outcomes[0])
+        reason = outcome_in_words(outcome, measures, self.arrays.limits, self.undercarriage.names)
+        closed = "" if outcome == kernels.STANDS else self.closed_at(terrain, x, y, yaw)
         return Stance(
             T_map_base=batch.T_map_base[0],
             ok=outcome == kernels.STANDS,
-            reason=outcome_in_words(
-                outcome, measures, self.arrays.limits, self.undercarriage.names
-            ),
+            reason=f"the base would stand {closed}" if closed else reason,
             tip_margin=float(measures[kernels.TIP]),
             slope=float(measures[kernels.SLOPE]),
             step=float(measures[kernels.STEP]),
             roughness=float(measures[kernels.ROUGHNESS]),
             clearance=float(measures[kernels.CLEARANCE]),
         )
+
+    def closed_at(self, terrain: Terrain, x: float, y: float, yaw: float) -> str:
+        """What closes the ground under a part of the body, see `Terrain.closed`; or empty."""
+        if not terrain.closed:
+            return ""
+        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        return terrain.closed_at(self.arrays.columns[:, :2] @ turn + (x, y))
 
     def stances(
         self, terrain: Terrain, places: ArrayLike, q: ArrayLike | None = None

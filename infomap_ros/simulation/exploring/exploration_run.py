@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.errors import InvalidInputError, PoseUnavailableError
+from infomap_ros.errors import ConfigError, InvalidInputError, PoseUnavailableError
 from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
@@ -34,6 +34,7 @@ from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.planning_map import PlanningMap
@@ -167,7 +168,7 @@ class ExplorationRun:
         self.audit = PoseAudit(self.simulator, self.T_world_map)
         self.robot = SimulatedRobot(self.simulator, robot, self.map, options.robot, self.audit)
         rig, error = self.robot.link.rig, localization_error(self.robot, options)
-        planner = ViewPlanner(robot, rig, task, options.planner, error)
+        planner = ViewPlanner(robot, rig, task, _as_driven(options), error)
         self._planner = _MapPlanner(planner, self.map, self.audit, self.robot)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
@@ -278,6 +279,20 @@ def planned_robot(simulator: Simulator) -> RobotModel:
     return RobotModel.from_urdf(
         simulator.description, *frames, arm_joints=moved, mimics=setup.leaders
     ).holding(dict(zip(setup.arm_joints, setup.home, strict=True)))
+
+
+def _as_driven(options: ExplorationOptions) -> ViewPlannerConfig:
+    """The planner's configuration, with the speeds at which the simulator drives.
+
+    Raises:
+        ConfigError: the planner was given other ones.
+    """
+    given, driven = options.planner.reaching.following, options.simulator.following
+    if given not in (driven, PathFollowingConfig()):
+        expected = "what simulator.following says, which is what drives"
+        raise ConfigError("planner.reaching.following", given, expected)
+    reaching = dataclasses.replace(options.planner.reaching, following=options.simulator.following)
+    return dataclasses.replace(options.planner, reaching=reaching)
 
 
 def task_in(world: World, task: TaskConfig, T_world_map: FloatArray | None = None) -> TaskConfig:

@@ -15,7 +15,6 @@ from infomap_ros.views.ranking import look_ahead_kernels
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
-from infomap_ros.views.ranking.terms import Distance
 from infomap_ros.views.sampling.surroundings import IntArray, Surroundings
 from infomap_ros.views.situation import Situation
 
@@ -83,7 +82,7 @@ class LookAhead:
 
         In the first ranking: of the view alone; views that are like a better one come last.
         """
-        way = ratings.terms["distance"] + self.config.cost_of_view
+        way = ratings.ways + self._cost_of_view(ratings)
         near = np.exp(-way / self.config.discount_distance)
         alone = np.where(ratings.ratings > 0.0, ratings.ratings * near, ratings.ratings)
         apart = self._apart(options, alone)
@@ -94,6 +93,10 @@ class LookAhead:
         best = int(scores.values.argmax()) if len(options) else -1
         self._planned = options.poses[list(scores.plans.get(best, ()))]
         return scores
+
+    def _cost_of_view(self, ratings: Ratings) -> float:
+        """What a look costs, as a distance, where the cost does not hold it."""
+        return 0.0 if ratings.cost.includes_look else float(self.config.cost_of_view)
 
     def _apart(self, options: Options, utility: FloatArray) -> FloatArray:
         """The utilities, lowered by their range for views that are like a better one."""
@@ -119,10 +122,10 @@ class LookAhead:
             ratings.config.information_weight * ratings.shares[chosen],
             1.0 - ratings.terms["risk"][chosen],
             ratings.ratings[chosen],
-            ratings.terms["distance"][chosen],
+            ratings.ways[chosen],
             distances_between(options, ratings, chosen),
-            float(ratings.config.distance_weight),
-            float(config.cost_of_view),
+            float(ratings.cost.weight_of_distance),
+            self._cost_of_view(ratings),
             float(config.discount_distance),
         )
         found = np.empty(len(chosen))
@@ -139,13 +142,12 @@ class LookAhead:
 
 
 def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
-    """Distance of eq. (10) from each of the chosen views to each, shape (K, K)."""
-    config, poses = ratings.config, options.poses[chosen]
-    distance = Distance(config.position_weights, config.rotation_weights)
+    """Cost of eq. (10) from each of the chosen views to each, as distances, shape (K, K)."""
+    cost, poses = ratings.cost, options.poses[chosen]
     spots, at = np.unique(poses[:, :3, 3], axis=0, return_inverse=True)
     lengths = [options.surroundings.path_lengths_from(spot, poses[:, :3, 3]) for spot in spots]
     pairs = zip(poses, np.ravel(at), strict=True)
-    rows = [distance.between(pose, poses, lengths[spot]) for pose, spot in pairs]
+    rows = [cost.between(pose, poses, lengths[spot]) for pose, spot in pairs]
     return np.array(rows).reshape(len(poses), len(poses))
 
 

@@ -16,6 +16,7 @@ from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.pose_information import pose_information_loss
 from infomap_ros.views.ranking.terms import (
     Distance,
+    Duration,
     Information,
     InterestTerm,
     LocalizationErrorTerm,
@@ -24,6 +25,8 @@ from infomap_ros.views.ranking.terms import (
     Risk,
     TeammatesTerm,
 )
+from infomap_ros.views.reach import ReachResult
+from infomap_ros.views.situation import MotionTimes
 
 _COUNTED = 4  # the first terms say what of the information counts
 
@@ -46,6 +49,20 @@ class RatingConfig:
     distance_weight: float = parameter(
         0.01,
         "w_d of eq. (11): so many full views must a unit of distance bring to be worth while.",
+        low=0.0,
+        high=1e6,
+    )
+    cost: str = parameter(
+        "distance",
+        "Unit in which getting to a view costs: distance of eq. (10), or seconds of driving, "
+        "turning, moving the arm and looking.",
+        choices=("distance", "seconds"),
+    )
+    time_weight: float = parameter(
+        0.0025,
+        "Instead of distance_weight where the cost is in seconds: so many full views must a second "
+        "bring. The default is distance_weight at 0.25 m/s.",
+        unit="1/s",
         low=0.0,
         high=1e6,
     )
@@ -123,12 +140,76 @@ class Ratings:
         shares: what counts of the information, by interests, teammates and repetition, shape (M,)
             [full views].
         config: the weights.
+        cost: what getting from view to view costs.
     """
 
     terms: dict[str, FloatArray]
     ratings: FloatArray
     shares: FloatArray
     config: RatingConfig
+    cost: Cost
+
+    @property
+    def ways(self) -> FloatArray:
+        """What it costs to get to each view, as a distance, shape (M,)."""
+        return self.terms[self.cost.term.name] * self.cost.distance_per_unit
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What it costs to get to a view, d of eq. (10), in the unit that was asked for.
+
+    Strategies discount what comes late by distance, and therefore count in distances: a second is
+    the way that the base drives in it.
+
+    Attributes:
+        term: tells it.
+        weight: w_d of eq. (11) [full views per unit of the term].
+        distance_per_unit: distance that a unit of the term counts as.
+        includes_look: whether the term counts the look itself.
+    """
+
+    term: Distance | Duration
+    weight: float
+    distance_per_unit: float
+    includes_look: bool
+
+    @classmethod
+    def of(cls, config: RatingConfig, times: MotionTimes) -> Cost:
+        """The cost by a configuration, for a robot with these speeds."""
+        if config.cost == "seconds":
+            return cls(Duration(times), config.time_weight, times.speed, True)
+        distance = Distance(config.position_weights, config.rotation_weights)
+        return cls(distance, config.distance_weight, 1.0, False)
+
+    @property
+    def weight_of_distance(self) -> float:
+        """The weight of a unit of distance [full views]."""
+        return self.weight / self.distance_per_unit
+
+    def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Cost from one pose, (4, 4), to others, (M, 4, 4), as distances, shape (M,).
+
+        Args:
+            start: where the camera is.
+            poses: views.
+            lengths: of the ways, shape (M,) [m].
+        """
+        return self.term.between(start, poses, lengths) * self.distance_per_unit
+
+    def surcharge(self, planned: ReachResult, assumed: float, length: float) -> float:
+        """What a planned motion costs beyond what the rating has assumed [full views].
+
+        Args:
+            planned: the motion.
+            assumed: value of the term.
+            length: of the way of the camera, as the term took it [m].
+        """
+        if isinstance(self.term, Distance):
+            excess = planned.travel - length
+            return self.weight * self.term.mean_weight * excess if 0.0 < excess < np.inf else 0.0
+        excess = planned.seconds - assumed
+        return self.weight * excess if np.isfinite(excess) else 0.0
 
 
 class Rating:
@@ -158,14 +239,12 @@ class Rating:
         """
         self.config = config or RatingConfig()
         weight = self.config.information_weight
-        distance = Distance(self.config.position_weights, self.config.rotation_weights)
         repetition = _repetition(self.config)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
             (repetition, weight * self.config.repetition_weight),
-            (distance, -self.config.distance_weight),
             *more_terms,
         ]
         self._localization_error = LocalizationErrorTerm(localization_error)
@@ -173,9 +252,12 @@ class Rating:
 
     def rate(self, options: Options) -> Ratings:
         """Rate views."""
-        values = {term.name: term(options) for term, _ in self._terms}
+        cost = Cost.of(self.config, options.situation.times)
+        gains, more = self._terms[:_COUNTED], self._terms[_COUNTED:]
+        terms = [*gains, (cost.term, -cost.weight), *more]
+        values = {term.name: term(options) for term, _ in terms}
         total = np.zeros(len(options))
-        for term, weight in self._terms:
+        for term, weight in terms:
             unit = options.full_view if term.unit == "bits" else 1.0
             total += weight * values[term.name] / unit
         errors = values[self._localization_error.name] = self._localization_error(options)
@@ -185,10 +267,10 @@ class Rating:
         risk = self._risk(options)
         values[self._risk.name] = risk
         shares = np.zeros(len(options))
-        for term, weight in self._terms[:_COUNTED]:
+        for term, weight in gains:
             share = weight / max(self.config.information_weight, 1e-12)
             shares += share * values[term.name] / options.full_view
-        return Ratings(values, total - risk * np.abs(total), shares, self.config)
+        return Ratings(values, total - risk * np.abs(total), shares, self.config, cost)
 
 
 def _repetition(config: RatingConfig) -> Repetition:

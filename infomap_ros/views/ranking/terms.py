@@ -17,6 +17,7 @@ from infomap_ros.views.ranking.localization_error import (
 )
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.surroundings import Surroundings
+from infomap_ros.views.situation import MotionTimes
 
 
 class RatingTerm(Protocol):
@@ -155,6 +156,11 @@ class Distance:
         """Weights of x, y, z [1/m] and of the rotation about x, y, z of the map [1/rad]."""
         self._position, self._rotation = np.array(position_weights), np.array(rotation_weights)
 
+    @property
+    def mean_weight(self) -> float:
+        """Weight of a way over level ground [1/m]."""
+        return float(np.mean(self._position[:2]))
+
     def __call__(self, options: Options) -> FloatArray:
         """Distance of each view, shape (M,)."""
         return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
@@ -167,6 +173,37 @@ class Distance:
         moved = detour * np.linalg.norm(offsets * self._position, axis=1)
         turns = rotation_vectors(start, poses)
         return np.hypot(moved, np.linalg.norm(turns * self._rotation, axis=1))
+
+
+class Duration:
+    """The cost of eq. (10) as the time of driving, turning, the arm's motion and the look [s].
+
+    An estimate that needs no plan of motion: the arm alone brings the camera as far as it reaches;
+    farther off the arm is folded, the base drives the way of the camera through free space and
+    turns by as much as the camera does, and the arm unfolds. `Approach` puts the time of the
+    planned motion in its place.
+    """
+
+    name, unit = "duration", "s"
+
+    def __init__(self, times: MotionTimes) -> None:
+        """Take the robot's speeds."""
+        self._times = times
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Time of each view, shape (M,) [s]."""
+        return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
+
+    def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Time from one pose, (4, 4), to others, (M, 4, 4), over ways of `lengths` (M,) [m]."""
+        times, turns = self._times, rotation_vectors(start, poses)
+        straight = np.linalg.norm(poses[:, :3, 3] - start[:3, 3], axis=1)
+        ways = np.maximum(np.where(np.isfinite(lengths), lengths, straight), straight)
+        with_arm = np.linalg.norm(turns, axis=1) / times.arm_rate
+        with_arm = np.maximum(with_arm, times.arm * straight / max(times.arm_reach, 1e-9))
+        driven = ways / times.speed + np.abs(turns[:, 2]) / times.turn_rate + 2.0 * times.arm
+        near = straight <= times.arm_reach
+        return np.asarray(np.where(near, np.minimum(with_arm, driven), driven) + times.look)
 
 
 class LocalizationErrorTerm:

@@ -95,8 +95,10 @@ class ViewTour:
         self._planned = np.empty((0, 4, 4))
         if not len(chosen):
             return Scores(values, plans)
-        ways = ratings.terms["distance"][chosen], distances_between(options, ratings, chosen)
-        for utility, order in self._tours(prizes, *ways, ratings.config.distance_weight):
+        ways = ratings.ways[chosen], distances_between(options, ratings, chosen)
+        look = 0.0 if ratings.cost.includes_look else self.config.cost_of_view
+        weights = ratings.cost.weight_of_distance, look
+        for utility, order in self._tours(prizes, *ways, *weights):
             first, *others = (int(chosen[view]) for view in order)
             if utility > values[first]:
                 values[first], plans[first] = utility, tuple(others)
@@ -111,7 +113,7 @@ class ViewTour:
         safe = 1.0 - ratings.terms["risk"]
         totals = np.array([max(float(gain.sum()), 1e-12) for gain in gains])
         utility = ratings.config.information_weight * ratings.shares * safe / totals
-        near = np.exp(-ratings.terms["distance"] / self.config.discount_distance)
+        near = np.exp(-ratings.ways / self.config.discount_distance)
         while len(chosen) < self.config.views:
             added = np.array(
                 [
@@ -131,11 +133,16 @@ class ViewTour:
         return np.array(chosen, np.int64), np.array(prizes)
 
     def _tours(
-        self, prizes: FloatArray, first: FloatArray, between: FloatArray, weight: float
+        self,
+        prizes: FloatArray,
+        first: FloatArray,
+        between: FloatArray,
+        weight: float,
+        look: float,
     ) -> list[tuple[float, NDArray[np.int64]]]:
         """The best tour, and the best ones that start with each of a few views; and their worth."""
         config = self.config
-        settings = np.array([config.discount_distance, weight, config.cost_of_view])
+        settings = np.array([config.discount_distance, weight, look])
         problem = first, between, prizes, settings
         best = self._tour(np.empty(0, np.int64), problem)
         alone = prizes * np.exp(-first / config.discount_distance)

@@ -62,6 +62,25 @@ def test_cameras_may_be_exposed_differently() -> None:
     assert np.nanquantile(np.abs(errors), 0.68) < 0.08
 
 
+@pytest.mark.parametrize("rows_off", [-0.4, 0.4])
+def test_rows_that_differ_are_not_taken_for_disparity(
+    rows_off: float, rng: np.random.Generator
+) -> None:
+    """Edges that run at 45 degrees would turn all of the difference into disparity."""
+    stretched = cv2.GaussianBlur(rng.normal(0, 1, (700, 700)), (0, 0), sigmaX=6.0, sigmaY=1.5)
+    turn = cv2.getRotationMatrix2D((350.0, 350.0), 45.0, 1.0)
+    slanted = cv2.warpAffine(stretched, turn, (700, 700))[200:460, 180:540]
+    scene = np.clip(128.0 + 40.0 * slanted / slanted.std(), 0.0, 255.0)
+    shift = np.array([[1.0, 0.0, -20.3], [0.0, 1.0, rows_off]])
+    right = cv2.warpAffine(scene, shift, scene.shape[::-1], flags=cv2.INTER_CUBIC)
+    left, right = (np.rint(image[10:250, 30:350]).clip(0, 255) for image in (scene, right))
+    view = StereoView(0, left.astype(np.uint8), right.astype(np.uint8), SENSOR)
+    inverse, _ = view.inverse_depths(grid())
+    errors = inverse * CAMERA.fx * RIG.baseline - 20.3
+    assert np.isfinite(errors).mean() > 0.5
+    assert abs(np.nanmedian(errors)) < 0.1
+
+
 def test_there_is_no_range_without_texture_beyond_the_image_or_in_repetition() -> None:
     u, v = np.meshgrid(np.arange(320), np.arange(240))
     flat = np.full((240, 320), 90, np.uint8)

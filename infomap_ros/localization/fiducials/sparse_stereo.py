@@ -2,9 +2,12 @@
 
 Each pixel is searched for along its row by zero-mean normalized cross-correlation, found again from
 the right image (left-right check), and refined to a fraction of a pixel: Gauss-Newton on the
-photometric error of the window over the disparity and its slope across the window (Lucas and
-Kanade 1981; a slanted surface has another disparity at each pixel of the window), with the mean and
-the contrast of both windows made equal, because the two cameras may be exposed differently.
+photometric error of the window over the disparity, its slope across the window (Lucas and Kanade
+1981; a slanted surface has another disparity at each pixel of the window) and how far the match is
+off its row, with the mean and the contrast of both windows made equal, because the two cameras may
+be exposed differently. Rows of real rectified pairs differ by some tenths of a pixel, up to a pixel
+at the borders; a match that is kept on its row would take that for disparity wherever an edge is
+slanted, with the same sign all over a part of the image where edges run alike.
 
 With R the rms photometric difference that the match leaves and g the rms gradient along the row,
 image noise displaces a match by R / g over the square root of the number of independent samples.
@@ -13,7 +16,8 @@ across the window, so that far fewer samples than pixels are independent:
 
     sigma_d^2 = sigma_floor^2 + (sigma_residual R / g)^2
 
-Both numbers are calibrated on pairs with true disparity (docs/localization.md).
+Both numbers are calibrated on pairs with true disparity (docs/localization.md): 0.08 px where the
+rectification is exact. The floor is larger by the 0.1 px that calibrations in use leave beside it.
 """
 
 from __future__ import annotations
@@ -34,6 +38,8 @@ _ITERATIONS = 8
 _CONVERGED = 0.01  # [px]
 # Standard deviation of the disparity slope of a surface, as prior knowledge.
 _SLOPE_SIGMA = 0.3
+# Likewise of how far a match is off its row [px]: what is left by calibrations in use.
+_ROW_SIGMA = 0.5
 # Variance of the photometric noise that the prior is weighed against [gray levels^2].
 _PHOTOMETRIC_VARIANCE = 9.0
 # The best match must lead by this much correlation, however good it is.
@@ -63,7 +69,7 @@ class SparseStereoConfig:
         1, "Largest difference of the match found from the right image.", unit="px", low=0, high=8
     )
     sigma_floor: float = setting(
-        0.08,
+        0.13,
         "Disparity sigma of a perfect match: what calibration, lenses and surfaces add.",
         unit="px",
         low=0.001,
@@ -185,20 +191,22 @@ def _refine(left, right, u, v, start, reach, least, quality):  # type: ignore[no
     sample_patch(left, u, v, 1.0, 0.0, 0.0, 1.0, template)
     template -= template.mean()
     energy = (template * template).sum()
-    p = np.array([start, 0.0, 0.0])
-    step = np.zeros(3)
+    p = np.array([start, 0.0, 0.0, 0.0])
+    step = np.zeros(4)
+    down = np.empty((size, size))
     for _ in range(_ITERATIONS):
-        if not sample_patch(right, u - p[0], v, 1.0 - p[1], -p[2], 0.0, 1.0, warped):
+        if not sample_patch(right, u - p[0], v + p[3], 1.0 - p[1], -p[2], 0.0, 1.0, warped):
             return
-        gain = _equalise(warped, energy)
+        _equalise(warped, energy)
         _row_slopes(warped, slope)
-        _normal_step(template, warped, slope, gain, p, step)
+        _row_slopes(warped.T, down.T)
+        _normal_step(template, warped, slope, down, p, step)
         p += step
         if abs(step[0]) < _CONVERGED:
             break
     if abs(p[0] - start) > 1.0 or abs(step[0]) >= 0.1:
         return
-    if not sample_patch(right, u - p[0], v, 1.0 - p[1], -p[2], 0.0, 1.0, warped):
+    if not sample_patch(right, u - p[0], v + p[3], 1.0 - p[1], -p[2], 0.0, 1.0, warped):
         return
     _equalise(warped, energy)
     residual = ((template - warped) ** 2).mean()
@@ -228,35 +236,33 @@ def _row_slopes(patch, slope):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _normal_step(template, warped, slope, gain, p, step):  # type: ignore[no-untyped-def]
-    """One step over (d, dd/du, dd/dv); a prior keeps the slopes small."""
+def _normal_step(template, warped, slope, down, p, step):  # type: ignore[no-untyped-def]
+    """One step over (d, dd/du, dd/dv, row offset); priors keep slopes and offset small."""
     size = template.shape[0]
     reach = size // 2
-    normal, right_side = np.zeros((3, 3)), np.zeros(3)
-    mean = slope.mean()
+    normal, right_side, row = np.zeros((4, 4)), np.zeros(4), np.empty(4)
+    mean, mean_down = slope.mean(), down.mean()
     for j in range(size):
         for i in range(size):
             g = -(slope[j, i] - mean)
             e = template[j, i] - warped[j, i]
-            x, y = float(i - reach), float(j - reach)
-            normal[0, 0] += g * g
-            normal[0, 1] += g * g * x
-            normal[0, 2] += g * g * y
-            normal[1, 1] += g * g * x * x
-            normal[1, 2] += g * g * x * y
-            normal[2, 2] += g * g * y * y
-            right_side[0] += g * e
-            right_side[1] += g * e * x
-            right_side[2] += g * e * y
-    prior = _PHOTOMETRIC_VARIANCE / _SLOPE_SIGMA**2
-    for k in range(3):
-        normal[k, k] += 1e-6 if k == 0 else prior
+            row[0], row[1], row[2] = g, g * float(i - reach), g * float(j - reach)
+            row[3] = down[j, i] - mean_down
+            for k in range(4):
+                right_side[k] += row[k] * e
+                for m in range(k, 4):
+                    normal[k, m] += row[k] * row[m]
+    for k in range(4):
+        sigma = _ROW_SIGMA if k == 3 else _SLOPE_SIGMA
+        prior = 1e-6 if k == 0 else _PHOTOMETRIC_VARIANCE / sigma**2
+        normal[k, k] += prior
         for m in range(k):
             normal[k, m] = normal[m, k]
         if k > 0:
             right_side[k] -= prior * p[k]
     step[:] = np.linalg.solve(normal, right_side)
     step[0] = min(max(step[0], -0.5), 0.5)
+    step[3] = min(max(step[3], -0.5), 0.5)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -22,6 +22,8 @@ from infomap_ros.motion.robot.mass import mass_of
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _STEP = 2  # of VehicleConfig.limits_for
+_ABOVE = (kernels.TOUCHES_OBSTACLE, kernels.UNSEEN)  # for which the upper end of a column decides
+_OF_BODY = (*_ABOVE, kernels.TOUCHES_GROUND, kernels.UNKNOWN_BODY)
 
 
 @dataclass(frozen=True)
@@ -177,15 +179,33 @@ class Vehicle:
         return Stance(
             T_map_base=batch.T_map_base[0],
             ok=outcome == kernels.STANDS,
-            reason=outcome_in_words(
-                outcome, measures, self.arrays.limits, self.undercarriage.names
-            ),
+            reason=self._in_words(outcome, measures, batch.T_map_base[0]),
             tip_margin=float(measures[kernels.TIP]),
             slope=float(measures[kernels.SLOPE]),
             step=float(measures[kernels.STEP]),
             roughness=float(measures[kernels.ROUGHNESS]),
             clearance=float(measures[kernels.CLEARANCE]),
         )
+
+    def _in_words(self, outcome: int, measures: FloatArray, T_map_base: FloatArray) -> str:
+        """Why a stance is refused, with the link and the place that decided; or empty."""
+        words = outcome, measures, self.arrays.limits, self.undercarriage.names
+        if outcome not in _OF_BODY:
+            return outcome_in_words(*words)
+        x, y, low, high = self.arrays.columns[int(measures[kernels.CULPRIT])]
+        point = np.array([x, y, high if outcome in _ABOVE else low])
+        at = ", ".join(f"{value:.2f}" for value in T_map_base[:3, :3] @ point + T_map_base[:3, 3])
+        return outcome_in_words(*words, self._link_at(point), f" at ({at})")
+
+    def _link_at(self, point: FloatArray) -> str:
+        """The link nearest to a point of the base frame, shape (3,)."""
+        solids = self.robot.solids_in(self.robot.base_frame, self.joint_positions)
+        places = [(point - each.transform[:3, 3]) @ each.transform[:3, :3] for each in solids]
+        away = [
+            float(each.solid.signed_distance(place[None])[0])
+            for each, place in zip(solids, places, strict=True)
+        ]
+        return solids[int(np.argmin(away))].name
 
     def stances(
         self, terrain: Terrain, places: ArrayLike, q: ArrayLike | None = None

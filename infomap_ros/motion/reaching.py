@@ -25,6 +25,7 @@ from infomap_ros.motion.arm.arm_trail import ArmTrail
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
 from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.confined_base import why_confined
 from infomap_ros.motion.base.pose_margin import widenings_for
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
@@ -175,11 +176,12 @@ class WholeBodyReach:
         """
         views = float_array(poses, "poses").reshape(-1, 4, 4)
         possible = self._arm_may_reach(views)
-        if not possible.all():
+        stuck = "" if possible.all() else self._routes.why_not_folded
+        if not (stuck or possible.all()):
             possible[~possible] = self._base_may_reach(views[~possible])
         if possible.all():
             return [""] * len(views)
-        stuck = self._why_stuck
+        stuck = stuck or self._why_stuck
         reason = f"the base cannot drive: {stuck}" if stuck else _NO_PLACE
         return [
             "" if ok else self._closed_below(view) + reason
@@ -257,11 +259,7 @@ class WholeBodyReach:
     @cached_property
     def _why_stuck(self) -> str:
         """Why the base can drive nowhere, or empty."""
-        x, y, yaw = (float(value) for value in self._xyyaw)
-        if self.planner.reachable_area(self._xyyaw).any():
-            return ""
-        reason = self.planner.vehicle.stance(self.terrain, x, y, yaw).reason
-        return reason or "no pose next to it is safe"
+        return why_confined(self.planner, self._xyyaw)
 
     @property
     def _xyyaw(self) -> FloatArray:

@@ -86,7 +86,7 @@ class RobotBody:
             return []
         positions = self._joints.at(stamp) if robot.joints else {}
         try:
-            return robot.solids_in(frame, positions)
+            return robot.visible_solids_in(frame, positions)
         except RobotModelError as error:
             if self._is_required:
                 raise

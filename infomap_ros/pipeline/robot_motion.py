@@ -100,7 +100,7 @@ class RobotMotion:
             return []
         joints = self._joints.at(stamp) if robot.joints else {}
         try:
-            return robot.solids_in(self._camera_frame, joints)
+            return robot.visible_solids_in(self._camera_frame, joints)
         except RobotModelError:  # a joint that is never published
             return []
 

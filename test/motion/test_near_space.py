@@ -74,3 +74,30 @@ def test_checker_of_a_place_is_remembered(body: CollisionBody) -> None:
     near = space(body, nothing_known())
     assert near.checker_at(BASE) is near.checker_at(BASE.copy())
     assert near.checker_at(BASE) is not near.checker_at(np.eye(4))
+
+
+def test_what_was_mapped_at_the_foot_of_the_arm_does_not_hold_the_arm(body: CollisionBody) -> None:
+    """Specks at its turret, as a camera leaves that looked at its own base from too near."""
+    turret = body.links.index("arm_turret")
+    spheres = body.spheres(np.zeros(4), BASE)[slice(*body.arrays.starts[turret : turret + 2])]
+    middle = spheres[:, :3].mean(axis=0)
+
+    def speck(x, y, z):
+        away = np.linalg.norm(np.stack(np.broadcast_arrays(x, y, z)) - middle[:, None], axis=0)
+        return (away > 0.04) & (away < 0.1) & (x < middle[0] - 0.03) & (z < middle[2])
+
+    seen = map_where(speck, lambda x, y, z: z > -1.0)
+    goal = np.array([1.5, -0.8, 0.3, 0.0])
+    here = space(body, seen)
+    assert (
+        here.checker_around(BASE[None])
+        .check(goal, BASE, base=False)
+        .what.startswith("arm_turret with the map")
+    )
+    path = plan_arm_path(here.checker_at(BASE), np.zeros(4), goal, BASE)
+    assert path.converged, path.reason
+    # Nothing else may touch them, nor may the foot stand where they are.
+    wall = map_where(lambda x, y, z: x > 0.9, lambda x, y, z: z > -1.0)
+    assert not space(body, wall).checker_at(BASE).check([0.0, 1.4, 0.0, 0.0], BASE).free
+    beside = BASE @ make_transform(np.eye(3), (-0.1, 0.0, 0.0))
+    assert not here.checker_at(beside).check(goal, beside, base=False).free

@@ -344,3 +344,40 @@ def test_a_joint_without_a_range_needs_no_position():
 def test_an_unknown_joint_cannot_be_assumed():
     with pytest.raises(RobotModelError, match="no joint 'wheel' whose position can be assumed"):
         RobotModel.from_urdf(ARM, assumed_joints=["wheel"])
+
+
+def test_what_is_seen_beyond_the_solids_is_placed_with_them(tmp_path: Path) -> None:
+    """A cover without a solid, a link drawn larger than its solid, and one drawn as it is."""
+    write_stl(tmp_path / "cover.stl", TETRAHEDRON, FACES)
+    drawn = {
+        "slider": '<visual><geometry><mesh filename="cover.stl"/></geometry></visual>',
+        "upper": """<visual><origin xyz="0.25 0 0" rpy="0 1.5707963267948966 0"/>
+            <geometry><cylinder radius="0.08" length="0.5"/></geometry></visual>""",
+        "base": """<visual><origin xyz="0 0 0.1"/>
+            <geometry><box size="0.4 0.2 0.1"/></geometry></visual>""",
+        "wheel": '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>',
+    }
+    text = ARM.replace('<link name="slider"/>', '<link name="slider"></link>')
+    text = text.replace('<link name="wheel"/>', '<link name="wheel"></link>')
+    for link, visual in drawn.items():
+        head = f'<link name="{link}">'
+        text = text.replace(head, head + visual)
+    file = tmp_path / "arm.urdf"
+    file.write_text(text, encoding="utf-8")
+    robot = RobotModel.from_urdf(file, "camera_optical_frame")
+    joints = {"turn": 0.5 * math.pi, "slide": 0.2}
+    solids = robot.solids_in("base", joints)
+    seen = robot.visible_solids_in("base", joints)
+    assert [solid.name for solid in seen[: len(solids)]] == [solid.name for solid in solids]
+    beyond = {solid.name: solid for solid in seen[len(solids) :]}
+    assert set(beyond) == {"slider", "upper"}
+    cover = beyond["slider"]
+    # The slider stands at y = 0.5 + 0.2, turned by 90 degrees: its x axis is the base's y.
+    corner = cover.transform[:3, :3].T @ ((0.0, 1.7, 0.2) - cover.transform[:3, 3])
+    assert abs(cover.solid.signed_distance(corner)) < 1e-6
+    assert beyond["upper"].solid == Cylinder(0.08, 0.5)
+
+
+def test_without_visual_shapes_nothing_more_is_seen() -> None:
+    robot = RobotModel.from_urdf(ARM, "camera_optical_frame")
+    assert len(robot.visible_solids_in("base", {"turn": 0.1, "slide": 0.1})) == len(robot.shapes)

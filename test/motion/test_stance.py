@@ -159,7 +159,7 @@ def test_stone_between_the_wheels_is_straddled_up_to_the_clearance(vehicle):
     for height, good in ((0.05, True), (0.08, False), (0.3, False)):
         stance = vehicle.stance(ground(bump(0.0, 0.0, 0.06, height)), 0.0, 0.0, 0.0)
         assert stance.ok is good, stance.reason
-    assert "body touches the ground" in stance.reason
+    assert "base_link touches the ground" in stance.reason
     assert stance.clearance < 0.0
 
 
@@ -195,13 +195,31 @@ def test_it_drives_under_what_is_higher_than_it_is(vehicle):
         terrain = ground(plane(0, 0), overhead=lambda x, y, height=height: height + 0.0 * x)
         stance = vehicle.stance(terrain, 0.0, 0.0, 0.5)
         assert stance.ok is good
-    assert stance.reason == "the body touches an obstacle"
+    assert " touches an obstacle at (" in stance.reason
 
 
 def test_unseen_space_is_entered_only_if_allowed():
     terrain = ground(plane(0, 0), seen=lambda x, y: 0.2 + 0.0 * x)
-    assert rover().stance(terrain, 0, 0, 0).reason == "the body enters space that was never seen"
+    assert " enters space that was never seen at (" in rover().stance(terrain, 0, 0, 0).reason
     assert rover(unseen_is_free=True).stance(terrain, 0, 0, 0).ok
+
+
+def test_the_link_that_touches_and_the_place_are_named(vehicle):
+    """A beam across, lower than the body is high: at the highest solid that Pinocchio finds."""
+    beam = 0.2
+    terrain = ground(plane(0, 0), overhead=lambda x, y: np.where(np.abs(x - 0.3) < 0.1, beam, 9.0))
+    stance = vehicle.stance(terrain, 0.3, 0.0, 0.0)
+    link, _, place = stance.reason.partition(" touches an obstacle at (")
+    x, y, z = (float(value) for value in place.rstrip(")").split(", "))
+    local = (np.linalg.inv(stance.T_map_base) @ (x, y, z, 1.0))[:3]
+    away: dict[str, float] = {}
+    for solid in vehicle.robot.solids_in("base_link", vehicle.joint_positions):
+        place = (local - solid.transform[:3, 3]) @ solid.transform[:3, :3]
+        distance = float(solid.solid.signed_distance(place[None])[0])
+        away[solid.name] = min(distance, away.get(solid.name, np.inf))
+    assert abs(x - 0.3) < 0.15
+    assert z > beam
+    assert away[link] == min(away.values()) < 0.08
 
 
 def test_what_stands_beside_a_wheel_is_touched(vehicle):

@@ -20,6 +20,8 @@ _OVERHANG_COST = 3.0
 _LOW_COST = 10.0
 _CLEARANCE = 0.1  # [m]
 _SPARE = 0.02  # share of a joint's range that is kept from its limits
+_STAYS = 0.01  # [m]; what the arm moves to the side by less than this, over all its postures, stays
+_COMPARED = 50  # postures in which that is seen
 
 
 def driving_posture(body: CollisionBody) -> FloatArray:
@@ -28,7 +30,8 @@ def driving_posture(body: CollisionBody) -> FloatArray:
     Least are the height of the arm's highest point and of its middle, above the base's origin,
     three times its overhang beyond the base's outline seen from above, and ten times what it lacks
     of a clearance over the base's lowest point, together: first of random postures without contact,
-    then of ever nearer neighbors of the best one.
+    then of ever nearer neighbors of the best one. What the arm's joints only lift, as a second arm
+    on the same torso, overhangs in every posture alike, and its overhang does not count.
 
     Returns:
         Positions of the arm, shape (n,) [rad or m].
@@ -38,7 +41,12 @@ def driving_posture(body: CollisionBody) -> FloatArray:
     """
     still, moving = _standing(body)
     low, high = _outline(body, still)
-    return least_posture(body, lambda q: _cost(body.spheres(q, np.eye(4))[moving], low, high))
+    swings = _swinging(body)[moving]
+
+    def cost(q: FloatArray) -> float:
+        return _cost(body.spheres(q, np.eye(4))[moving], swings, low, high)
+
+    return least_posture(body, cost)
 
 
 def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> FloatArray:
@@ -94,13 +102,31 @@ def _free_of_itself(body: CollisionBody, qs: FloatArray) -> NDArray[np.bool_]:
     return CollisionChecker(body, nothing).are_free(qs, np.eye(4))
 
 
-def _standing(body: CollisionBody) -> tuple[np.ndarray, np.ndarray]:
-    """Which spheres stand still on the base and which move."""
-    moves = np.repeat(body.arrays.bodies > 0, np.diff(body.arrays.starts))
-    return ~moves, moves
+def _standing(body: CollisionBody) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which spheres belong to the base, with its wheels, and which move with the arm.
+
+    Neither are those of a second arm beside it: what joints with limits move is no base.
+    """
+    robot, counts = body.robot, np.diff(body.arrays.starts)
+    limited = {
+        int(robot.model.getJointId(joint.name)) for joint in robot.joints if not joint.is_continuous
+    }
+    joint_of = {shape.link: shape.joint for shape in robot.shapes}
+    above = (set(map(int, robot.model.supports[joint_of[link]])) for link in body.links)
+    moves = body.arrays.bodies > 0
+    still = ~moves & np.array([not (joints & limited) for joints in above], dtype=bool)
+    return np.repeat(still, counts), np.repeat(moves, counts)
 
 
-def _outline(body: CollisionBody, still: np.ndarray) -> tuple[FloatArray, FloatArray]:
+def _swinging(body: CollisionBody) -> NDArray[np.bool_]:
+    """Which spheres the arm moves to the side, not only up and down."""
+    qs = sample_postures(body, _COMPARED)
+    places = np.array([body.spheres(q, np.eye(4))[:, :2] for q in qs])
+    moved = np.ptp(places, axis=0) if len(qs) else np.full((len(body.arrays.spheres), 2), np.inf)
+    return np.asarray((moved > _STAYS).any(axis=1))
+
+
+def _outline(body: CollisionBody, still: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
     spheres = body.spheres(np.zeros(len(body.chain)), np.eye(4))[still]
     if not len(spheres):
         return np.zeros(3), np.zeros(3)
@@ -108,10 +134,11 @@ def _outline(body: CollisionBody, still: np.ndarray) -> tuple[FloatArray, FloatA
     return low, (spheres[:, :3] + spheres[:, 3:]).max(axis=0)
 
 
-def _cost(spheres: FloatArray, low: FloatArray, high: FloatArray) -> float:
-    reach = np.maximum(
-        spheres[:, :3] + spheres[:, 3:] - high, low - spheres[:, :3] + spheres[:, 3:]
-    )
+def _cost(
+    spheres: FloatArray, swings: NDArray[np.bool_], low: FloatArray, high: FloatArray
+) -> float:
+    arm = spheres[swings]
+    reach = np.maximum(arm[:, :3] + arm[:, 3:] - high, low - arm[:, :3] + arm[:, 3:])
     overhang = float(np.maximum(reach[:, :2], 0.0).max(initial=0.0))
     top = float((spheres[:, 2] + spheres[:, 3]).max(initial=0.0))
     middle = float(spheres[:, 2].mean()) if len(spheres) else 0.0

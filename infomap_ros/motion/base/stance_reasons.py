@@ -9,8 +9,9 @@ from infomap_ros.motion.base import stance as kernels
 
 
 def outcome_in_words(
-    outcome: int, measures: FloatArray, limits: FloatArray, wheels: tuple[str, ...]
-) -> str:
+    outcome: int, measures: FloatArray, limits: FloatArray, wheels: tuple[str, ...],
+    link: str = "the body", place: str = "",
+) -> str:  # fmt: skip
     """A short sentence with the figures that decided; empty for a good stance.
 
     Args:
@@ -18,6 +19,8 @@ def outcome_in_words(
         measures: of the stance, shape (MEASURES,).
         limits: as of `VehicleArrays`.
         wheels: names of the wheels.
+        link: of the body, where the stance is refused because of what is there.
+        place: where in the map that is, in words.
     """
     if outcome == kernels.STANDS:
         return ""
@@ -27,16 +30,16 @@ def outcome_in_words(
     step, rough = measures[kernels.STEP], measures[kernels.ROUGHNESS]
     return {
         kernels.OUTSIDE: "outside the mapped terrain",
-        kernels.UNKNOWN_BODY: "unknown ground under the body",
+        kernels.UNKNOWN_BODY: f"unknown ground under the body ({link}){place}",
         kernels.STEEP: f"slope of {slope:.0f} deg, limit {degrees(limits[1]):.0f} deg",
         kernels.STEPPED: f"step of {step:.3f} m under a wheel, limit {limits[2]:.3f} m",
         kernels.ROUGH: f"roughness of {rough:.3f} m under a wheel, limit {limits[3]:.3f} m",
         kernels.TIPS: f"tip-over margin of {tip:.0f} deg, at least "
         f"{degrees(limits[4]):.0f} deg needed",
-        kernels.TOUCHES_GROUND: "the body touches the ground or an obstacle on it "
+        kernels.TOUCHES_GROUND: f"{link} touches the ground or an obstacle on it{place} "
         f"({-measures[kernels.CLEARANCE]:.3f} m too low)",
-        kernels.TOUCHES_OBSTACLE: "the body touches an obstacle",
-        kernels.UNSEEN: "the body enters space that was never seen",
+        kernels.TOUCHES_OBSTACLE: f"{link} touches an obstacle{place}",
+        kernels.UNSEEN: f"{link} enters space that was never seen{place}",
     }[outcome]
 
 

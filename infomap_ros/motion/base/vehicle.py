@@ -22,6 +22,8 @@ from infomap_ros.motion.robot.mass import mass_of
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _STEP = 2  # of VehicleConfig.limits_for
+_ABOVE = (kernels.TOUCHES_OBSTACLE, kernels.UNSEEN)  # for which the upper end of a column decides
+_OF_BODY = (*_ABOVE, kernels.TOUCHES_GROUND, kernels.UNKNOWN_BODY)
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ class Vehicle:
         batch = self.stances(terrain, np.array([[x, y, yaw]]), q)
         measures = batch.measures[0]
         outcome = int(batch.outcomes[0])
-        reason = outcome_in_words(outcome, measures, self.arrays.limits, self.undercarriage.names)
+        reason = self._in_words(outcome, measures, batch.T_map_base[0])
         closed = "" if outcome == kernels.STANDS else self.closed_at(terrain, x, y, yaw)
         return Stance(
             T_map_base=batch.T_map_base[0],
@@ -193,6 +195,26 @@ class Vehicle:
             return ""
         turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         return terrain.closed_at(self.arrays.columns[:, :2] @ turn + (x, y))
+
+    def _in_words(self, outcome: int, measures: FloatArray, T_map_base: FloatArray) -> str:
+        """Why a stance is refused, with the link and the place that decided; or empty."""
+        words = outcome, measures, self.arrays.limits, self.undercarriage.names
+        if outcome not in _OF_BODY:
+            return outcome_in_words(*words)
+        x, y, low, high = self.arrays.columns[int(measures[kernels.CULPRIT])]
+        point = np.array([x, y, high if outcome in _ABOVE else low])
+        at = ", ".join(f"{value:.2f}" for value in T_map_base[:3, :3] @ point + T_map_base[:3, 3])
+        return outcome_in_words(*words, self._link_at(point), f" at ({at})")
+
+    def _link_at(self, point: FloatArray) -> str:
+        """The link nearest to a point of the base frame, shape (3,)."""
+        solids = self.robot.solids_in(self.robot.base_frame, self.joint_positions)
+        places = [(point - each.transform[:3, 3]) @ each.transform[:3, :3] for each in solids]
+        away = [
+            float(each.solid.signed_distance(place[None])[0])
+            for each, place in zip(solids, places, strict=True)
+        ]
+        return solids[int(np.argmin(away))].name
 
     def stances(
         self, terrain: Terrain, places: ArrayLike, q: ArrayLike | None = None

@@ -106,6 +106,13 @@ class CollisionBody:
         return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
 
     @cached_property
+    def foot(self) -> NDArray[np.bool_]:
+        """Which links the first joint of the arm carries and turns in place, shape (links,)."""
+        prismatic, parents = self.tree.arrays.prismatic, self.tree.arrays.parents
+        turning = np.flatnonzero((parents == 0) & ~prismatic.astype(bool)) + 1
+        return np.isin(self.arrays.bodies, turning)
+
+    @cached_property
     def kept(self) -> FloatArray:
         """Part of each pair's gap that may be lost between two checks of a way, shape (P,) [m].
 

@@ -75,6 +75,7 @@ class CollisionChecker:
             raise InvalidInputError("wider", f"is {wider}, expected at least 0 m")
         self.body, self._wider = robot, wider
         self.field = _field(surroundings, robot.config)
+        self._shrunk: FloatArray = np.zeros(len(robot.arrays.spheres))
 
     def check(self, q: ArrayLike, T_map_base: ArrayLike, base: bool = True) -> CollisionReport:
         """Check one configuration and say what it touches.
@@ -164,13 +165,36 @@ class CollisionChecker:
             T_map_base: where the base is, shape (4, 4).
         """
         space, position = self.space(T_map_base), self.body.chain.check(q)
-        kept, starts = 1.001 * space.margin, self.body.arrays.starts
-        found, gaps = np.empty_like(space.radii), np.empty_like(space.gaps)
-        kernels.sphere_clearances(space, position, space.radii + kept, found)
-        depths = np.minimum.reduceat(found - kept - space.radii, starts[:-1])
-        shrunk = space.radii + np.repeat(np.minimum(depths, 0.0), np.diff(starts))
+        gaps = np.empty_like(space.gaps)
+        depths = np.repeat(self._depths(space, position), np.diff(self.body.arrays.starts))
         kernels.pair_gaps(space, position, space.gaps + _SLACK, gaps)
-        return space._replace(radii=shrunk, gaps=gaps - _SLACK)
+        return space._replace(radii=space.radii + depths, gaps=gaps - _SLACK)
+
+    def standing(self, q: ArrayLike, T_map_base: ArrayLike) -> CollisionChecker:
+        """The same where the robot stands: the foot of its arm may be as near to things as it is.
+
+        The links that the first joint turns in place are where they are in every posture. What the
+        map shows where they are was seen wrongly, or does not touch them: they may come nearer to
+        it by half a voxel, as the map tells no better. All else keeps its margin.
+
+        Args:
+            q: where the arm is, shape (n,).
+            T_map_base: where the base is, shape (4, 4).
+        """
+        depths = self._depths(self.space(T_map_base), self.body.chain.check(q))
+        depths = np.where(
+            self.body.foot & (depths < 0.0), depths - 0.5 * self.field.voxel_size, 0.0
+        )
+        other = CollisionChecker(self.body, self.field, wider=self._wider)
+        other._shrunk = np.repeat(depths, np.diff(self.body.arrays.starts))
+        return other
+
+    def _depths(self, space: MotionSpace, q: FloatArray) -> FloatArray:
+        """How far each link is within its margin of the map, shape (links,) [m]; 0 or less."""
+        kept, found = 1.001 * space.margin, np.empty_like(space.radii)
+        kernels.sphere_clearances(space, q, space.radii + kept, found)
+        starts = self.body.arrays.starts[:-1]
+        return np.minimum(np.minimum.reduceat(found - kept - space.radii, starts), 0.0)
 
     def first_on_way(
         self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike
@@ -188,7 +212,7 @@ class CollisionChecker:
 
     @cached_property
     def _radii(self) -> FloatArray:
-        return self.body.arrays.spheres[:, 3] + self._wider
+        return self.body.arrays.spheres[:, 3] + self._wider + self._shrunk
 
     @cached_property
     def _arrays(self) -> BodyArrays:

@@ -33,7 +33,8 @@ class NearSpace:
     so is what the user declares to be free; and a way may leave what the body touches at its start
     (`CollisionChecker.departure`). Voxels within the body are free even if something was seen
     there, as that can only have been the robot itself. And where the base is to stand, the planner
-    of the base answers for the space that the foot of the arm fills, which hardly moves.
+    of the base answers for the space that the foot of the arm fills, which hardly moves; where it
+    stands, the foot may be as near to what the map shows as it is (`CollisionChecker.standing`).
 
     Args:
         voxel_map: what is known.
@@ -83,7 +84,8 @@ class NearSpace:
             PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
             for part in in_the_way
         ]
-        self._own_points = body.spheres(body.chain.positions(positions), T_map_base)[:, :3]
+        self._base, self._q = T_map_base, body.chain.positions(positions)
+        self._own_points = body.spheres(self._q, T_map_base)[:, :3]
         self._remembered: dict[bytes, CollisionChecker] = {}
 
     def add_free(self, solids: Sequence[PlacedSolid]) -> None:
@@ -101,7 +103,10 @@ class NearSpace:
         if key not in self._remembered:
             if len(self._remembered) >= _REMEMBERED:
                 self._remembered.pop(next(iter(self._remembered)))
-            self._remembered[key] = self.checker_around(T_map_base[None])
+            checker = self.checker_around(T_map_base[None])
+            if key == self._base.tobytes():
+                checker = checker.standing(self._q, T_map_base)
+            self._remembered[key] = checker
         return self._remembered[key]
 
     def checker_around(self, T_map_bases: FloatArray) -> CollisionChecker:

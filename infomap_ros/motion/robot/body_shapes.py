@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -22,6 +24,8 @@ LARGEST = 100.0
 """Radius of the sphere that holds a collision shape [m]: larger ones are no part of a robot."""
 
 _FLAT = 1e-6  # smallest share of its largest extent at which a mesh has a volume
+_STICKS_OUT = 0.01  # [m]; what is seen of a link no farther out than this is held by its solids
+_COMPARED = 5000  # vertices of a mesh by which that is told
 _SAME_PLANE = 1e-7  # facets of a hull whose normals [1] and offsets [m] agree so far are one
 
 
@@ -83,6 +87,90 @@ def body_shapes(
             "check their dimensions and origins"
         )
     return shapes
+
+
+def visible_shapes(
+    model: pinocchio.Model,
+    description: RobotDescription,
+    package_folders: Sequence[str | Path],
+    solids: Sequence[BodyShape],
+) -> tuple[BodyShape, ...]:
+    """What a camera sees of a robot beyond its collision shapes: covers, cables, simplified links.
+
+    The visual shapes that stick out of the collision shapes of the same link by more than 1 cm,
+    or whose link has none; a mesh becomes its convex hull. Meshes that cannot be read are left out.
+
+    Args:
+        model: made from the same description.
+        description: the URDF.
+        package_folders: as for `body_shapes`.
+        solids: collision shapes of the robot.
+    """
+    own = [] if description.folder is None else [description.folder]
+    folders = [str(folder) for folder in (*package_folders, *own)]
+    found = []
+    for item in _visual_geometry(model, description.xml, folders):
+        try:
+            shape = _shape(model, item)
+        except RobotModelError:
+            continue
+        if _sticks_out(shape, [solid for solid in solids if solid.link == shape.link]):
+            found.append(shape)
+    return tuple(found)
+
+
+def _visual_geometry(
+    model: pinocchio.Model, xml: str, folders: Sequence[str]
+) -> list[pinocchio.GeometryObject]:
+    """Visual shapes of all links; where that fails, of each link that can be read."""
+    kind = pinocchio.GeometryType.VISUAL
+    try:
+        every = pinocchio.buildGeomFromUrdfString(model, xml, kind, package_dirs=folders)
+        return list(every.geometryObjects)
+    except (ValueError, RuntimeError):
+        pass
+    found: list[pinocchio.GeometryObject] = []
+    links = [link.get("name") for link in ElementTree.fromstring(xml).findall("link")]
+    for name in links:
+        tree = ElementTree.fromstring(xml)
+        for link in tree.findall("link"):
+            for visual in link.findall("visual") if link.get("name") != name else []:
+                link.remove(visual)
+        text = ElementTree.tostring(tree, encoding="unicode")
+        try:
+            one = pinocchio.buildGeomFromUrdfString(model, text, kind, package_dirs=folders)
+        except (ValueError, RuntimeError):
+            continue
+        found.extend(one.geometryObjects)
+    return found
+
+
+def _sticks_out(shape: BodyShape, solids: Sequence[BodyShape]) -> bool:
+    """Whether a shape has points farther than `_STICKS_OUT` from all solids of its link."""
+    if not solids:
+        return True
+    points = _outline(shape) @ shape.placement[:3, :3].T + shape.placement[:3, 3]
+    away = np.full(len(points), np.inf)
+    for solid in solids:
+        local = (points - solid.placement[:3, 3]) @ solid.placement[:3, :3]
+        away = np.minimum(away, solid.solid.signed_distance(local))
+    return bool(away.max() > _STICKS_OUT)
+
+
+def _outline(shape: BodyShape) -> FloatArray:
+    """Points on the surface of a shape, in the frame of `solid`, shape (N, 3) [m]."""
+    solid, vertices = shape.solid, shape.vertices
+    if vertices is not None:
+        return vertices[:: max(1, len(vertices) // _COMPARED)]
+    if isinstance(solid, Box):
+        return 0.5 * np.array(list(product(*[(-edge, edge) for edge in solid.size])))
+    angles = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(16)])
+    if isinstance(solid, Cylinder):
+        ends = [(0.0, 0.0, end * 0.5 * solid.length) for end in (-1.0, 1.0)]
+        return np.concatenate([solid.radius * ring + end for end in ends])
+    turned = [np.roll(ring, axis, axis=1) for axis in range(3)]
+    return solid.bounding_radius * np.concatenate(turned)
 
 
 def _shape(model: pinocchio.Model, item: pinocchio.GeometryObject) -> BodyShape:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import pinocchio
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import PlacedSolid, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.body_shapes import BodyShape, body_shapes
+from infomap_ros.motion.robot.body_shapes import BodyShape, body_shapes, visible_shapes
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.chain_builder import chain_between
 from infomap_ros.motion.robot.joint_limits import JointLimits
@@ -46,6 +46,7 @@ class RobotModel:
         camera_frame: str = "",
         arm_joints: Sequence[str] = (),
         held: Mapping[str, float] | None = None,
+        visible: Callable[[], Sequence[BodyShape]] = tuple,
     ) -> None:
         self.mechanism = mechanism
         self.model = model = mechanism.model
@@ -65,6 +66,7 @@ class RobotModel:
         self._needed_by_body = mechanism.owners(mechanism.above(body))
         self.arm_joints = tuple(arm_joints)
         self._held = dict(held or {})
+        self._find_visible = visible
         if self.arm_joints:
             self.chain(self.arm_joints, self._held)
 
@@ -105,7 +107,12 @@ class RobotModel:
             raise RobotModelError(f"malformed URDF: {error}") from error
         shapes = body_shapes(model, description, package_folders)
         mechanism = Mechanism(model, description.followers, assumed_joints)
-        return cls(mechanism, shapes, base_frame, camera_frame, arm_joints)
+
+        @cache
+        def visible() -> Sequence[BodyShape]:
+            return visible_shapes(model, description, package_folders, shapes)
+
+        return cls(mechanism, shapes, base_frame, camera_frame, arm_joints, None, visible)
 
     @cached_property
     def arm(self) -> KinematicChain:
@@ -130,8 +137,9 @@ class RobotModel:
         others = set(self.mechanism.indices) - set(self.arm_joints)
         held = {name: joint_positions[name] for name in others if name in joint_positions}
         return RobotModel(
-            self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held
-        )
+            self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held,
+            self._find_visible,
+        )  # fmt: skip
 
     def chain(
         self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None
@@ -236,12 +244,40 @@ class RobotModel:
         mechanism = self.mechanism
         needed = mechanism.owners(mechanism.above([self._parent_joint(frame)]))
         q = mechanism.configuration(joint_positions, self._needed_by_body | needed)
+        return self._placed_shapes(self._shapes, frame, q)
+
+    def visible_solids_in(
+        self, frame: str, joint_positions: Mapping[str, float]
+    ) -> list[PlacedSolid]:
+        """What a camera may see of the robot, placed in a frame.
+
+        The solids of `solids_in`, and what of the description's visual shapes sticks out of them.
+        The first call reads their meshes.
+
+        Args:
+            frame: as for `solids_in`.
+            joint_positions: as for `solids_in`; joints that move visual shapes alone, such as the
+                swivel of a caster, are at rest where they are missing.
+
+        Raises:
+            RobotModelError: as `solids_in`.
+        """
+        solids, beyond = self.solids_in(frame, joint_positions), self._find_visible()
+        if not beyond:
+            return solids
+        everything = {joint.name: joint.rest for joint in self.joints} | dict(joint_positions)
+        q = self.mechanism.configuration(everything, self.mechanism.indices)
+        return solids + self._placed_shapes(beyond, frame, q)
+
+    def _placed_shapes(
+        self, shapes: Iterable[BodyShape], frame: str, q: FloatArray
+    ) -> list[PlacedSolid]:
         data = self._placed(q)
         T_frame_root = invert_transform(self._root_frame(data, frame))
         T_frame_joint = [T_frame_root @ pose.homogeneous for pose in data.oMi]
         return [
             PlacedSolid(shape.solid, T_frame_joint[shape.joint] @ shape.placement, shape.link)
-            for shape in self._shapes
+            for shape in shapes
         ]
 
     def _frame_id(self, frame: str) -> int:

@@ -16,6 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.status import Status
 
+from infomap_ros.exploration.records.hindrances import hindrance_figures
 from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.reports.report import write_report
@@ -195,12 +196,14 @@ def write_results(out: Path, voxel_map: VoxelMap, results: dict[str, object]) ->
     """Write .ply, picture, summary and report from the map and the log of the run."""
     write_ply(voxel_map, out / PLY_FILE)
     draw_map_views(voxel_map, out / PICTURE_FILE)
+    run = read_run(out / "exploration.jsonl")
     results |= {
         "known_voxels": voxel_map.known_voxels,
         "surface_voxels": voxel_map.surface_voxels,
         "memory_bytes": voxel_map.memory_bytes(),
         "voxel_size": voxel_map.config.voxel_size,
-        **prediction_figures(read_run(out / "exploration.jsonl")),
+        **prediction_figures(run),
+        **hindrance_figures(run),
     }
     write_summary(out, results)
     write_report(

@@ -39,6 +39,11 @@ class RobotSetupConfig:
         "Start positions of arm_joints [rad or m]. Empty: what <ros2_control> of the description "
         "has as initial_value, else as near zero as they can.",
     )
+    held: tuple[str, ...] = setting(
+        (),
+        "Start positions of joints that are not of arm_joints, as joint:position [rad or m], for "
+        "example of a second arm, so that it is not in the way.",
+    )
     mimics: tuple[str, ...] = parameter(
         (),
         "Joints that follow another although the description does not say so, as follower:leader.",
@@ -95,6 +100,7 @@ class RobotSetupConfig:
             raise ConfigError("cart", self.cart, "length, width, height, or nothing")
         if self.camera_mount:
             _ = self.mounted_camera
+        _ = self.held_positions
         for entry in self.mimics:
             if len(entry.split(":")) != 2:
                 raise ConfigError("mimics", entry, "follower:leader")
@@ -104,6 +110,22 @@ class RobotSetupConfig:
         """Leader of each joint in `mimics`."""
         pairs = (entry.split(":") for entry in self.mimics)
         return {follower.strip(): leader.strip() for follower, leader in pairs}
+
+    @property
+    def held_positions(self) -> dict[str, float]:
+        """Position of each joint in `held` [rad or m].
+
+        Raises:
+            ConfigError: an entry has another form.
+        """
+        found = {}
+        for entry in self.held:
+            name, _, number = entry.partition(":")
+            try:
+                found[name.strip()] = float(number)
+            except ValueError as error:
+                raise ConfigError("held", entry, "joint:position [rad or m]") from error
+        return found
 
     @property
     def mounted_camera(self) -> tuple[str, tuple[float, ...]]:

@@ -88,7 +88,7 @@ def measure_robot(description: str, setup: RobotSetupConfig) -> TrialModel:
         raise RobotModelError(f"robot description: {error}") from error
     names = [model.joint(index).name for index in range(model.njnt)]
     links = [model.body(index).name for index in range(model.nbody)]
-    _require("joint", (*setup.wheels, *setup.arm_joints), names)
+    _require("joint", (*setup.wheels, *setup.arm_joints, *setup.held_positions), names)
     _require("link", (setup.base_frame, *setup.casters, *setup.hovering), links)
     fixed = _without_range(description)
     locked = tuple(name for name in names if name in fixed)
@@ -133,7 +133,7 @@ def _home(
     model: mujoco.MjModel, servos: list[str], setup: RobotSetupConfig, description: str
 ) -> dict[str, float]:
     """Start positions; joints that follow another are where it has them."""
-    wanted = dict(zip(setup.arm_joints, setup.home, strict=True))
+    wanted = setup.held_positions | dict(zip(setup.arm_joints, setup.home, strict=True))
     followers = read_followers(ElementTree.fromstring(description), setup.leaders)
     home = {name: _clipped(model, name, wanted.get(name, 0.0)) for name in servos}
     for name, follower in followers.items():

@@ -19,6 +19,7 @@ from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
+from infomap_ros.exploration.records.hindrances import Reasons, hindrance_figures
 from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
@@ -200,7 +201,8 @@ class ExplorationRun:
         """
         self.map.save(self._out / MAP_FILE)
         write_ply(self.map, self._out / PLY_FILE)
-        summary = self.summary(ending) | prediction_figures(read_run(self._out / LOG_FILE))
+        run = read_run(self._out / LOG_FILE)
+        summary = self.summary(ending) | prediction_figures(run) | hindrance_figures(run)
         text = json.dumps(summary, indent=1) + "\n"
         (self._out / SUMMARY_FILE).write_text(text, encoding="utf-8")
         world = self.options.world
@@ -236,7 +238,15 @@ class ExplorationRun:
             "pose_source": self.options.robot.pose_source,
             **self.audit.figures(),
             **self.truth.figures(),
+            **self._touched(),
         }
+
+    def _touched(self) -> dict[str, str]:
+        """Which links touched what they should not, with counts; nothing where none did."""
+        touched = Reasons()
+        for event in self.simulator.contact_events:
+            touched.add(f"{event.link} with {event.other}")
+        return {"touched": touched.text} if touched.text else {}
 
     @functools.cached_property
     def truth(self) -> RunTruth:

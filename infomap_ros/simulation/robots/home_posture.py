@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+
 import numpy as np
 
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
 from infomap_ros.motion.arm.camera_heights import robot_bottom
 from infomap_ros.motion.arm.driving_posture import driving_posture, least_posture
 from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.robot.solid_extent import body_extent
 
 _HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
 _DOWN = 0.15  # [rad] that it looks down
 _TURN, _ROLL, _LIFT, _SIDE, _AHEAD = 6.0, 1.5, 1.0, 2.0, 2.0  # weights: 1/rad, 1/rad, 1/m ...
-_FOLDING = 0.08  # weight of the way to the posture in which it drives [1/rad]
+_FOLDING = (0.08, 0.3, 1.2)  # weights of the way to the posture in which it drives [1/rad]
 _OVER_BASE = 0.3  # from the origin of the base to where a camera ahead costs nothing [m]
 _IN_VIEW = 20.0  # cost of a body that fills the image
 _HALF_VIEW = 0.65  # [rad]
 _FAR = 1.2  # [m]; what of the body is farther away hides little
 
 
-def home_posture(robot: RobotModel) -> FloatArray:
+def home_posture(robot: RobotModel, others: Mapping[str, float] | None = None) -> FloatArray:
     """Find a posture to start with, always the same for the same robot.
 
     The camera looks ahead along x of the base and 0.15 rad down, upright, about 0.9 m above the
     ground and over the middle of the base, with little of the body in its view, not far from the
-    posture in which the robot drives; nothing touches.
+    posture in which the robot drives; nothing touches. Where the arm cannot be folded for the drive
+    within the space that is declared clear about a start, the way there counts for more.
 
     Args:
         robot: with its camera.
+        others: where joints stand that are not of the arm [rad or m]; at rest where not given.
 
     Returns:
         Positions of the arm, shape (n,) [rad or m].
@@ -36,11 +48,11 @@ def home_posture(robot: RobotModel) -> FloatArray:
     Raises:
         RobotModelError: no posture without contact was found.
     """
-    body = CollisionBody.from_robot(robot)
+    body = CollisionBody.from_robot(robot, joint_positions=others)
     bottom, folded = robot_bottom(robot), driving_posture(body)
     ahead = np.array([np.cos(_DOWN), 0.0, -np.sin(_DOWN)])
 
-    def cost(q: FloatArray) -> float:
+    def cost(q: FloatArray, weight: float) -> float:
         camera = robot.arm.camera_pose(q)
         across, forward = camera[:3, 0], camera[:3, 2]
         turn = float(np.arccos(np.clip(forward @ ahead, -1.0, 1.0)))
@@ -50,10 +62,31 @@ def home_posture(robot: RobotModel) -> FloatArray:
         side = abs(float(camera[1, 3]))
         far = max(float(camera[0, 3]) - _OVER_BASE, 0.0)
         aside = _LIFT * lift + _SIDE * side + _AHEAD * far
-        folding = _FOLDING * float(np.abs(q - folded).sum())
+        folding = weight * float(np.abs(q - folded).sum())
         return _TURN * turn + _ROLL * roll + aside + _IN_VIEW * seen + folding
 
-    return least_posture(body, cost)
+    postures = (least_posture(body, partial(cost, weight=weight)) for weight in _FOLDING)
+    found = next(postures)
+    for nearer in postures:
+        if _can_fold(body, found, folded, others or {}):
+            break
+        found = nearer
+    return found
+
+
+def _can_fold(
+    body: CollisionBody, q: FloatArray, folded: FloatArray, others: Mapping[str, float]
+) -> bool:
+    """Whether the arm gets from one posture to another where only the start is known to be free."""
+    robot, at = body.robot, np.eye(4)
+    rest = {joint.name: joint.rest for joint in robot.joints}
+    joints = {**rest, **others, **body.chain.by_name(q)}
+    clear = ClearStart(at, ViewPlannerConfig().start_clearance).space(robot)
+    reach = clear.solid.bounding_radius + body_extent(robot, joints)[0]
+    near = NearSpace(
+        VoxelMap(VoxelMapConfig()), body, at, joints, reach, ReachingConfig.clear_body, (clear,)
+    )
+    return plan_arm_path(near.checker_at(at), q, folded, at, QUICK_SEARCH).converged
 
 
 def _share_in_view(camera: FloatArray, spheres: FloatArray) -> float:

@@ -41,6 +41,7 @@ from infomap_ros.simulation.robots.home_posture import home_posture
 from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
 from infomap_ros.simulation.robots.trial_drive import try_drive
+from infomap_ros.simulation.robots.tucked_arms import tucked_arms
 
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]
@@ -111,6 +112,7 @@ class _Reading:
         self._find_camera()
         text = extended_description(self._text, self._setup)
         robot = self._model(text)
+        self._tuck_others(robot)
         self._find_arm(robot)
         self._say_solids(robot, text)
         self._try_drive()
@@ -281,6 +283,17 @@ class _Reading:
         self._guess("robot.camera_mount", text, f"{lacks}; x y z [m] roll pitch yaw [rad]")
         self._assume_right_camera(None)
 
+    def _tuck_others(self, robot: RobotModel) -> None:
+        """Put arms that do not carry the camera where they are not in the way."""
+        start = initial_positions(self._tree)
+        tucked = tucked_arms(robot, self._setup.wheels)
+        if not tucked or start.keys() & set(tucked):
+            return
+        held = tuple(f"{name}:{position:g}" for name, position in tucked.items())
+        self._setup = replace(self._setup, held=held)
+        text = "an arm that does not carry the camera is stretched out at zero, and is tucked in"
+        self._guess("robot.held", f"{', '.join(held)}: {text}", "tucked in, else it is in the way")
+
     def _find_arm(self, robot: RobotModel) -> None:
         names = robot.arm.joint_names
         self._said.append(f"arm_joints: {', '.join(names)}, all between base and camera")
@@ -292,7 +305,8 @@ class _Reading:
             self._setup = replace(self._setup, home=known)
             self._said.append(f"robot.home: {values}, the initial values in <ros2_control>")
             return
-        home = tuple(float(round(value, 3)) + 0.0 for value in home_posture(robot))
+        others = self._setup.held_positions
+        home = tuple(float(round(value, 3)) + 0.0 for value in home_posture(robot, others))
         self._setup = replace(self._setup, home=home)
         values = ", ".join(f"{value:g}" for value in home)
         text = f"{values}: the camera looks ahead, upright, and the arm touches nothing"
@@ -318,8 +332,8 @@ class _Reading:
         if bare:
             names = ", ".join(bare[:4]) + (f" and {len(bare) - 4} more" * (len(bare) > 4))
             self._warnings.append(
-                f"links that are seen and have no collision solid: {names}; planning ignores them, "
-                "and a camera that sees them maps them"
+                f"links that are seen and have no collision solid: {names}; planning ignores them; "
+                "they are kept out of the map as far as their meshes can be read"
             )
         self._warnings.extend(mended_parts(text))
 

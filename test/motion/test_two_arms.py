@@ -1,0 +1,62 @@
+"""A second arm: the driving posture is as narrow as without it, and what it hinders is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from infomap_ros.geometry import make_transform
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import solid_extent
+
+from .two_arms import HALF_BASE, RIGHT, two_arms
+
+TUCKED = dict(zip(RIGHT, (2.5, 2.6), strict=True))
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return two_arms()
+
+
+def overhang(robot: RobotModel, joints: dict[str, float], side: str) -> float:
+    """How far an arm's solids, placed by Pinocchio, reach beyond the base [m]."""
+    extents = [
+        solid_extent(solid)
+        for solid in robot.solids_in("base_link", joints)
+        if solid.name.startswith(side)
+    ]
+    return max(float(np.abs(np.array(extent)[:, :2]).max()) for extent in extents) - HALF_BASE
+
+
+def at_rest(robot: RobotModel) -> dict[str, float]:
+    return {joint.name: joint.rest for joint in robot.joints}
+
+
+def test_the_driving_posture_is_as_narrow_whatever_the_other_arm_does(robot: RobotModel) -> None:
+    for others in ({}, TUCKED):
+        body = CollisionBody.from_robot(robot, joint_positions=others)
+        q = body.chain.by_name(driving_posture(body))
+        joints = {**at_rest(robot), **others, **q}
+        assert overhang(robot, joints, "left") < 0.15
+    assert overhang(robot, at_rest(robot), "right") > 0.6
+
+
+def test_what_keeps_the_base_in_its_place_is_named(robot: RobotModel) -> None:
+    """Nothing is known but the place of the start: the stretched arm cannot turn in it."""
+    start, view = ClearStart(np.eye(4), 0.5), make_transform(np.eye(3), (4.0, 0.0, 0.8))
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    body = CollisionBody.from_robot(robot)
+    folded = at_rest(robot) | body.chain.by_name(driving_posture(body))
+    reach = WholeBodyReach(robot, voxel_map, np.eye(4), folded, start=start)
+    reason = reach.may_reach(view)[0]
+    assert reason.startswith("the base cannot drive: it gets 0.")
+    assert "right_lower enters space that was never seen at (" in reason
+    free = WholeBodyReach(robot, voxel_map, np.eye(4), folded | TUCKED, start=start)
+    assert "right_" not in free.may_reach(view)[0]
+    assert free.planner.reachable_area().sum() > 2 * reach.planner.reachable_area().sum()

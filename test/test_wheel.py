@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -18,7 +19,9 @@ FOLDERS = ("infomap_ros", "config", "launch", "bags", "resource")
 
 
 def run(*command: object, folder: Path) -> str:
-    done = subprocess.run([*map(str, command)], cwd=folder, text=True, capture_output=True)
+    # where it points to this checkout, nothing would be learned of the wheel
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run([*map(str, command)], cwd=folder, env=env, text=True, capture_output=True)
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
 

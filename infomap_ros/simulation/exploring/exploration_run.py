@@ -89,20 +89,14 @@ class _MapPlanner:
     As next_best_view does, it checks the route that it planned last with each scan that is fused.
     """
 
-    def __init__(
-        self, planner: ViewPlanner, voxel_map: VoxelMap, audit: PoseAudit, robot: SimulatedRobot
-    ) -> None:
-        self._planner, self._audit, self._robot = planner, audit, robot
+    def __init__(self, planner: ViewPlanner, voxel_map: VoxelMap, robot: SimulatedRobot) -> None:
+        self._planner, self._robot = planner, robot
         self._map, self.mission = PlanningMap(voxel_map), Mission()
         self._checked: tuple[int, str] = (-1, "")
 
     def choose(self, state: RobotState) -> Choice:
         around = Surrounding.of(self.mission)
-        choice = self._planned(self._planner.choose(self._map.current(), state, around))
-        terms = choice.explanation.get("terms", {})
-        if "localization_error" in terms:
-            self._audit.expect(state.pose_covariance, float(terms["localization_error"]))
-        return choice
+        return self._planned(self._planner.choose(self._map.current(), state, around))
 
     def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
         return self._planned(self._planner.way_to(self._map.current(), state, place))
@@ -170,7 +164,7 @@ class ExplorationRun:
         self.robot = SimulatedRobot(self.simulator, robot, self.map, options.robot, self.audit)
         rig, error = self.robot.link.rig, localization_error(self.robot, options)
         planner = ViewPlanner(robot, rig, task, _as_driven(options), error)
-        self._planner = _MapPlanner(planner, self.map, self.audit, self.robot)
+        self._planner = _MapPlanner(planner, self.map, self.robot)
         self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
         self.control = Control()
         self._exploration = Exploration(

@@ -36,23 +36,6 @@ class AuditedPose:
         return float(self.error @ np.linalg.solve(self.pose.covariance, self.error))
 
 
-@dataclass(frozen=True)
-class PredictedSigma:
-    """A position sigma that was predicted for a view, and what came of it.
-
-    Attributes:
-        before: root of the trace of the position covariance when the view was chosen [m].
-        predicted: likewise for the arrival [m].
-        claimed: likewise as the robot had it on arrival [m].
-        error: distance between the true and the believed position on arrival [m].
-    """
-
-    before: float
-    predicted: float
-    claimed: float
-    error: float
-
-
 class PoseAudit:
     """Compares the poses of fused scans with the truth; implements `simulated_robot.Observer`.
 
@@ -62,14 +45,11 @@ class PoseAudit:
 
     Attributes:
         poses: of all scans so far.
-        predictions: of the views that were reached.
     """
 
     def __init__(self, simulator: Simulator, T_world_map: FloatArray) -> None:
         self._simulator, self._T_map_world = simulator, invert_transform(T_world_map)
         self.poses: list[AuditedPose] = []
-        self.predictions: list[PredictedSigma] = []
-        self._expected: tuple[float, float] | None = None
         self._true: dict[int, FloatArray] = {}
 
     def image_taken(self, stamp: int) -> None:
@@ -80,26 +60,9 @@ class PoseAudit:
 
     def scan_fused(self, scan: Scan[RangeMeasurement]) -> None:
         """Compare the pose of a scan with the truth."""
-        true, covariance = self._true.get(scan.pose.stamp), scan.pose.covariance
-        if true is None or covariance is None:
-            return
-        audited = audit_pose(scan.pose, true)
-        self.poses.append(audited)
-        if self._expected is not None:
-            claimed = position_sigma(covariance)
-            distance = float(np.linalg.norm(audited.error[:3]))
-            self.predictions.append(PredictedSigma(*self._expected, claimed, distance))
-            self._expected = None
-
-    def expect(self, before: FloatArray, growth: float) -> None:
-        """A view was chosen.
-
-        Args:
-            before: covariance of the camera's pose then, shape (6, 6).
-            growth: predicted growth of the position sigma on the way [m].
-        """
-        sigma = position_sigma(before)
-        self._expected = sigma, sigma + growth
+        true = self._true.get(scan.pose.stamp)
+        if true is not None and scan.pose.covariance is not None:
+            self.poses.append(audit_pose(scan.pose, true))
 
     def figures(self) -> dict[str, float]:
         """Errors of the poses of all scans; see `pose_errors`."""
@@ -136,8 +99,3 @@ def pose_errors(poses: Sequence[AuditedPose]) -> dict[str, float]:
         "pose_error_largest": round(float(distances.max()), 5),
         "pose_turn_rms": round(float(np.sqrt(np.mean(angles**2))), 5),
     }
-
-
-def position_sigma(covariance: FloatArray) -> float:
-    """Root of the trace of the position block of a pose covariance, shape (6, 6) -> [m]."""
-    return float(np.sqrt(np.trace(covariance[:3, :3])))

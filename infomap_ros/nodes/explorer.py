@@ -156,7 +156,10 @@ class ExplorerNode(MonitoredNode):
             raise ExplorationError("the exploration is running already")
         goes_on = self._config.resume and self._mission_file.exists()
         mission = Mission.load(self._mission_file) if goes_on else Mission()
-        log = RunLogFile(Path(self._config.log_file).absolute(), append=goes_on)
+        path = Path(self._config.log_file).absolute()
+        log = RunLogFile(
+            path, append=goes_on, robot_clock=lambda: 1e-9 * self.get_clock().now().nanoseconds
+        )
         self._log = log
         self._exploration = Exploration(
             KeepsClear(self._robot, self._awareness(), self.config(KeepClearConfig)),

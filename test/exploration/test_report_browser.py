@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -236,8 +237,12 @@ def test_a_pointer_on_a_chart_tells_the_value(page: Browser) -> None:
     assert text.endswith("at views 12")
 
 
-def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> None:
-    """A low patch at +x and a high one at +y: their colors tell which is where."""
+def two_patches(browser: Browser, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """A low patch about (3, 0, 0.05) and a high one about (0, 3, 1.05), from above.
+
+    Returns:
+        Row and column in the 3-D view [px] of the middle of the low and of the high patch.
+    """
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=10.0))
     steps = np.arange(-0.5, 0.5, 0.03)
     patch = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -246,19 +251,42 @@ def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> 
     for _ in range(4):
         pose = make_transform(np.eye(3), np.array([0.0, 0.0, 4.0]))
         voxel_map.integrate(np.concatenate([low, high]) - (0.0, 0.0, 4.0), pose)
-    write_map_report(tmp_path / "map.html", voxel_map, "Two patches")
-    window.open(tmp_path / "map.html")
-    click(window, "[data-camera=top]")
-    image = picture(window)[..., :3].astype(int)
+    write_map_report(path, voxel_map, "Two patches")
+    browser.open(path)
+    click(browser, "[data-camera=top]")
+    image = picture(browser)[..., :3].astype(int)
     blue, green, red = np.moveaxis(image, 2, 0)
     yellow, violet = (red - blue > 80), (blue - green > 40)
     assert yellow.sum() > 500
     assert violet.sum() > 500
-    (high_row, high_column), (low_row, low_column) = (
-        np.argwhere(mask).mean(axis=0) for mask in (yellow, violet)
+    return np.argwhere(violet).mean(axis=0), np.argwhere(yellow).mean(axis=0)
+
+
+def test_from_above_x_points_right_and_y_up(window: Browser, tmp_path: Path) -> None:
+    low, high = two_patches(window, tmp_path / "map.html")
+    assert low[1] > high[1] + 50.0
+    assert high[0] < low[0] - 50.0
+
+
+def test_two_clicks_measure_and_escape_forgets(window: Browser, tmp_path: Path) -> None:
+    places = two_patches(window, tmp_path / "map.html")
+    marked = "document.getElementById('marked').innerText"
+    window.evaluate("document.getElementById('map').scrollIntoView({behavior: 'instant'})")
+    window.frame()
+    x, y, _, _ = stage(window)
+    window.click(x + places[0][1], y + places[0][0])
+    assert "sigma, probability" in window.evaluate(marked)
+    assert "distance" not in window.evaluate(marked)
+    window.click(x + places[1][1], y + places[1][0])
+    told = re.findall(
+        r"(level distance|distance|height difference)\t(.*) m", window.evaluate(marked)
     )
-    assert low_column > high_column + 50.0
-    assert high_row < low_row - 50.0
+    values = {name: float(value.replace("\u2212", "-")) for name, value in told}
+    assert values["distance"] == pytest.approx(np.sqrt(19.0), abs=0.2)
+    assert values["level distance"] == pytest.approx(np.sqrt(18.0), abs=0.2)
+    assert values["height difference"] == pytest.approx(1.0, abs=0.11)
+    window.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
+    assert "distance" not in window.evaluate(marked)
 
 
 def test_on_a_phone_the_map_fills_its_view_and_nothing_is_wider(

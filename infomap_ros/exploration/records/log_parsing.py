@@ -55,6 +55,7 @@ def _start(time: float, fields: Fields) -> Start:
         _number(fields, "voxel_size", math.nan),
         _camera(fields.get("camera")),
         _number(fields, "max_range", math.nan),
+        _clock(fields),
     )
 
 
@@ -99,6 +100,7 @@ def _decision(time: float, fields: Fields) -> Decision:
         _count(fields, "considered") if "considered" in fields else least,
         rejections,
         _number(fields, "position_sigma", math.nan),
+        _clock(fields),
     )
 
 
@@ -125,7 +127,8 @@ def _motion(time: float, fields: Fields) -> Motion:
         raise RunLogError("'path' is not a list of points") from error
     if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
         raise RunLogError("'path' is not a list of points [x, y, z]")
-    return Motion(time, _text(fields, "action"), _text(fields, "outcome", ""), path)
+    action, outcome = _text(fields, "action"), _text(fields, "outcome", "")
+    return Motion(time, action, outcome, path, _clock(fields))
 
 
 def _message(time: float, fields: Fields) -> Message:
@@ -144,6 +147,10 @@ _PARSERS: dict[str, Callable[[float, Fields], Record]] = {
     "message": _message,
     "end": _end,
 }
+
+
+def _clock(fields: Fields) -> float:
+    return _number(fields, "clock", math.nan)
 
 
 def _camera(value: object) -> PinholeCamera | None:

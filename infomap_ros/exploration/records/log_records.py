@@ -29,6 +29,7 @@ class Start:
         voxel_size: [m]; NaN where the log does not tell.
         camera: the rectified camera; None where the log does not tell.
         max_range: of the sensor [m]; NaN where the log does not tell.
+        clock: of the robot [s], in simulation the simulated time; NaN where not told.
     """
 
     time: float
@@ -39,6 +40,7 @@ class Start:
     voxel_size: float
     camera: PinholeCamera | None
     max_range: float
+    clock: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class Decision:
         rejections: how many of all candidates were rejected, by reason.
         position_sigma: root of the trace of the camera's position covariance at the choice [m];
             NaN where not told.
+        clock: of the robot [s], in simulation the simulated time; NaN where not told.
     """
 
     time: float
@@ -123,6 +126,7 @@ class Decision:
     considered: int
     rejections: Mapping[str, int]
     position_sigma: float = math.nan
+    clock: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +134,18 @@ class Motion:
     """One movement.
 
     Attributes:
-        time: since the start [s].
+        time: of its end, since the start [s].
         action: "drive", "arm", "look", "home" or "last look".
         outcome: why it failed; empty when done.
         path: along which the base (drive, home) or the camera went, shape (N, 3) [m, map].
+        clock: of the robot at the end [s], in simulation the simulated time; NaN where not told.
     """
 
     time: float
     action: str
     outcome: str
     path: FloatArray
+    clock: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The log of a run: one JSON object per line, readable while the run goes on.
 
-Every line has ``t``, seconds since the start, and ``kind``:
+Every line has ``t``, seconds since the start, ``kind``, and ``clock``, what the robot takes for the
+time [s]:
 
 - ``start``: task, robot, world, strategy, voxel_size, camera, max_range
 - ``progress``: views, distance [m], known_fraction, entropy_bits, mean_sigma [m], surface_voxels,
@@ -38,6 +39,8 @@ class RunLogFile:
         path: the file; one that is there is continued when `append` is set, else replaced.
         append: continue the log of a run that was interrupted.
         clock: seconds; only differences count.
+        robot_clock: what the robot takes for the time [s], in simulation the simulated time; None
+            where that is not told.
         on_entry: called with each entry, for example to show progress.
 
     Raises:
@@ -50,6 +53,7 @@ class RunLogFile:
         append: bool = False,
         clock: Callable[[], float] = time.monotonic,
         on_entry: Callable[[Mapping[str, Any]], None] | None = None,
+        robot_clock: Callable[[], float] | None = None,
     ) -> None:
         self._path = Path(path)
         self._before = last_time(self._path) if append else 0.0
@@ -58,7 +62,7 @@ class RunLogFile:
         elif self._path.exists() and not self._path.read_bytes().endswith(b"\n"):
             self._add("\n")  # the process was killed within a line
         self._clock, self._start = clock, clock()
-        self._on_entry = on_entry
+        self._on_entry, self._robot_clock = on_entry, robot_clock
 
     def write(self, kind: str, **content: Any) -> None:
         """Add an entry; numbers that are not finite become null.
@@ -67,7 +71,8 @@ class RunLogFile:
             OSError: the file cannot be written.
         """
         seconds = self._before + self._clock() - self._start
-        entry = {"t": round(seconds, 3), "kind": kind, **plain(content)}
+        told = {} if self._robot_clock is None else {"clock": round(self._robot_clock(), 3)}
+        entry = {"t": round(seconds, 3), "kind": kind, **told, **plain(content)}
         self._add(json.dumps(entry, allow_nan=False) + "\n")
         if self._on_entry:
             self._on_entry(entry)

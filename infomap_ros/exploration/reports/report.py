@@ -15,6 +15,7 @@ from infomap_ros.exploration.reports.report_page.page import Section, page
 from infomap_ros.exploration.reports.report_page.plan import plan
 from infomap_ros.exploration.reports.report_page.scene import add_camera_path, scene_of
 from infomap_ros.exploration.reports.report_page.surface import drawn_surface
+from infomap_ros.exploration.reports.report_page.time_line import time_line
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -67,6 +68,7 @@ def write_report(
     scene = scene_of(drawn_surface(opened), above.cut if above else None, run)
     parts = [
         Section("progress", "Coverage, entropy and resolution", sections.curves(run)),
+        Section("time", "What the time went into", time_line(run)),
         Section("plan", "The run from above", _plan(above, run)),
         Section("views", "Chosen views", tables.views_table(run)),
         Section("rejected", "What was rejected, and why", tables.rejections_table(run)),

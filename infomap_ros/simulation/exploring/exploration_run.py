@@ -165,7 +165,9 @@ class ExplorationRun:
         rig, error = self.robot.link.rig, localization_error(self.robot, options)
         planner = ViewPlanner(robot, rig, task, _as_driven(options), error)
         self._planner = _MapPlanner(planner, self.map, self.robot)
-        self._log = RunLogFile(out / LOG_FILE, on_entry=on_entry)
+        self._log = RunLogFile(
+            out / LOG_FILE, on_entry=on_entry, robot_clock=lambda: self.simulator.time
+        )
         self.control = Control()
         self._exploration = Exploration(
             self.robot,

@@ -33,8 +33,8 @@ function connectPointer() {
   };
   const click = (x, y) => {
     const found = viewer.pick(x, y);
-    if (!found) return;
-    if (found.candidate) showCandidate(found.candidate);
+    if (!found) viewer.mark(x, y);
+    else if (found.candidate) showCandidate(found.candidate);
     else choose(found.step);
   };
   listenToPointer(viewer.scene, viewer.orbit, hover, click, (x, y) => viewer.center(x, y));

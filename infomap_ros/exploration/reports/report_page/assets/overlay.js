@@ -8,6 +8,25 @@ function paintLabels(canvas, viewer, background) {
   context.textBaseline = "middle";
   if (viewer.shown.axes) paintAxes(context, viewer);
   if (viewer.shown.views) paintViews(context, viewer);
+  paintMarked(context, viewer);
+}
+
+function paintMarked(context, { orbit, colors, marked }) {
+  const places = marked.map((voxel) => orbit.project(voxel.at)).filter((place) => place);
+  context.lineWidth = 2;
+  context.strokeStyle = context.fillStyle = colors.ink;
+  if (places.length === 2) {
+    context.beginPath();
+    places.forEach(([x, y], n) => (n ? context.lineTo(x, y) : context.moveTo(x, y)));
+    context.stroke();
+  }
+  for (const [x, y] of places) {
+    context.beginPath();
+    context.arc(x, y, 4.5, 0, 2 * Math.PI);
+    context.fillStyle = colors.paper;
+    context.fill();
+    context.stroke();
+  }
 }
 
 function paintViews(context, viewer) {

@@ -37,6 +37,24 @@ function showStep(n, arrays) {
   byId("details").replaceChildren(...parts);
 }
 
+// Where the marked voxels are, and how far from each other.
+function showMarked(marked) {
+  if (!marked.length) return byId("marked").replaceChildren(element("p", "A click on the map tells where it is, a second one how far that is."));
+  const values = {};
+  marked.forEach(({ at, sigma, probability: p }, n) => {
+    const name = marked.length > 1 ? ["first ", "second "][n] : "";
+    values[`${name}x y z [m]`] = point(at);
+    values[`${name}sigma, probability`] = `${quantity(sigma, "m", 2)}, ${number(p, 4)}`;
+  });
+  if (marked.length === 2) {
+    const [dx, dy, dz] = add(marked[1].at, marked[0].at, -1);
+    values.distance = quantity(Math.hypot(dx, dy, dz), "m");
+    values["level distance"] = quantity(Math.hypot(dx, dy), "m");
+    values["height difference"] = quantity(dz, "m").replace("-", "−");
+  }
+  byId("marked").replaceChildren(valuesTable(`Measured on voxels of ${quantity(manifest.voxel, "m", 2)}`, values, String));
+}
+
 function showCandidate(candidate) {
   const state = candidate.rejection ? `rejected: ${candidate.rejection}` : "possible";
   const terms = Object.fromEntries(Object.entries(candidate.terms).filter(([, value]) => Number.isFinite(value)));
@@ -69,6 +87,8 @@ function connectPanel(viewer, choose) {
     button.addEventListener("click", () => viewer.orbit[button.dataset.camera]());
   }
   connectCuts(viewer);
+  showMarked([]);
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape") viewer.unmark(); });
   if (steps.length) connectSteps(viewer, choose);
 }
 

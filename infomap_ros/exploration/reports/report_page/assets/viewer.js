@@ -9,6 +9,7 @@ class Viewer {
     this.mode = "height";
     this.step = -1;
     this.candidates = [];
+    this.marked = []; // at most two voxels, between which is measured
     this.cut = manifest.cut === null ? Infinity : manifest.cut;
     this.least = manifest.least;
     this.share = 1; // of the voxels that is drawn while the map turns, as fast as this machine draws
@@ -144,20 +145,46 @@ class Viewer {
     return best;
   }
 
-  // Turn about the voxel in sight at a place on the screen.
-  center(x, y) {
-    const { cells } = this.arrays, [fx, fy, fz] = manifest.first;
+  // The voxel in sight at a place on the screen: its center, what is known of it, depth; or null.
+  voxelAt(x, y) {
+    const { cells, evidence, sigmas } = this.arrays, [fx, fy, fz] = manifest.first;
     let best = null, least = Infinity;
     for (let i = 0; i < cells.length; i += 3) {
+      if (evidence[i / 3] / 255 < this.least - 0.002) continue;
       const p = [cells[i] + fx + 0.5, cells[i + 1] + fy + 0.5, cells[i + 2] + fz + 0.5].map((v) => v * manifest.voxel);
       const at = p[2] <= this.cut ? this.orbit.project(p) : null;
       if (!at || Math.hypot(at[0] - x, at[1] - y) > 6 || at[2] > least) continue;
       least = at[2];
-      best = p;
+      best = { at: p, n: i / 3, depth: least };
     }
-    if (!best) return;
-    this.orbit.target = best;
-    this.orbit.distance = Math.min(this.orbit.distance, 0.6 * Math.max(least, 0.2 * this.orbit.radius));
+    if (!best) return null;
+    const [a, b] = manifest.sigma.scale.map(Math.log), [c, d] = manifest.logOdds;
+    const sigma = Math.exp(a + (sigmas[best.n] / 255) * (b - a));
+    return { ...best, sigma, probability: probability(c + (evidence[best.n] / 255) * (d - c)) };
+  }
+
+  // Mark the voxel in sight; a third one begins anew.
+  mark(x, y) {
+    const found = this.voxelAt(x, y);
+    if (!found) return;
+    this.marked = this.marked.length === 1 ? [this.marked[0], found] : [found];
+    showMarked(this.marked);
+    this.redraw();
+  }
+
+  unmark() {
+    this.marked = [];
+    showMarked(this.marked);
+    this.redraw();
+  }
+
+  // Turn about the voxel in sight at a place on the screen.
+  center(x, y) {
+    const found = this.voxelAt(x, y);
+    if (!found) return;
+    this.unmark(); // the two clicks before marked a voxel each
+    this.orbit.target = found.at;
+    this.orbit.distance = Math.min(this.orbit.distance, 0.6 * Math.max(found.depth, 0.2 * this.orbit.radius));
     this.redraw();
   }
 }

@@ -279,10 +279,10 @@ def test_two_clicks_measure_and_escape_forgets(window: Browser, tmp_path: Path) 
     assert "distance" not in window.evaluate(marked)
     window.click(x + places[1][1], y + places[1][0])
     told = re.findall(
-        r"(level distance|distance|height difference)\t(.*) m", window.evaluate(marked)
+        r"(level distance|straight distance|height difference)\t(.*) m", window.evaluate(marked)
     )
     values = {name: float(value.replace("\u2212", "-")) for name, value in told}
-    assert values["distance"] == pytest.approx(np.sqrt(19.0), abs=0.2)
+    assert values["straight distance"] == pytest.approx(np.sqrt(19.0), abs=0.2)
     assert values["level distance"] == pytest.approx(np.sqrt(18.0), abs=0.2)
     assert values["height difference"] == pytest.approx(1.0, abs=0.11)
     window.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")

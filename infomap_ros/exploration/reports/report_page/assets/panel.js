@@ -41,17 +41,17 @@ function showStep(n, arrays) {
 function showMarked(marked) {
   if (!marked.length) return byId("marked").replaceChildren(element("p", "A click on the map tells where it is, a second one how far that is."));
   const values = {};
+  if (marked.length === 2) {
+    const [dx, dy, dz] = add(marked[1].at, marked[0].at, -1);
+    values["straight distance"] = quantity(Math.hypot(dx, dy, dz), "m");
+    values["level distance"] = quantity(Math.hypot(dx, dy), "m");
+    values["height difference"] = quantity(dz, "m");
+  }
   marked.forEach(({ at, sigma, probability: p }, n) => {
     const name = marked.length > 1 ? ["first ", "second "][n] : "";
     values[`${name}x y z [m]`] = point(at);
     values[`${name}sigma, probability`] = `${quantity(sigma, "m", 2)}, ${number(p, 4)}`;
   });
-  if (marked.length === 2) {
-    const [dx, dy, dz] = add(marked[1].at, marked[0].at, -1);
-    values.distance = quantity(Math.hypot(dx, dy, dz), "m");
-    values["level distance"] = quantity(Math.hypot(dx, dy), "m");
-    values["height difference"] = quantity(dz, "m").replace("-", "−");
-  }
   byId("marked").replaceChildren(valuesTable(`Measured on voxels of ${quantity(manifest.voxel, "m", 2)}`, values, String));
 }
 

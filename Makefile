@@ -45,7 +45,7 @@ demo-bag: $(READY)  ## map the bag in bags/ through the live nodes, results in o
 # Kernels are compiled once before, not by each of the processes that test.
 test: $(READY) $(STAMPS)/rendering $(STAMPS)/browser  ## every test
 	@$(BIN)/python -m infomap_ros.nodes.live.kernels >/dev/null
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(READY)  ## style
 	@$(BIN)/ruff check .

@@ -38,11 +38,15 @@ def explored(out: Path, monkeypatch: pytest.MonkeyPatch, *settings: str) -> tupl
     """True poses of the base in the map's frame during a run, its footprint, and the run."""
     run = ExplorationRun(with_settings(ExplorationOptions(), SETTINGS + settings), out)
     poses: list[np.ndarray] = []
+    postures: list[dict[str, float]] = []  # while the base moves
     step = Simulator.step
 
     def watched(self: Simulator, duration: float) -> None:
         step(self, duration)
-        poses.append(planar(np.linalg.inv(run.T_world_map) @ self.true_pose()))
+        pose = planar(np.linalg.inv(run.T_world_map) @ self.true_pose())
+        if poses and math.dist(poses[-1][:2], pose[:2]) > 0.1 * duration:
+            postures.append(dict(self.true_joints()))
+        poses.append(pose)
 
     drive, move_arm = CommandedRobot.drive, CommandedRobot.move_arm
 
@@ -68,12 +72,9 @@ def explored(out: Path, monkeypatch: pytest.MonkeyPatch, *settings: str) -> tupl
     assert len(took) >= 6
     assert (np.abs(took - said) <= 0.15 * said + 0.5).all()
     assert took.sum() == pytest.approx(said.sum(), rel=0.1)
-    robot, chain = run._planner._planner.robot, run._planner._planner.robot.arm
     assert ending is not None
-    reach = run._planner._planner._motion._last_reach
-    assert reach is not None
-    joints = {joint.name: 0.0 for joint in robot.joints}
-    folded = {**joints, **chain.by_name(reach._whole.driving)}
+    robot = run.robot.link.model
+    folded = {joint.name: 0.0 for joint in robot.joints} | postures[len(postures) // 2]
     return np.array(poses), footprint_points(robot, folded), run
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -105,6 +106,7 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 
 def main() -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes too
     usual = DemoConfig(known_fraction=0.96, max_views=100, timeout=4.0 * 3600.0)
     parser = argparse.ArgumentParser(
         description=__doc__.split("\n")[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter

@@ -99,7 +99,9 @@ def entries(out: Path) -> list[dict[str, Any]]:
     """What the run log says of choices, motions and the map, but for how long it took."""
     lines = (out / "exploration.jsonl").read_text().splitlines()
     told = [json.loads(line) for line in lines[1:]]
-    return [{k: v for k, v in entry.items() if k not in ("t", "seconds")} for entry in told]
+    return [
+        {k: v for k, v in entry.items() if k not in ("t", "clock", "seconds")} for entry in told
+    ]
 
 
 def native(value: object) -> object:

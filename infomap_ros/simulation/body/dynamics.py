@@ -23,7 +23,7 @@ _WHEEL_DAMPING = 0.02  # [Nm s/rad]
 _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 
 
-_NO_SLIP = 2
+_NO_SLIP = 6
 """Iterations that take from contacts what friction would not let slip. Without them the friction of
 MuJoCo yields: 30 motions of the arm shift a rover that stands in the cave by 51 mm and 3.5
 degrees, with them by 2 mm and 0.1; drives stay as they are."""

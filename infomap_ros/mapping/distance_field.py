@@ -104,6 +104,7 @@ def distance_field(
     *,
     thresholds: OccupancyThresholds | None = None,
     unknown_is_free: bool = False,
+    doubtful_is_free: bool = False,
     known_free: Sequence[PlacedSolid] = (),
     own_points: ArrayLike = (),
     in_the_way: Sequence[PlacedSolid] = (),
@@ -117,6 +118,7 @@ def distance_field(
         window: voxels of the map.
         thresholds: when a voxel counts as free.
         unknown_is_free: voxels never observed, and all outside the window, are not in the way.
+        doubtful_is_free: inside the window only occupied voxels are in the way.
         known_free: space that is known to be free although it was never seen, such as that which
             the robot's body fills [map]. Voxels whose centers lie in it are free unless the map
             says that they are occupied.
@@ -129,8 +131,8 @@ def distance_field(
         InvalidInputError: `own_points` has another shape.
     """
     states = window.states(thresholds)
-    doubtful = states == UNCERTAIN
-    if not unknown_is_free:
+    doubtful = (states == UNCERTAIN) & (not doubtful_is_free)
+    if not (unknown_is_free or doubtful_is_free):
         doubtful |= states == UNKNOWN
     if known_free and doubtful.any():
         _mark(doubtful, window, known_free, False)

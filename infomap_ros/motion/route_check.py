@@ -9,7 +9,7 @@ when the route was planned, by the same checks, does not count.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,14 @@ from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
+from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
+from infomap_ros.motion.base.stance import (
+    OUTSIDE,
+    STANDS,
+    UNKNOWN_BODY,
+    UNKNOWN_WHEEL,
+    UNSEEN,
+)
 from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.clear_start import ClearStart
@@ -27,9 +35,8 @@ from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.motion.whole_body import WholeBody
 
-_BLOCKED = 0.4
-"""Probability from which a voxel blocks the arm. A way is planned through voxels that are nearly
-certain to be free; single measurements may make one less certain, and it still is free."""
+_TURNED_UNKNOWN = (OUTSIDE, UNKNOWN_WHEEL, UNKNOWN_BODY, UNSEEN)
+"""Outcomes that no obstacle has: what was seen once is not blocked for being seen less well."""
 _TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _PROGRESS = 1.0  # [m]; farther the base does not come along its path between two checks
 _ARM_STEP = 0.05  # [rad or m] between configurations that are checked
@@ -85,7 +92,7 @@ class RouteCheck:
         self._passed, self._arm_passed = 0, 0
         self._states = self._surroundings(voxel_map)
         self._fault: RouteFault | None = None
-        self._stood = self._stances(self._terrain(voxel_map))
+        self._stood = self._whole.vehicle.stances(self._terrain(voxel_map), self._path).ok
         self._was_free = self._free(self._checker(voxel_map))
 
     def fault(
@@ -129,7 +136,8 @@ class RouteCheck:
         if len(self._path) - self._passed < 2:
             return None
         terrain = self._terrain(voxel_map)
-        blocked = self._stood & ~self._stances(terrain)
+        outcomes = self._whole.vehicle.stances(terrain, self._path).outcomes
+        blocked = self._stood & (outcomes != STANDS) & ~np.isin(outcomes, _TURNED_UNKNOWN)
         blocked[: self._passed] = False
         if not blocked.any():
             return None
@@ -152,20 +160,14 @@ class RouteCheck:
         x, y, z = (float(value) for value in self._base[:3, 3])
         return RouteFault((x, y, z), f"the path of the arm is blocked: {what}")
 
-    def _stances(self, terrain: Terrain) -> NDArray[np.bool_]:
-        """Where on its path the base may stand, shape (K,)."""
-        return self._whole.vehicle.stances(terrain, self._path).ok
-
     def _free(self, checker: CollisionChecker) -> NDArray[np.bool_]:
         """Where on its path the arm touches nothing, shape (A,)."""
         return checker.are_free(self._arm, self._base, base=False)
 
     def _terrain(self, voxel_map: VoxelMap) -> Terrain:
-        """The ground about the path, with that on which the robot stood when it was planned."""
-        config, vehicle = self._config.terrain, self._whole.vehicle
-        away = np.abs(self._path[:, :2] - self._base[:2, 3]).max(initial=0.0)
-        radius = min(float(away) + self._whole.base_radius + config.resolution, config.radius)
-        terrain = terrain_of(voxel_map, replace(config, radius=radius), self._base[:3, 3])
+        """The ground as it was planned on: the same search, the same place where it stands."""
+        vehicle = self._whole.vehicle
+        terrain = terrain_of(voxel_map, self._config.terrain, self._base[:3, 3])
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
         reach = self._config.base.standing_reach
@@ -173,12 +175,12 @@ class RouteCheck:
         return with_keep_out(terrain, self._keep_out)
 
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
+        """The arm among what is confirmed: a single hit does not stop it, nor does doubt."""
         body, config = self._whole.body, self._config
-        body = replace(body, config=replace(body.config, free_probability=_BLOCKED))
         start = () if self._start is None else (self._start.space(body.robot),)
         near = NearSpace(
             voxel_map, body, self._base, self._joints, self._whole.radius, config.clear_body,
-            (*self._known_free, *start), self._whole.foot,
+            (*self._known_free, *start), self._whole.foot, only_confirmed=True,
         )  # fmt: skip
         return near.checker_at(self._base)
 
@@ -188,7 +190,7 @@ class RouteCheck:
         reach = np.full(3, self._whole.radius)
         low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
         low[2] = places[:, 2].min() - _BELOW
-        thresholds = OccupancyThresholds(_BLOCKED, surface_margin=0)
+        thresholds = OccupancyThresholds(0.5, CONFIRMED_PROBABILITY, 0)
         return voxel_map.window(low, high).states(thresholds)
 
 

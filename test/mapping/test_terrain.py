@@ -70,7 +70,7 @@ def test_heights_of_a_slope_are_exact_within_their_sigma(size):
 
 def test_one_surface_per_column_is_found_from_anywhere(rng):
     shape = (24, 20, 40)
-    ground = rng.integers(2, 30, shape[:2])
+    ground = rng.integers(2, 12, shape[:2])
     states = columns(shape, ground)
     for i, j in ((0, 0), (12, 7), (23, 19)):
         terrain = found(states, (i * SIZE, j * SIZE, middle_of(ground[i, j] + 1)))
@@ -91,13 +91,38 @@ def test_floor_under_a_table_is_found_and_the_table_above_it():
     assert terrain.step.max() == 0.0
 
 
-def test_table_over_unseen_floor_is_a_step():
+@pytest.mark.parametrize("above", [FREE, UNKNOWN])
+def test_table_over_unseen_floor_is_no_ground(above):
     states = columns((40, 40, 40), 2)
     states[10:25, 12:28, :18] = UNKNOWN
     states[10:25, 12:28, 18] = OCCUPIED
+    states[10:25, 12:28, 19:] = above
     terrain = found(states, (0.1, 0.1, 0.3))
-    np.testing.assert_allclose(terrain.heights[10:25, 12:28], middle_of(18), atol=1e-6)
-    assert terrain.step[10, 20] > 0.75
+    assert np.isnan(terrain.heights[10:25, 12:28]).all()
+    clear = np.ones((40, 40), bool)
+    clear[10:25, 12:28] = False
+    np.testing.assert_allclose(terrain.heights[clear], middle_of(2), atol=1e-6)
+
+
+def test_weak_hits_behind_a_ceiling_open_nothing():
+    """A surface's noise puts some evidence behind it, at any height: that is no open space."""
+    states = np.full((40, 40, 40), UNKNOWN, np.uint8)
+    states[:, :, 6:12], states[:, :, 12] = FREE, OCCUPIED
+    voxel_map = map_of(states, (0, 0, 0), SIZE)
+    behind = np.indices((40, 40, 1), np.int32).reshape(3, -1).T + np.int32((0, 0, 13))
+    evidence, nothing = np.full(len(behind), 3, np.int32), np.zeros((len(behind), 9), np.float32)
+    put_states(voxel_map._storage, VoxelStates(behind, evidence > 0, evidence, nothing))
+    terrain = terrain_of(voxel_map, None, (1.0, 1.0, 7.5 * SIZE))
+    assert np.isnan(terrain.heights).all()
+
+
+def test_floor_above_which_nothing_was_seen_is_ground():
+    """As where rays come in at a grazing angle: they free nothing near the surface."""
+    states = columns((40, 40, 40), 2)
+    states[10:25, 12:28, 3:] = UNKNOWN
+    terrain = found(states, (0.1, 0.1, 0.3))
+    np.testing.assert_allclose(terrain.heights, middle_of(2), atol=1e-6)
+    assert (terrain.seen[10:25, 12:28] <= 3 * SIZE + 1e-6).all()
 
 
 def test_cave_that_descends_below_its_own_entrance():
@@ -143,8 +168,8 @@ def test_specks_are_neither_ground_nor_obstacles(rng):
     assert np.isfinite(found(states, (0.5, 0.5, 0.3), speck_cells=0).overhead).sum() == 25
 
 
-@pytest.mark.parametrize(("evidence", "height"), [(3, 3), (9, 4)])
-def test_voxel_that_was_seen_through_as_often_as_hit_is_no_step(evidence, height):
+@pytest.mark.parametrize(("evidence", "height"), [(3, 3), (9, 3), (18, 4)])
+def test_voxel_that_was_not_hit_repeatedly_is_no_step(evidence, height):
     """One hit is 9 quanta, one miss takes 6."""
     voxel_map = map_of(columns((40, 40, 40), 3), (0, 0, 0), SIZE)
     bump = VoxelStates(
@@ -208,7 +233,8 @@ def test_pole_is_no_speck():
     states[20, 20, 4:30] = OCCUPIED
     states[30, 30, 12:15] = OCCUPIED
     terrain = found(states, (0.5, 0.5, 0.3))
-    assert terrain.heights[20, 20] == pytest.approx(middle_of(29))
+    assert np.isnan(terrain.heights[20, 20])
+    assert terrain.floor[20, 20] == np.inf and terrain.overhead[20, 20] < 5 * SIZE
     assert terrain.overhead[30, 30] == pytest.approx(12 * SIZE)
 
 

@@ -13,8 +13,9 @@ from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, unpack
 from infomap_ros.mapping.voxels.queries import is_surface, voxel_of
 from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, read_block
 
-NEVER_SEEN, OPEN, SOLID = 0, 1, 2
-"""States of a cube: no voxel known, none occupied, at least one occupied."""
+NEVER_SEEN, OPEN, SUSPECT, SOLID = 0, 1, 2, 3
+"""States of a cube by its most occupied voxel: nothing speaks for or against it; seen through; hit
+once; hit again and again. A surface's weak hits behind it make nothing open."""
 
 _FLATTEST = 0.2  # share of a Gaussian's information along z from which it is ground (about 63 deg)
 _BELOW = 1  # cubes below the uppermost solid one in which a surface is still that of its top
@@ -22,14 +23,17 @@ _SMEARED = 3  # cubes that doubtful poses may have made solid above a surface
 
 
 @njit(cache=True, nogil=True)
-def gather_cubes(blocks: Any, first: Any, ratio: int, occupied: float, cubes: Any) -> None:
+def gather_cubes(
+    blocks: Any, first: Any, ratio: int, occupied: float, confirmed: float, cubes: Any
+) -> None:
     """State of cubes of `ratio`^3 voxels.
 
     Args:
         blocks: a `BlockArrays`.
         first: index of cube (0, 0, 0) of the array, shape (3,).
         ratio: voxels along the edge of a cube.
-        occupied: evidence above which a voxel is occupied [quanta].
+        occupied: evidence above which a voxel was hit [quanta].
+        confirmed: evidence above which it was hit repeatedly [quanta].
         cubes: receives the states, uint8, shape (nx, ny, nz); zero before.
     """
     places = np.empty((3, BLOCK_SIDE), np.int64)
@@ -43,11 +47,13 @@ def gather_cubes(blocks: Any, first: Any, ratio: int, occupied: float, cubes: An
             size = cubes.shape[axis]
             inside = inside and places[axis, BLOCK_SIDE - 1] >= 0 and places[axis, 0] < size
         if inside:
-            _gather_block(blocks, slot, places, occupied, cubes)
+            _gather_block(blocks, slot, places, occupied, confirmed, cubes)
 
 
 @njit(cache=True, nogil=True)
-def _gather_block(blocks: Any, slot: int, places: Any, occupied: float, cubes: Any) -> None:
+def _gather_block(
+    blocks: Any, slot: int, places: Any, occupied: float, confirmed: float, cubes: Any
+) -> None:
     """Enter a block's voxels into the cubes whose indices `places` holds per axis."""
     nx, ny, nz = cubes.shape
     kind, base, row = blocks.kind[slot], blocks.base[slot], blocks.plane[slot]
@@ -65,15 +71,19 @@ def _gather_block(blocks: Any, slot: int, places: Any, occupied: float, cubes: A
                 local = a | (b << 3) | (c << 6)
                 known, value = quanta_of(kind, base, row, narrow, wide, local)
                 if known and 0 <= i < nx:
-                    if value > occupied:
-                        cubes[i, j, k] = SOLID
-                    elif cubes[i, j, k] == NEVER_SEEN:
-                        cubes[i, j, k] = OPEN
+                    state = NEVER_SEEN
+                    if value > confirmed:
+                        state = SOLID
+                    elif value > occupied:
+                        state = SUSPECT
+                    elif value < 0:
+                        state = OPEN
+                    cubes[i, j, k] = max(cubes[i, j, k], state)
 
 
 @njit(cache=True, nogil=True)
 def drop_specks(cubes: Any, largest: int) -> None:
-    """Open the solid cubes of connected groups (26 neighbors) of at most `largest` cubes."""
+    """Open the cubes that were hit in connected groups (26 neighbors) of at most `largest`."""
     if largest <= 0:
         return
     members = np.empty((largest + 1, 3), np.int64)
@@ -81,7 +91,7 @@ def drop_specks(cubes: Any, largest: int) -> None:
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
-                if cubes[i, j, k] == SOLID:
+                if cubes[i, j, k] >= SUSPECT:
                     count = _group(cubes, i, j, k, members)
                     if count <= largest:
                         for n in range(count):
@@ -90,7 +100,7 @@ def drop_specks(cubes: Any, largest: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _group(cubes: Any, i: int, j: int, k: int, members: Any) -> int:
-    """Members of the group of a solid cube, as many as fit; their number."""
+    """Members of the group of a cube that was hit, as many as fit; their number."""
     nx, ny, nz = cubes.shape
     members[0, 0], members[0, 1], members[0, 2] = i, j, k
     count, next_one = 1, 0
@@ -100,7 +110,7 @@ def _group(cubes: Any, i: int, j: int, k: int, members: Any) -> int:
         for a in range(max(x - 1, 0), min(x + 2, nx)):
             for b in range(max(y - 1, 0), min(y + 2, ny)):
                 for c in range(max(z - 1, 0), min(z + 2, nz)):
-                    if cubes[a, b, c] != SOLID or _is_member(members, count, a, b, c):
+                    if cubes[a, b, c] < SUSPECT or _is_member(members, count, a, b, c):
                         continue
                     members[count, 0], members[count, 1], members[count, 2] = a, b, c
                     count += 1
@@ -189,7 +199,7 @@ def _refine(
         sigmas[i, j] = np.sqrt(counts[: _BELOW + 1].sum() / weight)
         return
     for below in range(_BELOW + 1, len(weights)):
-        if has_surface or top < below or column[top - below + 1] != SOLID:
+        if has_surface or top < below or column[top - below + 1] < SUSPECT:
             return
         if weights[below] > 0.0:
             sigma = np.sqrt(counts[below] / weights[below])

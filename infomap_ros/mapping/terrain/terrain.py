@@ -18,6 +18,7 @@ from infomap_ros.mapping.terrain.cubes import drop_specks, gather_cubes, refine_
 from infomap_ros.mapping.terrain.level import above_ground, grow_level, read_above, read_columns
 from infomap_ros.mapping.terrain.measures import fill_holes, largest_steps, plane_misfits
 from infomap_ros.mapping.voxel_map import VoxelMap
+from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
 
 GridArray = NDArray[np.float32]
 
@@ -52,9 +53,11 @@ class TerrainConfig:
     above: ClassVar[float] = 4.0
     """Ground and obstacles are looked for up to this far above the robot [m]."""
     occupied_probability: ClassVar[float] = 0.75
-    """A known voxel more likely occupied than this is solid. Right above a surface voxels get
+    """A known voxel more likely occupied than this may be ground. Right above a surface voxels get
     some hits and as many misses; one of them would be a step in even ground.
     """
+    climb: ClassVar[float] = 0.5
+    """Ground farther than this above or below its neighbor is on another level [m]."""
     speck_cells: int = setting(
         2, "Connected groups of at most so many solid cells are taken for noise.", low=0, high=8
     )
@@ -171,14 +174,18 @@ def terrain_of(voxel_map: VoxelMap, config: TerrainConfig | None, near: ArrayLik
     edge = ratio * size
     first, shape = _box(voxel_map, settings, point, ratio)
     cubes = np.zeros(shape, np.uint8)
-    odds = settings.occupied_probability / (1.0 - settings.occupied_probability)
     blocks, gaussians = voxel_map._storage.blocks, voxel_map._storage.gaussians
-    gather_cubes(blocks, first, ratio, math.log(odds) / LOG_ODDS_QUANTUM, cubes)
+    occupied, confirmed = (
+        math.log(p / (1.0 - p)) / LOG_ODDS_QUANTUM
+        for p in (settings.occupied_probability, CONFIRMED_PROBABILITY)
+    )
+    gather_cubes(blocks, first, ratio, occupied, confirmed, cubes)
     drop_specks(cubes, settings.speck_cells)
     top, level = np.empty(shape[:2], np.int64), np.empty(shape[:2], np.int64)
     seed = np.clip(np.floor(point / edge).astype(np.int64) - first, 0, np.array(shape) - 1)
-    headroom, gap = (math.ceil(x / edge - 1e-9) for x in (settings.headroom, settings.unknown_gap))
-    grow_level(cubes, seed, headroom, gap, top, level)
+    lengths = settings.headroom, settings.unknown_gap, settings.climb
+    headroom, gap, climb = (math.ceil(x / edge - 1e-9) for x in lengths)
+    grow_level(cubes, seed, headroom, gap, climb, top, level)
     heights = np.where(top >= 0, (top + first[2] + 0.5) * edge, np.nan)
     sigmas = np.where(top >= 0, edge / _SQRT_12, np.nan)
     refine_heights(blocks, gaussians, size, first, ratio, cubes, top, heights, sigmas)

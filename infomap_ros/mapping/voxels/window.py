@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import convolve1d, maximum_filter
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import float_array
@@ -31,7 +31,12 @@ UNKNOWN, FREE, UNCERTAIN, OCCUPIED = 0, 1, 2, 3
 UNKNOWN_QUANTA = -32768
 """Evidence of a voxel that was never observed, in `VoxelWindow.quanta`."""
 
+CONFIRMED_PROBABILITY = 0.95
+"""A voxel more likely occupied than this was hit more than once: one hit of the default model says
+0.9. What was hit once is a reason to look, and neither stops a motion nor fills a hole."""
+
 _LARGEST = 1 << 30
+_MOSTLY_FREE = 13  # of a voxel's 26 neighbors
 
 
 @dataclass(frozen=True)
@@ -83,16 +88,25 @@ class VoxelWindow:
     voxel_size: float
 
     def states(self, thresholds: OccupancyThresholds | None = None) -> NDArray[np.uint8]:
-        """UNKNOWN, FREE, UNCERTAIN (known, but between the thresholds) or OCCUPIED per voxel."""
+        """UNKNOWN, FREE, UNCERTAIN (known, but between the thresholds) or OCCUPIED per voxel.
+
+        A voxel that is not free with mostly free neighbors and no confirmed surface among them or
+        in it is a hole in free space, and free: noise leaves such holes, and no body is so small.
+        """
         limits = thresholds or OccupancyThresholds()
-        free, occupied = (
+        free, occupied, confirmed = (
             float(np.log(p / (1.0 - p)) / LOG_ODDS_QUANTUM)
-            for p in (limits.free_probability, limits.occupied_probability)
+            for p in (
+                limits.free_probability,
+                limits.occupied_probability,
+                max(CONFIRMED_PROBABILITY, limits.occupied_probability),
+            )
         )
         states = np.full(self.quanta.shape, UNCERTAIN, np.uint8)
         states[self.quanta < free] = FREE
         states[self.quanta > occupied] = OCCUPIED
         states[self.quanta == UNKNOWN_QUANTA] = UNKNOWN
+        _close_holes(states, self.quanta > confirmed)
         if limits.surface_margin:
             _close_margin(states, limits.surface_margin)
         return states
@@ -112,6 +126,17 @@ class VoxelWindow:
         """Which array positions, shape (..., 3), lie in the array, shape (...)."""
         places = np.asarray(positions)
         return np.asarray(((places >= 0) & (places < self.quanta.shape)).all(axis=-1))
+
+
+def _close_holes(states: NDArray[np.uint8], confirmed: NDArray[np.bool_]) -> None:
+    """Turn what is not free into FREE where most neighbors are free and none is confirmed."""
+    free = states == FREE
+    neighbors = free.astype(np.uint8)
+    for axis in range(3):
+        neighbors = convolve1d(neighbors, [1, 1, 1], axis=axis, mode="constant")
+    holes = ~free & (neighbors >= _MOSTLY_FREE)
+    if holes.any():
+        states[holes & ~maximum_filter(confirmed, size=3, mode="constant")] = FREE
 
 
 def _close_margin(states: NDArray[np.uint8], margin: int) -> None:

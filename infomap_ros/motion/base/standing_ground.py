@@ -28,9 +28,10 @@ def with_standing_ground(
 ) -> Terrain:
     """Declare the ground under poses in which the robot stands or has stood as known.
 
-    Cells under the body and between the wheels that have no ground get the plane of the wheels;
-    cells with ground keep theirs. Unseen space up to the body's height counts as seen there. What
-    is occupied under the body in that plane, and was not seen well enough to be ground, is ground.
+    Cells under the body and between the wheels get the plane of the wheels, and so do those around
+    that have no ground, unless something stands there that is higher than a step. Other cells with
+    ground keep theirs. What is occupied in that plane and was not seen well enough to be ground, as
+    a floor at a grazing angle, is ground. Unseen space up to the body's height counts as seen.
 
     Args:
         terrain: the ground as the map shows it.
@@ -72,41 +73,52 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     local = places @ T_map_base[:3, :3]
     near = ((local[:, :2] >= low) & (local[:, :2] <= high)).all(axis=1)
     i, j = cells[near].T
-    ceiling = heights[near] + (top - z) / up[2] + reach
-    _clear_under(terrain, (i, j), local[near, :2], heights[near], extent)
-    unknown = np.isnan(terrain.heights[i, j]) & (terrain.overhead[i, j] >= ceiling)
+    plane, places = heights[near], local[near, :2]
+    ceiling = plane + (top - z) / up[2] + reach
+    _stand_on(terrain, vehicle, (i, j), places, plane, extent)
+    unknown = np.isnan(terrain.heights[i, j])
     u, v = i[unknown], j[unknown]
-    terrain.heights[u, v] = terrain.floor[u, v] = heights[near][unknown]
+    terrain.heights[u, v] = terrain.floor[u, v] = plane[unknown]
     terrain.sigma[u, v], terrain.step[u, v], terrain.roughness[u, v] = terrain.resolution, 0.0, 0.0
-    known = ~np.isnan(terrain.heights[i, j])
-    u, v = i[known], j[known]
-    seen = np.minimum(np.maximum(terrain.seen[u, v], ceiling[known]), terrain.overhead[u, v])
-    terrain.seen[u, v] = seen
+    seen = np.minimum(np.maximum(terrain.seen[i, j], ceiling), terrain.overhead[i, j])
+    terrain.seen[i, j] = seen
 
 
-def _clear_under(
+def _stand_on(
     terrain: Terrain,
+    vehicle: Vehicle,
     cells: tuple[NDArray[np.int64], NDArray[np.int64]],
     places: FloatArray,
     plane: FloatArray,
     extent: FloatArray,
 ) -> None:
-    """Nothing hangs where a body stands: what seems to, in the plane of its wheels, is its ground.
+    """Take away what cannot be where a body stands: ground far off its wheels' plane, obstacles.
 
     Args:
-        terrain: changed.
+        terrain: changed; heights become unknown where they cannot be.
+        vehicle: the robot.
         cells: indices of cells around the body.
         places: their middles in the base frame, shape (N, 2) [m].
         plane: heights of the wheels' plane there, shape (N,) [m, map].
         extent: points that the body covers, in the base frame, shape (M, 2) [m].
     """
-    size = terrain.resolution
-    low, high = extent.min(axis=0) - size, extent.max(axis=0) + size
-    under = ((places >= low) & (places <= high)).all(axis=1)
+    arrays, size = vehicle.arrays, terrain.resolution
+    between_wheels = _covers(vehicle.undercarriage.outline, places, size)
+    clearance = float(arrays.columns[:, 2].min(initial=np.inf) - arrays.support[:, 2].mean())
+    most = max(float(arrays.limits[2]), clearance if np.isfinite(clearance) else 0.0)
     lowest = terrain.overhead[cells]
-    in_plane = (lowest <= plane) & (lowest >= plane - 2.0 * size)
-    chosen = under & in_plane & np.isnan(terrain.heights[cells])
-    terrain.overhead[cells[0][chosen], cells[1][chosen]] = np.inf
+    wrong = between_wheels & (np.abs(terrain.heights[cells] - plane) > most)
+    terrain.heights[cells[0][wrong], cells[1][wrong]] = np.nan
+    in_plane = (lowest <= plane + size) & (lowest >= plane - 2.0 * size)
+    gone = between_wheels | (in_plane & _covers(extent, places, size))
+    gone &= np.isnan(terrain.heights[cells])
+    terrain.overhead[cells[0][gone], cells[1][gone]] = np.inf
+
+
+def _covers(extent: FloatArray, places: FloatArray, margin: float) -> NDArray[np.bool_]:
+    """Which places, shape (N, 2), lie in the box about points, shape (M, 2), and a margin [m]."""
+    low, high = extent.min(axis=0) - margin, extent.max(axis=0) + margin
+    return np.asarray(((places >= low) & (places <= high)).all(axis=1))
 
 
 def standing_pose(terrain: Terrain, vehicle: Vehicle, place: FloatArray) -> FloatArray:

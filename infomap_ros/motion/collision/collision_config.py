@@ -45,10 +45,9 @@ class CollisionConfig:
     )
     unknown_is_free: bool = setting(False, "The arm may enter space that was never observed.")
     free_probability: float = setting(
-        0.02,
-        "The arm may enter voxels that are less likely occupied than this. It takes three looks of "
-        "the map's default model: two pairs from one place share their errors, and a stereo "
-        "camera may see through thin things.",
+        0.05,
+        "The arm may enter voxels that are less likely occupied than this: what is free for the "
+        "choice of views, after two looks of the map's default model.",
         low=1e-6,
         high=0.4,
     )

@@ -18,6 +18,7 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.distance_field import distance_field
+from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.checker import CollisionChecker
 
@@ -47,6 +48,7 @@ class NearSpace:
         foot: solids of the foot of the arm, base frame.
         in_the_way: solids that must not be touched and that the map does not show [map].
         wider: what the arm keeps off the map beyond its margin [m].
+        only_confirmed: only confirmed surfaces are in the way, not what is doubtful or unknown.
 
     Attributes:
         own_space: what the present body fills, and a little around it [map].
@@ -64,7 +66,11 @@ class NearSpace:
         foot: Sequence[PlacedSolid] = (),
         in_the_way: Sequence[PlacedSolid] = (),
         wider: float = 0.0,
+        only_confirmed: bool = False,
     ) -> None:
+        free = body.config.free_probability
+        occupied = CONFIRMED_PROBABILITY if only_confirmed else 0.5
+        self._thresholds, self._only_confirmed = OccupancyThresholds(free, occupied), only_confirmed
         self._map, self._body, self._radius, self.wider = voxel_map, body, radius + wider, wider
         robot = body.robot
         positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
@@ -132,8 +138,9 @@ class NearSpace:
         """
         field = distance_field(
             self._map.window(low, high),
-            thresholds=OccupancyThresholds(self._body.config.free_probability),
+            thresholds=self._thresholds,
             unknown_is_free=self._body.config.unknown_is_free,
+            doubtful_is_free=self._only_confirmed,
             known_free=[
                 solid for solid in (*self._known_free, *free) if _touches_box(solid, low, high)
             ],

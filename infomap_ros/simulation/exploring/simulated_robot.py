@@ -79,6 +79,7 @@ IMAGE_RATE = 2.0
 """Pairs per simulated second, so that the arm turns the cameras by little between two [Hz]."""
 
 _MAP_FRAME = "map"
+_PATH = "path"  # name of the motion of the base
 _START_PATIENCE = 15.0  # [s] until the first scan is fused
 _SENT = JointStateRecord | OdometryRecord | PoseRecord
 _SOURCES = ImageSources(
@@ -289,7 +290,7 @@ class SimulatedLink:
         frame = self._tracked.odom_frame if in_odometry else _MAP_FRAME
         message = encode_base_path(_TYPES, self._simulator.stamp, frame, poses)
         self._commands.follow_base_path(decode_base_path(message))
-        return "path"
+        return _PATH
 
     def send_arm_path(self, path: ArmPath) -> str:
         """See `RobotLink`."""
@@ -299,12 +300,14 @@ class SimulatedLink:
 
     @property
     def tells_results(self) -> bool:
-        """False: what a simulated robot has done is seen."""
-        return False
+        """True, as of a driver: a base has arrived when it rests, not when it rolls by."""
+        return True
 
     def result(self, motion: str) -> str | None:
-        """None."""
-        return None
+        """See `RobotLink`."""
+        simulator = self._simulator
+        active, problem = simulator.base_motion if motion == _PATH else simulator.arm_motion
+        return None if active else problem
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Interrupted

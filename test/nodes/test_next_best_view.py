@@ -294,7 +294,10 @@ def test_the_arm_is_planned_again_to_the_view_planned_last(stage: Stage) -> None
     answer = stage.call("plan_arm")
     assert answer.success, answer.message
     again = choice_from_text(answer.message)
-    assert again.route is not None and not again.route.moves_base
+    assert again.route is not None and again.pose is not None and view.pose is not None
+    driven = again.route.base_poses[-1][:2, 3] if again.route.moves_base else np.zeros(2)
+    assert np.linalg.norm(driven) <= 1.0, "the base, which has not driven, is near the view"
+    assert np.linalg.norm(again.pose[:3, 3] - view.pose[:3, 3]) <= 0.1
     wanted = {route_digest(choice.route) for choice in (view, again) if choice.route}
     stage.graph.spin_until(lambda: len(said) >= len(wanted), "the state of both routes")
     assert {status.values[0].value for status in said} == wanted

@@ -24,11 +24,11 @@ HAS_HEADERS = $(PYTHON) -c 'import os, sysconfig as s, sys; \
 	sys.exit(not os.path.isfile(s.get_path("include") + "/Python.h"))'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-team demo-bag test lint types docs bench kpi lock clean
+.PHONY: help setup demo demo-team demo-bag test lint types docs bench kpi explore-gate lock clean
 .DELETE_ON_ERROR:
 
 help:  ## list the commands
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 setup: $(READY)  ## everything below .venv/: Python packages, ROS 2 from wheels, messages it lacks
 	@echo "ready: . $(BIN)/activate"
@@ -63,6 +63,10 @@ bench: $(READY)  ## speed against peers, one JSON line each
 
 kpi: $(READY)  ## the figures of a release on real data, into docs/results/kpi.md
 	@$(BIN)/python benchmarks/kpi.py --write
+
+# `make explore-gate QUICK=1` takes five of the runs, GATE_ARGS="--only cave:2" others.
+explore-gate: $(READY) $(STAMPS)/rendering  ## explore ten worlds and with six other robots, 1 if a run falls short
+	@$(BIN)/python benchmarks/explore_gate.py $(if $(QUICK),--quick) $(GATE_ARGS)
 
 lock:  ## pin the newest versions within the ranges of setup.py into requirements.lock
 	$(PYTHON) -m venv --clear $(VENV)/lock

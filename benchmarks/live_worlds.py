@@ -16,13 +16,12 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rows import markdown_table, percent, software
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry.atomic_file import write_json
@@ -43,17 +42,6 @@ _COLUMNS = (
     "contacts",
     "version",
 )
-
-
-def software() -> str:
-    """Version of the package, and of its source where this is a git checkout."""
-    command = ["git", "describe", "--always", "--dirty", "--tags"]
-    here = Path(__file__).parent
-    try:
-        found = subprocess.run(command, cwd=here, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return version("infomap-ros")
-    return f"{version('infomap-ros')} ({found.stdout.strip()})"
 
 
 def kept_or_new(config: DemoConfig, out: Path, console: Console) -> dict[str, Any]:
@@ -78,31 +66,26 @@ def row_file(out: Path, name: str, seed: int) -> Path:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """A Markdown table with one row per world."""
-    lines = ["| " + " | ".join(_COLUMNS) + " |", "|" + " --- |" * len(_COLUMNS)]
-    for row in rows:
-        within = " / ".join(percent(row[f"within_{sigmas}_sigma"], 0) for sigmas in (1, 2, 3))
-        reason = row["end"] + (f": {row['detail']}" if row["detail"] else "")
-        nees = "-" if row["pose_nees"] is None else f"{row['pose_nees']:.2f}"
-        cells = (
-            f"{row['world']} {row['seed']}",
-            reason.replace("|", "/"),
-            f"{row['views']:.0f}",
-            f"{row['distance [m]']:.1f} m",
-            f"{row['simulated_seconds']:.0f} s",
-            f"{percent(row['known fraction'])} %",
-            f"{percent(row['true_coverage'])} %",
-            f"{within} %",
-            nees,
-            str(row["contacts"]),
-            row["software"],
-        )
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return markdown_table(_COLUMNS, map(_cells, rows))
 
 
-def percent(share: float | None, digits: int = 1) -> str:
-    """A share in percent; a dash where there is none."""
-    return "-" if share is None else f"{100.0 * share:.{digits}f}"
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    within = " / ".join(percent(row[f"within_{sigmas}_sigma"], 0) for sigmas in (1, 2, 3))
+    reason = row["end"] + (f": {row['detail']}" if row["detail"] else "")
+    nees = "-" if row["pose_nees"] is None else f"{row['pose_nees']:.2f}"
+    return (
+        f"{row['world']} {row['seed']}",
+        reason,
+        f"{row['views']:.0f}",
+        f"{row['distance [m]']:.1f} m",
+        f"{row['simulated_seconds']:.0f} s",
+        f"{percent(row['known fraction'])} %",
+        f"{percent(row['true_coverage'])} %",
+        f"{within} %",
+        nees,
+        str(row["contacts"]),
+        row["software"],
+    )
 
 
 def main() -> int:

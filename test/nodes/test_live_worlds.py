@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,8 @@ FIGURES = {
 
 
 @pytest.fixture
-def script() -> Any:
+def script(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
     spec = importlib.util.spec_from_file_location("live_worlds", SCRIPT)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -69,4 +71,4 @@ def test_a_series_goes_on_where_it_was_and_names_what_failed(
         f"| 68 / 95 / - % | 1.04 | 0 | {kept['software']} |"
     )
     assert [row.split("|")[1].strip() for row in rows[2:]] == ["mars 1", "cave 3", "office 2"]
-    assert script.version("infomap-ros") in kept["software"]
+    assert version("infomap-ros") in kept["software"]

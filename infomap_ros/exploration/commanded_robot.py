@@ -57,7 +57,7 @@ class CommandedRobotConfig:
         check_config(self)
 
 
-_STILL = 0.02  # [m or rad]; what moves less stands: poses are noisy
+_STILL = 0.02  # [m or rad, or each in a second]; what moves less stands: poses are noisy
 
 
 class RobotLink(Protocol):
@@ -71,6 +71,9 @@ class RobotLink(Protocol):
 
     def joint_velocities(self) -> Mapping[str, float]:
         """Velocity of each joint, by name [rad/s or m/s]."""
+
+    def base_speed(self) -> float:
+        """How fast odometry has the base move, the larger of [m/s] and [rad/s]; 0 if unknown."""
 
     @property
     def fused_scans(self) -> int:
@@ -161,7 +164,8 @@ class CommandedRobot:
             traveled.append(self.place())
             left, turn = _away(traveled[-1], poses[-1])
             near = left <= self._config.position_tolerance
-            return near and turn <= self._config.heading_tolerance
+            rests = self._link.base_speed() <= _STILL
+            return near and rests and turn <= self._config.heading_tolerance
 
         end = self._finish(motion, arrived, interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(traveled)]

@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.exploration.robot import KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
-from infomap_ros.geometry import PlacedSolid
+from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
@@ -40,6 +40,7 @@ class ViewMotion:
         robot: with its camera frame.
         config: of the motion, and of the space that is clear about the start.
         task: how near the camera must come to a view.
+        camera: in whose image the robot itself must not cover much; None where that is no matter.
 
     Attributes:
         config: as given; may be replaced.
@@ -47,8 +48,14 @@ class ViewMotion:
         keep_out: where the base must not go besides what the task says; may be replaced.
     """
 
-    def __init__(self, robot: RobotModel, config: ViewPlannerConfig, task: TaskConfig) -> None:
-        self._robot, self.config, self.task = robot, config, task
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: ViewPlannerConfig,
+        task: TaskConfig,
+        camera: PinholeCamera | None = None,
+    ) -> None:
+        self._robot, self.config, self.task, self._camera = robot, config, task, camera
         self.keep_out = KeepOut()
         self._start: ClearStart | None = None
         self._last_reach: WholeBodyReach | None = None
@@ -105,6 +112,7 @@ class ViewMotion:
             obstacles=obstacles,
             sigma=self._sigma(state) if widen else 0.0,
             keep_out=self._forbidden,
+            camera=self._camera,
         )
         self._last_reach, self._sent = reach, None
         return reach
@@ -112,7 +120,7 @@ class ViewMotion:
     def traversability(self, voxel_map: VoxelMap, state: RobotState) -> ProjectedGrid:
         """Where the base can stand, the arm in its posture for driving."""
         reaching = self.config.reaching
-        vehicle = WholeBody.of(self._robot, reaching, state.joints).vehicle
+        vehicle = self.whole(state).vehicle
         terrain = terrain_of(voxel_map, reaching.terrain, state.T_map_base[:3, 3])
         if self._start is not None:
             terrain = self._start.ground(terrain, vehicle)
@@ -144,7 +152,7 @@ class ViewMotion:
         """Begin to check a route that begins here."""
         if route is not None:
             reaching = self.config.reaching
-            whole = WholeBody.of(self._robot, reaching, state.joints)
+            whole = self.whole(state)
             self._check = RouteCheck(
                 route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
                 known_free, self._forbidden,
@@ -217,7 +225,7 @@ class ViewMotion:
     def times(self, state: RobotState) -> MotionTimes:
         """How long motions of the robot take, by the speeds that it is driven with."""
         reaching = self.config.reaching
-        whole, limits = WholeBody.of(self._robot, reaching, state.joints), reaching.following
+        whole, limits = self.whole(state), reaching.following
         rates = reaching.trajectory.velocities(whole.chain)
         postures = whole.postures.q[:_POSTURES]
         folding = (np.abs(postures - whole.driving) / rates).max(axis=1, initial=0.0)
@@ -233,9 +241,13 @@ class ViewMotion:
             self.config.look_time,
         )
 
+    def whole(self, state: RobotState) -> WholeBody:
+        """The robot as it is, whatever the map."""
+        return WholeBody.of(self._robot, self.config.reaching, state.joints, self._camera)
+
     def _sigma(self, state: RobotState) -> float:
         """How well it is known where the base is [m]."""
-        whole = WholeBody.of(self._robot, self.config.reaching, state.joints)
+        whole = self.whole(state)
         return base_sigma(
             state.T_map_camera, state.pose_covariance, state.T_map_base, whole.base_radius
         )

@@ -22,7 +22,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures
+from infomap_ros.motion.arm.camera_heights import camera_heights
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.reaching import WholeBodyReach
@@ -89,7 +89,7 @@ class ViewPlanner:
     ) -> None:
         self.robot, self._rig, self._error = robot, rig, localization_error
         settings = config or ViewPlannerConfig()
-        self._motion = ViewMotion(robot, settings, task)
+        self._motion = ViewMotion(robot, settings, task, rig.left)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
         self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
         self._fine: tuple[Interest, ...] = ()
@@ -316,7 +316,7 @@ class ViewPlanner:
             past_views=np.array(self._past),
             free_body=self._body(state),
             clear_space=self._motion.clear_space,
-            arm_views=self._arm_views(state.T_map_base),
+            arm_views=self._arm_views(state),
             heights=self._heights,
             ground_height=reach.terrain.height_at,
             times=self._motion.times(state),
@@ -329,10 +329,12 @@ class ViewPlanner:
             PlacedSolid(each.solid, state.T_map_base @ each.transform, each.name) for each in solids
         ]
 
-    def _arm_views(self, T_map_base: FloatArray) -> FloatArray:
+    def _arm_views(self, state: RobotState) -> FloatArray:
         """Camera poses of random postures of the arm, shape (A, 4, 4)."""
-        postures = random_postures(self.robot, self.config.arm_views, self._rng)
-        return np.asarray(T_map_base @ self.robot.arm.camera_pose(postures))
+        postures = self._motion.whole(state).postures.q
+        count = min(self.config.arm_views, len(postures))
+        chosen = self._rng.choice(len(postures), count, replace=False)
+        return np.asarray(state.T_map_base @ self.robot.arm.camera_pose(postures[chosen]))
 
 
 def _box_about(interest: Interest, region: FloatArray) -> FloatArray:

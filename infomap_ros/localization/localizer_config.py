@@ -11,6 +11,7 @@ from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.free_motion import FreeMotionConfig
+from infomap_ros.mapping.scans.body import BodyFilterConfig
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ class LocalizerConfig:
         low=1,
         high=1000,
     )
-    body_margin: ClassVar[float] = 0.03
-    """No fiducial is chosen this near to the robot's own body [m]."""
+    body: ClassVar[BodyFilterConfig] = BodyFilterConfig(margin=0.03, sigmas=0.0)
+    """No fiducial is chosen this near to the robot's own body, or seen through it."""
     max_noise_factor: float = setting(
         8.0,
         "Sigmas of measurements are enlarged by at most this factor where fiducials disagree by "

@@ -31,6 +31,7 @@ from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
 from infomap_ros.localization.localized_camera import Choice
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.mapping.scans.body import body_mask
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
 _SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
@@ -206,10 +207,12 @@ class SceneFiducials:
         ids = np.arange(self._next, self._next + len(pixels))
         self._next += len(pixels)
         seen = self._tracker.add(view, ids, pixels)
-        for bodies, frame in ((chosen.body, np.eye(4)), (chosen.others, T_map_camera)):
-            if len(bodies):
-                points = transform_points(frame, seen.points(self._camera))
-                seen = seen.select(~points_inside(points, bodies, self._config.body_margin))
+        if len(chosen.body):
+            points = seen.points(self._camera)
+            seen = seen.select(~body_mask(points, None, chosen.body, self._config.body, rays=True))
+        if len(chosen.others):
+            points = transform_points(T_map_camera, seen.points(self._camera))
+            seen = seen.select(~points_inside(points, chosen.others, self._config.body.margin))
         held = self._filter.fiducials().ids
         added = self._filter.add(seen)
         forgotten = np.setdiff1d(held, self._filter.fiducials().ids)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
-from infomap_ros.geometry import check_transform, float_array
+from infomap_ros.geometry import PinholeCamera, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
@@ -66,6 +66,7 @@ class WholeBodyReach:
             the arm are taken for wider accordingly [m].
         keep_out: where the base must not go. Where it stands there already, its ways begin with
             the shortest one out (`infomap_ros.motion.leaving`).
+        camera: in whose image the robot itself must not cover much; None where that is no matter.
 
     Attributes:
         near: the map as its collision checks see it.
@@ -88,11 +89,12 @@ class WholeBodyReach:
         obstacles: Sequence[Obstacle] = (),
         sigma: float = 0.0,
         keep_out: KeepOut | None = None,
+        camera: PinholeCamera | None = None,
     ) -> None:
         self.config, self._sigma = config or ReachingConfig(), sigma
         self._keep_out = keep_out or KeepOut()
         self._map, self._base = voxel_map, check_transform(T_map_base, "T_map_base")
-        self._whole = WholeBody.of(robot, self.config, joints)
+        self._whole = WholeBody.of(robot, self.config, joints, camera)
         chain = self._whole.chain
         self._q = np.clip(chain.positions(joints), chain.lower, chain.upper)  # encoders are noisy
         self.near = NearSpace(

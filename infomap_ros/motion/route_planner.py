@@ -26,6 +26,7 @@ _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
 _NEAREST_TRIED = 6  # postures near a view to which a way is sought
 _ALIKE = 0.3  # [rad or m]; where no way leads to a posture, none leads to one so near to it
+_SEES_ITSELF = "the robot itself covers too much of the image"
 _OUT_OF_REACH = "the arm does not reach it from where the base stands"
 _THERE = 1e-6  # [rad or m]
 _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
@@ -79,7 +80,10 @@ class RoutePlanner:
 
         def is_valid(q: FloatArray) -> bool:
             report = checker.check(q, base, base=False)
-            touched.append(report.what)
+            touched.append(f"touches {report.what}")
+            if report.free and not self.whole.sees_past_itself(q[None])[0]:
+                touched[-1] = _SEES_ITSELF
+                return False
             return report.free
 
         found = solve_ik(
@@ -87,7 +91,7 @@ class RoutePlanner:
             q_start=self.q if planned is None else planned[-1], config=ik, is_valid=is_valid,
         )  # fmt: skip
         if not found.converged:
-            return None, f"touches {touched[-1]}" if touched else found.reason
+            return None, touched[-1] if touched else found.reason
         arm = self._arm_along(planned, found.q) or self.arm_from_here(found.q)
         if not arm.converged:
             return None, arm.reason
@@ -115,7 +119,8 @@ class RoutePlanner:
         start = None if planned is None else planned[-1]
         qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances, start)
         checker = self.near.checker_at(base)
-        free = np.flatnonzero(checker.are_free(qs, base, base=False))
+        sees = self.whole.sees_past_itself(qs)
+        free = np.flatnonzero(checker.are_free(qs, base, base=False) & sees)
         reason = "no posture near the view is free"
         if len(free):
             touched = checker.check(qs[0], base, base=False).what

@@ -134,6 +134,9 @@ class StanceFinder:
         if not solved.converged.any():
             return None, f"no inverse kinematics at {count} stances"
         reached = _Candidates(found.places, solved.q, found.T_map_base).rows(solved.converged)
+        reached = reached.rows(self.whole.sees_past_itself(reached.q))
+        if not len(reached.q):
+            return None, f"the robot itself covers too much of the image at all of {count} stances"
         free = checker.are_free(reached.q, reached.T_map_base, base=False)
         if not free.any():
             return (

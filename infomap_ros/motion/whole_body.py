@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.geometry import PlacedSolid
+from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_postures import ArmPostures
 from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.arm.own_view import OwnView
 from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.reaching_config import ReachingConfig
@@ -38,6 +40,7 @@ class WholeBody:
         origin_height: of the base's origin above level ground [m].
         radius: no point of the body is farther from the base's origin [m].
         arm_reach: farthest that the camera is from the base's origin [m].
+        own_view: what the camera sees of the robot; None where no camera is known.
     """
 
     robot: RobotModel
@@ -49,6 +52,7 @@ class WholeBody:
     origin_height: float
     radius: float
     arm_reach: float
+    own_view: OwnView | None = None
 
     @property
     def chain(self) -> KinematicChain:
@@ -64,9 +68,19 @@ class WholeBody:
         """The vehicle with a body that is wider to all sides [m]."""
         return _wider(self.vehicle, by)
 
+    def sees_past_itself(self, qs: FloatArray) -> NDArray[np.bool_]:
+        """In which postures, shape (M, n), not too much of the image is the robot, shape (M,)."""
+        if self.own_view is None:
+            return np.ones(len(qs), np.bool_)
+        return self.own_view.covered(qs) <= self.postures.most_covered
+
     @classmethod
     def of(
-        cls, robot: RobotModel, config: ReachingConfig, joints: Mapping[str, float]
+        cls,
+        robot: RobotModel,
+        config: ReachingConfig,
+        joints: Mapping[str, float],
+        camera: PinholeCamera | None = None,
     ) -> WholeBody:
         """Find out about a robot, or remember it.
 
@@ -77,6 +91,7 @@ class WholeBody:
             robot: with a camera frame.
             config: how it reaches.
             joints: positions by name [rad or m].
+            camera: to take no postures for views in which the image shows the robot itself.
 
         Raises:
             ConfigError: the configured driving posture does not fit the arm.
@@ -88,15 +103,19 @@ class WholeBody:
             for joint in robot.joints
             if joint.name in joints and joint.name not in own and not joint.is_continuous
         }
-        return _whole_body(robot, config, tuple(sorted(held.items())))
+        return _whole_body(robot, config, tuple(sorted(held.items())), camera)
 
 
 @lru_cache(maxsize=4)
 def _whole_body(
-    robot: RobotModel, config: ReachingConfig, held: tuple[tuple[str, float], ...]
+    robot: RobotModel,
+    config: ReachingConfig,
+    held: tuple[tuple[str, float], ...],
+    camera: PinholeCamera | None,
 ) -> WholeBody:
     body = CollisionBody.from_robot(robot, config.collision, dict(held))
-    postures = ArmPostures.of(body, config.postures)
+    own_view = None if camera is None else OwnView.of(body, camera)
+    postures = ArmPostures.of(body, config.postures, own_view)
     driving = _driving(body, config)
     vehicle = Vehicle.from_robot(
         body.robot, config.vehicle, {**dict(held), **body.chain.by_name(driving)}
@@ -113,6 +132,7 @@ def _whole_body(
         origin_height=-float(vehicle.arrays.contacts[..., 2].min()),
         radius=float(distances.max()) + _SPARE,
         arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
+        own_view=own_view,
     )
 
 

@@ -220,7 +220,7 @@ class MapBuilder:
         """The points of a scan's cloud, NaN where they may lie on a robot."""
         if not scan.body and not scan.teammates:
             return cloud.points
-        on_body = body_mask(cloud.points, cloud.covariances, scan.body, self._body)
+        on_body = body_mask(cloud.points, cloud.covariances, scan.body, self._body, rays=True)
         on_body |= on_bodies(cloud.points, cloud.covariances, scan.teammates, self._body)
         if not on_body.any():
             return cloud.points

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.geometry import (
@@ -42,6 +45,7 @@ class TrackedRobot:
         self._robot: RobotModel | None = None
         self._carried: CarriedPose | None = None
         self.newest_odometry = -1
+        self._last_two: list[OdometryRecord] = []
         self._stamped: tuple[int, RobotState] | None = None  # what is asked for again and again
 
     def describe(self, robot: RobotModel, camera_frame: str) -> None:
@@ -60,6 +64,7 @@ class TrackedRobot:
                 return
             self._carried.add_odometry(record)
             self.newest_odometry = record.stamp
+            self._last_two = [*self._last_two[-1:], record]
         elif isinstance(record, PoseRecord):
             self._pose.add(record)
         elif isinstance(record, JointStateRecord):
@@ -97,6 +102,22 @@ class TrackedRobot:
     def odom_frame(self) -> str:
         """Frame of odometry, empty before any has come."""
         return "" if self._carried is None else self._carried.odom_frame
+
+    @property
+    def base_speed(self) -> float:
+        """How fast the base moves, the larger of [m/s] and [rad/s], by the newest odometry.
+
+        Between its last two poses: not all drivers tell a twist. 0 before two have come, and where
+        the clock has been set back.
+        """
+        if len(self._last_two) < 2:
+            return 0.0
+        first, last = self._last_two
+        seconds = 1e-9 * (last.stamp - first.stamp)
+        moved = invert_transform(first.transform) @ last.transform
+        turn = Rotation.from_matrix(moved[:3, :3]).magnitude()
+        way = max(float(np.linalg.norm(moved[:3, 3])), float(turn))
+        return way / seconds if seconds > 0.0 else 0.0
 
     def joint_positions(self) -> dict[str, float]:
         """Newest position of each joint, by name [rad or m]; empty before the first."""

@@ -277,7 +277,7 @@ def test_it_is_within_its_cylinder_in_the_map(
     """Between two messages and 0.4 s after the last, with an error that it tells of."""
     cylinder, rng = heard(robot, error).about(milliseconds * MS), np.random.default_rng(3)
     points = np.concatenate([points_in(one, rng) for one in true_body(robot, milliseconds)])
-    assert points_inside(points, cylinder, LocalizerConfig().body_margin).all()
+    assert points_inside(points, cylinder, LocalizerConfig().body.margin).all()
     beside = points + np.array([0.0, 3.0, 0.0])
     assert len(cylinder) == 1 and not points_inside(beside, cylinder).any()
 

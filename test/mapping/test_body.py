@@ -104,6 +104,36 @@ def test_growth_is_the_deviation_along_the_direction_from_the_body(kind, rng):
     assert (mask != expected).sum() <= 1  # finite differences blur the edges of a box
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_that_would_be_seen_through_the_body_are_marked(kind, rng):
+    """Against places along each ray, at each of which the signed distance is asked."""
+    config, marked = BodyFilterConfig(0.02, 0.0), 0
+    along = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    for _ in range(5):
+        solid = make_solid(kind, rng)
+        solid.transform[:3, 3] *= 1.5 / np.linalg.norm(solid.transform[:3, 3])
+        points = 1.5 * solid.transform[:3, 3] + rng.uniform(-1.2, 1.2, size=(300, 3))
+        mask = body_mask(points, None, [solid], config, rays=True)
+        places, shape = (along * points).reshape(-1, 3), (len(along), len(points))
+        inside = points_inside(places, [solid], 0.01).reshape(shape).any(axis=0)
+        assert mask[inside].all()
+        # At its edges what is grown by its faces reaches beyond the distance.
+        sharp = {"sphere": 0.021, "box": 0.035, "cylinder": 0.029, "polytope": 0.3}[kind]
+        near = points_inside(places, [solid], sharp).reshape(shape).any(axis=0)
+        assert not mask[~near].any()
+        assert (mask & ~body_mask(points, None, [solid], config)).sum() > 10
+        marked += int(inside.sum())
+    assert 100 < marked < 1300
+
+
+def test_a_camera_sees_out_of_the_housing_that_holds_it():
+    housing = PlacedSolid(Box((0.2, 0.1, 0.1)), make_transform(np.eye(3), [0.0, 0.0, -0.03]))
+    wrist = PlacedSolid(Box((0.2, 0.2, 0.2)), make_transform(np.eye(3), [0.0, 0.0, -0.101]))
+    points = np.array([[0.0, 0.0, 1.0], [2.0, 0.1, 0.5], [0.0, 0.0, -1.0]])
+    mask = body_mask(points, None, [housing, wrist], BodyFilterConfig(0.02, 0.0), rays=True)
+    np.testing.assert_array_equal(mask, [False, False, True])
+
+
 def test_point_beside_the_body_stays_though_its_depth_is_uncertain():
     solid = PlacedSolid(Sphere(0.1), make_transform(np.eye(3), [0.0, 0.0, 1.0]))
     depth_only = np.diag([1e-6, 1e-6, 0.04])

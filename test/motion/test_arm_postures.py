@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import PinholeCamera, make_transform, points_inside
 from infomap_ros.motion.arm.arm_postures import ArmPostures
-from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.arm.driving_posture import driving_posture, sample_postures
+from infomap_ros.motion.arm.own_view import MOST_COVERED, OwnView
 from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
 
 from .bodies import rover
@@ -69,3 +70,37 @@ def test_driving_posture_is_low_and_over_the_base(body: CollisionBody) -> None:
     assert (spheres[:, 2] + spheres[:, 3]).max() < 0.5
     assert (np.abs(spheres[:, :2]) + spheres[:, 3:]).max() < 0.3
     np.testing.assert_array_equal(driving_posture(body), q)
+
+
+def test_what_the_robot_covers_of_the_image_is_what_rays_at_its_shapes_say(
+    body: CollisionBody,
+) -> None:
+    """Against places along more rays, at each of which the solids of the description are asked."""
+    camera, chain = PinholeCamera(320, 240, 190.0, 190.0, 159.5, 119.5), body.chain
+    view = OwnView.of(body, camera)
+    qs = sample_postures(body, 3000)
+    covered = view.covered(qs)
+    u, v = np.meshgrid(np.arange(8.0, 320.0, 16.0), np.arange(8.0, 240.0, 16.0))
+    ends = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    ends = 2.0 * ends.reshape(-1, 3)
+    carried = body.robot.model.getJointId(chain.joint_names[-1])
+    tried = [*np.argsort(covered)[-400::80], *np.argsort(covered)[::800]]
+    for q, share in zip(qs[tried], covered[tried], strict=True):
+        joints = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in body.robot.joints}
+        joints |= chain.by_name(q)
+        solids = body.robot.solids_in(body.robot.camera_frame, joints)
+        links = {shape.link for shape in body.robot.shapes if shape.joint != carried}
+        along = np.linspace(0.0, 1.0, 400)[:, None, None] * ends
+        seen = [each for each in solids if each.name in links]
+        met = points_inside(along.reshape(-1, 3), seen, 0.0).reshape(400, -1).any(axis=0)
+        assert met.mean() - 0.03 <= share <= met.mean() + 0.15
+    assert covered.max() > 0.5 and (covered == 0.0).mean() > 0.5
+
+
+def test_postures_in_which_the_camera_sees_mostly_the_robot_are_left_out(
+    body: CollisionBody, postures: ArmPostures
+) -> None:
+    view = OwnView.of(body, PinholeCamera(320, 240, 190.0, 190.0, 159.5, 119.5))
+    kept = ArmPostures.of(body, 3000, view)
+    assert 0.7 * len(postures.q) < len(kept.q) < len(postures.q)
+    assert view.covered(kept.q).max() <= MOST_COVERED == kept.most_covered

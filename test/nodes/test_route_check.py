@@ -21,6 +21,11 @@ from .test_next_best_view import Stage
 
 VOXEL = 0.1  # of the rover's map [m]
 BOX = 0.4  # edge [m]
+FAR_AWAY = {
+    "task__region_low": (1.9, -2.0, -0.2),
+    "task__region_high": (3.2, 2.0, 1.5),
+    "max_range": 1.5,
+}  # what is to be seen: the base has to go there
 
 
 def box_at(place: np.ndarray) -> VoxelMap:
@@ -41,7 +46,7 @@ def room(rover: PaperRover) -> VoxelMap:
 
 
 def test_a_box_on_the_way_stops_the_robot_with_the_reason(graph: Any, tmp_path: Path) -> None:
-    stage = Stage(graph)
+    stage = Stage(graph, **FAR_AWAY)
     stage.rover.obeys = False  # the base never gets to the end of its way
     states = graph.collect(DiagnosticStatus, "route_status", qos.latched())
     said = graph.collect(DiagnosticStatus, "exploration_status", qos.latched())

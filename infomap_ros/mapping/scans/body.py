@@ -9,6 +9,11 @@ n the unit direction from the nearest point of the solid to the point, C the poi
 solids are convex, so the half-space behind that nearest point holds the solid, and every point
 within `sigmas` Mahalanobis distances of the grown solid is found; compared with the largest
 standard deviation in place of sqrt(n^T C n), points that merely pass beside the body stay.
+
+Beside and behind the outlines of a body a matcher sets points that are on neither the body nor the
+scene. The camera that is on the body cannot see through it, so with `rays` every point is dropped
+whose ray meets a solid grown by the margin, or less where the solid is near to the camera: what
+moves it there are angles.
 """
 
 from __future__ import annotations
@@ -74,8 +79,9 @@ def body_mask(
     covariances: ArrayLike | None,
     solids: Sequence[PlacedSolid],
     config: BodyFilterConfig | None = None,
+    rays: bool = False,
 ) -> NDArray[np.bool_]:
-    """Mark the points that may lie on a body; see the module for the rule.
+    """Mark the points that may lie on a body, or behind it; see the module for the rule.
 
     Args:
         points: shape (..., 3), sensor frame [m]; NaN = no measurement, never marked.
@@ -83,6 +89,8 @@ def body_mask(
             [m^2]; None if unknown, not finite where unknown.
         solids: the body, placed in the sensor frame.
         config: how far the body is grown.
+        rays: whether points are marked too that the sensor, at the origin, would see through the
+            body: it sees the body there, so such a point is a mismatch.
 
     Returns:
         True for a point to be dropped, shape (...).
@@ -101,7 +109,7 @@ def body_mask(
         arrays = pack_solids(solids)
         mark(
             arrays, rows, table, columns,
-            settings.margin, settings.sigmas, settings.default_sigma**2, mask,
+            settings.margin, settings.sigmas, settings.default_sigma**2, rays, mask,
         )  # fmt: skip
     return mask.reshape(cloud.shape[:-1])
 

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 SPHERE, BOX, CYLINDER, POLYTOPE = range(4)
 
+_GROWTH = 0.05  # [rad]; how far beside a solid rays count as meeting it, at most by the margin
+_BINS, _BIN = 128, 0.025  # of rays, and their width in x / z
+
 
 class SolidArrays(NamedTuple):
     """Solids as plain arrays.
@@ -47,9 +50,10 @@ def mark(
     margin: float,
     sigmas: float,
     unknown_variance: float,
+    rays: bool,
     mask: Any,
 ) -> None:
-    """Mark points, shape (N, 3), that may lie on a solid.
+    """Mark points, shape (N, 3), that may lie on a solid, or behind one.
 
     Args:
         solids: a `SolidArrays`.
@@ -59,13 +63,19 @@ def mark(
         margin: growth of the solids [m].
         sigmas: further growth, in standard deviations along the direction from the solid.
         unknown_variance: along each axis, where a covariance is not finite [m^2].
+        rays: whether points are marked too whose ray from the origin meets a grown solid; one that
+            holds the origin, such as a camera's housing, does not count.
         mask: shape (N,), set where a point is marked.
     """
     local, normal, c = np.empty(3), np.empty(3), np.empty(6)
+    outline = _outline(solids, margin)
     shared = len(covariances) == 1
     for i in range(len(points)):
         offset = _distance(points[i], solids.middle)
         if math.isnan(offset):
+            continue
+        if rays and _is_behind(solids, points[i], outline, local):
+            mask[i] = True
             continue
         spread = _load_covariance(covariances[0 if shared else i], columns, unknown_variance, c)
         growth = margin + sigmas * spread
@@ -78,6 +88,144 @@ def mark(
             if _touches(solids, s, local, c, margin, sigmas, normal):
                 mask[i] = True
                 break
+
+
+class _Outline(NamedTuple):
+    """The solids as they are seen from the origin.
+
+    Attributes:
+        start: the origin in each solid's frame, shape (S, 3).
+        growths: by how much each is grown for rays, negative where it is not asked, shape (S,) [m].
+        slacks: further growth with which one ray stands for all of its bin, shape (S,) [m].
+        bins: of rays by x / z and y / z, shape (`_BINS`, `_BINS`); 0 not asked yet, 1 nothing is
+            met there, 2 something may be.
+    """
+
+    start: NDArray[np.float64]
+    growths: NDArray[np.float64]
+    slacks: NDArray[np.float64]
+    bins: NDArray[np.uint8]
+
+
+@njit(cache=True, nogil=True)
+def _outline(solids: Any, margin: float) -> Any:
+    """See `_Outline`: joints and matchers err by angles, so what is near is grown by less."""
+    count = len(solids.kinds)
+    start, growths, slacks = np.empty((count, 3)), np.empty(count), np.empty(count)
+    origin, c, normal = np.zeros(3), np.zeros(6), np.empty(3)
+    for s in range(count):
+        _into_solid(origin, solids.centers[s], solids.rotations[s], start[s])
+        gap = _gap(solids, s, start[s], normal)
+        growths[s] = min(margin, _GROWTH * gap)
+        if _touches(solids, s, start[s], c, 0.0, 0.0, normal):
+            growths[s] = -1.0
+        far = _distance(origin, solids.centers[s]) + solids.radii[s]
+        slacks[s] = min(_BIN * far, 0.9 * gap)  # the origin stays outside
+    return _Outline(start, growths, slacks, np.zeros((_BINS, _BINS), np.uint8))
+
+
+@njit(cache=True, nogil=True)
+def _is_behind(solids: Any, point: Any, outline: Any, local: Any) -> bool:
+    """Whether the way from the origin to a point leads through one of the solids."""
+    if point[2] > 0.0:
+        row = int(point[1] / point[2] / _BIN + 0.5 * _BINS)
+        column = int(point[0] / point[2] / _BIN + 0.5 * _BINS)
+        if 0 <= row < _BINS and 0 <= column < _BINS:
+            if outline.bins[row, column] == 0:
+                ray = np.array([_middle(column), _middle(row), 1.0])
+                ray *= 2.0 * (_distance(solids.middle, np.zeros(3)) + solids.reach)
+                met = _meets_any(solids, ray, outline, True, local)
+                outline.bins[row, column] = 2 if met else 1
+            if outline.bins[row, column] == 1:
+                return False
+    return _meets_any(solids, point, outline, False, local)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _middle(number: int) -> float:
+    return (number + 0.5 - 0.5 * _BINS) * _BIN
+
+
+@njit(cache=True, nogil=True)
+def _meets_any(solids: Any, end: Any, outline: Any, widely: bool, local: Any) -> bool:
+    for s in range(len(solids.kinds)):
+        growth = outline.growths[s]
+        if growth >= 0.0:
+            _into_solid(end, solids.centers[s], solids.rotations[s], local)
+            slack = outline.slacks[s] if widely else 0.0
+            if _meets(solids, s, outline.start[s], local, growth + slack):
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _gap(solids: Any, s: int, p: Any, normal: Any) -> float:
+    """Distance of a point outside to a solid, in its frame; of a polytope, at least so much."""
+    kind, size = solids.kinds[s], solids.sizes[s]
+    if kind == SPHERE:
+        return _from_sphere(p, size, normal)
+    if kind == BOX:
+        return _from_box(p, size, normal)
+    if kind == CYLINDER:
+        return _from_cylinder(p, size, normal)
+    gap = 0.0
+    for k in range(solids.plane_starts[s], solids.plane_starts[s + 1]):
+        plane = solids.planes[k]
+        gap = max(gap, plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3])
+    return gap
+
+
+@njit(cache=True, nogil=True)
+def _meets(solids: Any, s: int, a: Any, b: Any, growth: float) -> bool:
+    """Whether the segment between two points of the solid's frame meets the grown solid.
+
+    The solid is where all its bounds hold; each leaves a part [enter, leave] of the segment.
+    """
+    kind, size = solids.kinds[s], solids.sizes[s]
+    enter, leave = 0.0, 1.0
+    if kind == POLYTOPE:
+        for k in range(solids.plane_starts[s], solids.plane_starts[s + 1]):
+            plane, before, after = solids.planes[k], -growth, -growth
+            for j in range(3):
+                before += plane[j] * a[j]
+                after += plane[j] * b[j]
+            enter, leave = _clip(before - plane[3], after - plane[3], enter, leave)
+        return bool(enter <= leave)
+    if kind == BOX:
+        for j in range(3):
+            bound = size[j] + growth
+            enter, leave = _clip(a[j] - bound, b[j] - bound, enter, leave)
+            enter, leave = _clip(-a[j] - bound, -b[j] - bound, enter, leave)
+        return bool(enter <= leave)
+    dimensions = 3
+    if kind == CYLINDER:
+        dimensions, bound = 2, size[1] + growth
+        enter, leave = _clip(a[2] - bound, b[2] - bound, enter, leave)
+        enter, leave = _clip(-a[2] - bound, -b[2] - bound, enter, leave)
+    square, product, rest = 0.0, 0.0, -((size[0] + growth) ** 2)
+    for j in range(dimensions):
+        square += (b[j] - a[j]) ** 2
+        product += a[j] * (b[j] - a[j])
+        rest += a[j] * a[j]
+    if square == 0.0:
+        return bool(rest <= 0.0 and enter <= leave)
+    root = product * product - square * rest
+    if root < 0.0:
+        return False
+    root = math.sqrt(root)
+    return bool(max(enter, (-product - root) / square) <= min(leave, (-product + root) / square))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _clip(before: float, after: float, enter: float, leave: float) -> tuple[float, float]:
+    """What is left of [enter, leave] where a value that grows evenly from 0 to 1 is below 0."""
+    if before > 0.0 and after > 0.0:
+        return 1.0, 0.0
+    if before > 0.0:
+        return max(enter, before / (before - after)), leave
+    if after > 0.0:
+        return enter, min(leave, before / (before - after))
+    return enter, leave
 
 
 @njit(cache=True, nogil=True, inline="always")

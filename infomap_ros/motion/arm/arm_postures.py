@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.driving_posture import sample_postures
+from infomap_ros.motion.arm.own_view import OwnView, most_covered
 from infomap_ros.motion.collision.body import CollisionBody
 
 _HEIGHT_BIN = 0.05  # [m]
@@ -23,7 +24,7 @@ _STEEPNESS_BIN = 0.1  # [rad]
 
 @dataclass(frozen=True, eq=False)
 class ArmPostures:
-    """Random postures that touch nothing of the robot itself.
+    """Random postures that touch nothing of the robot itself and see past it.
 
     Attributes:
         q: positions of the arm, shape (K, n) [rad or m].
@@ -33,6 +34,8 @@ class ArmPostures:
         radii: farthest that a camera is from the base's z axis, by its height and steepness in
             bins, 0 where there is none, shape (A, B) [m].
         lowest: height of the first bin [m].
+        covered: share of the image that the body covers, shape (K,).
+        most_covered: share beyond which a posture is not taken for a view.
     """
 
     q: FloatArray
@@ -41,18 +44,29 @@ class ArmPostures:
     steepness: FloatArray
     radii: FloatArray
     lowest: float
+    covered: FloatArray
+    most_covered: float
 
     @classmethod
-    def of(cls, body: CollisionBody, count: int) -> ArmPostures:
-        """Draw `count` postures and keep those without contact; always the same."""
+    def of(cls, body: CollisionBody, count: int, own_view: OwnView | None = None) -> ArmPostures:
+        """Draw `count` postures and keep those without contact; always the same.
+
+        Args:
+            body: of the robot.
+            count: of postures.
+            own_view: to leave out those in which the camera sees too much of the robot.
+        """
         q = sample_postures(body, count)
+        covered = np.zeros(len(q)) if own_view is None else own_view.covered(q)
+        most = most_covered(covered)
+        q, covered = q[covered <= most], covered[covered <= most]
         poses = body.chain.camera_pose(q)
         positions, directions = poses[:, :3, 3], poses[:, :3, 2]
         steepness = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
         lowest = float(positions[:, 2].min(initial=0.0))
         radii = _radii(positions, steepness, lowest)
         azimuths = np.arctan2(directions[:, 1], directions[:, 0])
-        return cls(q, positions, azimuths, steepness, radii, lowest)
+        return cls(q, positions, azimuths, steepness, radii, lowest, covered, most)
 
     @property
     def farthest(self) -> float:

@@ -54,6 +54,10 @@ class RobotTopics:
         """See `RobotLink`."""
         return self._tracker.joint_velocities()
 
+    def base_speed(self) -> float:
+        """See `RobotLink`."""
+        return self._tracker.base_speed()
+
     def send_base_path(self, poses: FloatArray, in_odometry: bool) -> str:
         """See `RobotLink`."""
         frame, now = self._tracker.odom_frame if in_odometry else self._map_frame, self._now()

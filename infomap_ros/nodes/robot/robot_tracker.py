@@ -225,6 +225,11 @@ class RobotTracker:
         with self._news:
             return self._tracked.joint_velocities()
 
+    def base_speed(self) -> float:
+        """See `TrackedRobot.base_speed`."""
+        with self._news:
+            return self._tracked.base_speed
+
     def wait_in_lockstep(self, time: LockstepTime) -> None:
         """From now on `wait_until` waits in the time of a simulator in lockstep."""
         self._lockstep = time

@@ -79,7 +79,6 @@ IMAGE_RATE = 2.0
 """Pairs per simulated second, so that the arm turns the cameras by little between two [Hz]."""
 
 _MAP_FRAME = "map"
-_PATH = "path"  # name of the motion of the base
 _START_PATIENCE = 15.0  # [s] until the first scan is fused
 _SENT = JointStateRecord | OdometryRecord | PoseRecord
 _SOURCES = ImageSources(
@@ -285,12 +284,16 @@ class SimulatedLink:
         """See `RobotLink`."""
         return self._tracked.joint_velocities()
 
+    def base_speed(self) -> float:
+        """See `RobotLink`."""
+        return self._tracked.base_speed
+
     def send_base_path(self, poses: FloatArray, in_odometry: bool) -> str:
         """See `RobotLink`."""
         frame = self._tracked.odom_frame if in_odometry else _MAP_FRAME
         message = encode_base_path(_TYPES, self._simulator.stamp, frame, poses)
         self._commands.follow_base_path(decode_base_path(message))
-        return _PATH
+        return "path"
 
     def send_arm_path(self, path: ArmPath) -> str:
         """See `RobotLink`."""
@@ -300,14 +303,12 @@ class SimulatedLink:
 
     @property
     def tells_results(self) -> bool:
-        """True, as of a driver: a base has arrived when it rests, not when it rolls by."""
-        return True
+        """False: what a simulated robot has done is seen, as of one that is driven by topics."""
+        return False
 
     def result(self, motion: str) -> str | None:
-        """See `RobotLink`."""
-        simulator = self._simulator
-        active, problem = simulator.base_motion if motion == _PATH else simulator.arm_motion
-        return None if active else problem
+        """None."""
+        return None
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Interrupted

@@ -139,6 +139,7 @@ class BaseMotion:
         if self.active and tilt > max(self._config.max_tilt, self._first_tilt + _TILT_MARGIN):
             self.problem = f"the base tilts by {np.degrees(tilt):.0f} degrees"
             self.stop()
+            self._drive.restart()  # brakes: a ramp would drive it on up what it leans on
 
     def _has_moved(self, change: FloatArray) -> bool:
         moved = float(np.linalg.norm(change[:2])) > self._config.stuck_distance

@@ -15,10 +15,7 @@ from infomap_ros.nodes.live.launching import (
     numbers,
 )
 from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
-from infomap_ros.nodes.simulated.simulated_localization import (
-    simulated_localization,
-    simulated_motion_noise,
-)
+from infomap_ros.nodes.simulated.simulated_localization import simulated_localization
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 from launch import LaunchDescription
 
@@ -118,7 +115,6 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
         },
         "next_best_view": {
             "strategy": given["strategy"],
-            **(simulated_motion_noise() if truth["simulator"] else {}),
             **task,
         },
         "explorer": {

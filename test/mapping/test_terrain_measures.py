@@ -15,17 +15,19 @@ def grid_with_holes(rng: np.random.Generator) -> np.ndarray:
     return heights
 
 
-def test_largest_step_is_that_of_the_neighbors(rng):
+def test_largest_step_is_that_of_the_neighbors_as_far_as_it_is_sure(rng):
     heights = grid_with_holes(rng)
     steps = np.empty_like(heights)
-    largest_steps(heights, steps)
+    sigmas = rng.uniform(0.0, 0.05, heights.shape)
+    largest_steps(heights, sigmas, steps)
     padded = np.pad(heights, 1, constant_values=np.nan)
-    shifted = [
-        padded[1 + a : padded.shape[0] - 1 + a, 1 + b : padded.shape[1] - 1 + b] - heights
-        for a in (-1, 0, 1)
-        for b in (-1, 0, 1)
-    ]
-    expected = np.nanmax(np.abs(shifted), axis=0, initial=0.0)
+    doubts = np.pad(sigmas, 1, constant_values=np.nan)
+    shifted = []
+    for a, b in np.ndindex(3, 3):
+        part = np.s_[a : a + heights.shape[0], b : b + heights.shape[1]]
+        doubt = 2.0 * np.sqrt(doubts[part] ** 2 + sigmas**2)
+        shifted.append(np.abs(padded[part] - heights) - doubt)
+    expected = np.nanmax(shifted, axis=0, initial=0.0)
     expected[np.isnan(heights)] = np.nan
     np.testing.assert_allclose(steps, expected, atol=1e-12)
 

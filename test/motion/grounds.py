@@ -41,7 +41,7 @@ def ground(
     everywhere = np.zeros((count, count))
     heights = height(x, y) + everywhere
     steps, roughness = np.empty_like(heights), np.empty_like(heights)
-    largest_steps(heights, steps)
+    largest_steps(heights, everywhere, steps)
     plane_misfits(heights, 2, 0.1, roughness)
     above = everywhere + (np.inf if overhead is None else overhead(x, y))
     known = everywhere + (10.0 if seen is None else seen(x, y))

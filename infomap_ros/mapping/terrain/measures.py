@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+_SURE = 2.0  # standard deviations
 _RING = 5  # known cells around a hole without which nothing is said of it
 
 
@@ -114,15 +115,20 @@ def _fill(
 
 
 @njit(cache=True, nogil=True)
-def largest_steps(heights: Any, steps: Any) -> None:
-    """Largest difference in height to one of the 8 neighbors [m]; NaN without ground."""
+def largest_steps(heights: Any, sigmas: Any, steps: Any) -> None:
+    """Largest step that is sure to be there, to one of the 8 neighbors [m]; NaN without ground.
+
+    It is the difference in height less `_SURE` of its standard deviations: ground that was seen
+    from afar is no stairs for its noise. The robot that comes nearer sees it better.
+    """
     nx, ny = heights.shape
     for i in range(nx):
         for j in range(ny):
             here, step = heights[i, j], 0.0
             for a in range(max(i - 1, 0), min(i + 2, nx)):
                 for b in range(max(j - 1, 0), min(j + 2, ny)):
-                    difference = abs(heights[a, b] - here)
+                    deviation = math.hypot(sigmas[a, b], sigmas[i, j])
+                    difference = abs(heights[a, b] - here) - _SURE * deviation
                     if difference > step:
                         step = difference
             steps[i, j] = math.nan if math.isnan(here) else step

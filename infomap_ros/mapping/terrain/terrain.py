@@ -101,7 +101,7 @@ class Terrain:
         sigma: standard deviation of it [m].
         roughness: root mean square distance in z from the plane that fits the neighborhood,
             without what is higher or lower than it is wide [m].
-        step: largest difference in height to a neighboring cell [m].
+        step: largest difference in height to a neighboring cell that is sure to be there [m].
         floor: z from which on the column is open [m, map]: a cell's edge above the ground, or
             where that is unknown the lowest open space seen; inf where it is not open.
         overhead: z of the lowest obstacle above `floor` [m, map], inf where there is none.
@@ -230,7 +230,7 @@ def _measured(
         floor[i, j] = above_ground(cubes, i, j, int(heights[i, j] / edge - first[2]), headroom)
         overhead[i, j], seen[i, j] = read_above(cubes, i, j, floor[i, j], gap)
     steps, roughness = np.empty(shape), np.empty(shape)
-    largest_steps(heights, steps)
+    largest_steps(heights, sigmas, steps)
     reach = max(1, round(config.roughness_radius / edge))
     plane_misfits(heights, reach, max(config.roughness_radius, edge), roughness)
     return Terrain(

@@ -193,7 +193,11 @@ def _split(path: FloatArray) -> list[_Leg]:
 
 
 def _aim(points: FloatArray, place: FloatArray, look_ahead: float) -> tuple[float, FloatArray]:
-    """Way that is left beyond the look-ahead point [m], 0 at the end, and that point."""
+    """Way that is left beyond the look-ahead point [m], 0 at the end, and that point.
+
+    Beyond the end it is on the last part's straight continuation: who aims at an end nearby turns
+    to and fro for every centimeter that a slip has put it beside.
+    """
     starts, steps = points[:-1], np.diff(points, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     share = np.einsum("ij,ij->i", place - starts, steps) / lengths**2
@@ -203,7 +207,7 @@ def _aim(points: FloatArray, place: FloatArray, look_ahead: float) -> tuple[floa
     position = ends[nearest] - lengths[nearest] * (1.0 - np.clip(share[nearest], 0.0, 1.0))
     wanted = position + look_ahead
     if wanted >= ends[-1]:
-        return 0.0, points[-1]
+        return 0.0, points[-1] + (wanted - ends[-1]) / lengths[-1] * steps[-1]
     segment = int(np.searchsorted(ends, wanted))
     back = (ends[segment] - wanted) / lengths[segment]
     return float(ends[-1] - wanted), points[segment + 1] - back * steps[segment]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.common.parameters import parameter_values
@@ -19,12 +18,7 @@ def simulated_localization() -> dict[str, Any]:
     config = SimulatedLocalizationConfig()
     localizer = _unusual(config.localizer, LocalizerConfig(), "")
     target = _unusual(config.target, TargetConfig(), "target.")
-    return localizer | simulated_motion_noise() | target
-
-
-def simulated_motion_noise() -> dict[str, Any]:
-    """Likewise how far its odometry is trusted, for every node that has ``motion_noise.``."""
-    return _unusual(SimulatedLocalizationConfig().motion, DeadReckoningConfig(), "motion_noise.")
+    return localizer | target
 
 
 def _unusual(value: object, usual: object, prefix: str) -> dict[str, Any]:

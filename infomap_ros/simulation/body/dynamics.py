@@ -23,12 +23,6 @@ _WHEEL_DAMPING = 0.02  # [Nm s/rad]
 _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
 
 
-_NO_SLIP = 2
-"""Iterations that take from contacts what friction would not let slip. Without them the friction of
-MuJoCo yields: 30 motions of the arm shift a rover that stands in the cave by 51 mm and 3.5
-degrees, with them by 2 mm and 0.1; drives stay as they are."""
-
-
 @dataclass(frozen=True)
 class DynamicsConfig:
     """Parameters of the simulation of forces."""
@@ -70,7 +64,6 @@ def add_dynamics(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL  # elliptic ones converge worse here
     spec.option.iterations, spec.option.ls_iterations = 60, 30
-    spec.option.noslip_iterations = _NO_SLIP
     for name in trial.locked:
         spec.delete(spec.joint(prefix + name))
     add_suspension(spec, prefix, setup, trial)

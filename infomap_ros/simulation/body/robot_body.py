@@ -24,6 +24,12 @@ PREFIX = "robot/"
 
 _DROP = 0.004  # [m] above the ground at the start
 
+_NO_SLIP = 2
+"""Iterations that take from contacts what friction would not let slip, while the wheels hold.
+Without them the friction of MuJoCo yields: 30 motions of the arm shift a rover that stands in the
+cave by 51 mm and 3.5 degrees, with them by 2 mm and 0.1."""
+_STAYS = 1e-9  # [rad]
+
 
 class RobotBody:
     """A robot with springs and servos in a copy of a world.
@@ -153,7 +159,9 @@ class RobotBody:
         self.data.ctrl[self._servo_inputs] = positions
 
     def command_wheels(self, angles: FloatArray) -> None:
-        """Set the wheels' targets [rad], left wheels first."""
+        """Set the wheels' targets [rad], left wheels first; where they stay, the wheels hold."""
+        stay = np.abs(angles - self.data.ctrl[self._wheel_inputs]).max(initial=0.0) < _STAYS
+        self.model.opt.noslip_iterations = _NO_SLIP if stay else 0
         self.data.ctrl[self._wheel_inputs] = angles
 
     @property

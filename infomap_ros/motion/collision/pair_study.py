@@ -47,12 +47,19 @@ class TrueShapes:
         robot: with a camera frame.
         tree: its kinematics.
         qs: positions of its arm, shape (N, n).
+        convex: take the convex hulls of the meshes instead, as simulators of forces do.
     """
 
-    def __init__(self, robot: RobotModel, tree: LinkTree, qs: FloatArray) -> None:
+    def __init__(
+        self, robot: RobotModel, tree: LinkTree, qs: FloatArray, *, convex: bool = False
+    ) -> None:
         self._shapes = [
             [shape for shape in robot.shapes if shape.link == link]
             for link in robot.links_with_solids
+        ]
+        self._geometries = [
+            [_hull(shape.geometry) if convex else shape.geometry for shape in shapes]
+            for shapes in self._shapes
         ]
         self._tree, self._qs = tree, qs
         self._placed: dict[int, FloatArray] = {}
@@ -71,9 +78,9 @@ class TrueShapes:
         if configuration not in self._placed:
             self._placed[configuration] = self._joints(self._qs[configuration])
         joints, placed = self._placed[configuration], []
-        for shape in self._shapes[link]:
+        for shape, geometry in zip(self._shapes[link], self._geometries[link], strict=True):
             pose = joints[shape.joint] @ shape.placement
-            placed.append((shape.geometry, coal.Transform3s(pose[:3, :3], pose[:3, 3])))
+            placed.append((geometry, coal.Transform3s(pose[:3, :3], pose[:3, 3])))
         return placed
 
     def _joints(self, q: FloatArray) -> FloatArray:
@@ -84,6 +91,14 @@ class TrueShapes:
             [places, np.broadcast_to([[[0.0, 0.0, 0.0, 1.0]]], (len(places), 1, 4))], axis=1
         )
         return (bodies[self._tree.bodies] @ self._tree.placements)[:, :3]
+
+
+def _hull(geometry: coal.CollisionGeometry) -> coal.CollisionGeometry:
+    """The convex hull of a mesh; another shape as it is."""
+    if not isinstance(geometry, coal.BVHModelBase):
+        return geometry
+    geometry.buildConvexHull(True, "Qt")
+    return geometry.convex
 
 
 def study_pairs(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from xml.etree import ElementTree
@@ -12,6 +13,7 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.collision.link_pairs import movable_pairs
+from infomap_ros.motion.collision.pair_study import TrueShapes
 from infomap_ros.motion.robot.link_tree import LinkTree
 from infomap_ros.motion.robot.mimicry import read_followers
 from infomap_ros.simulation.body.robot import load_robot
@@ -21,6 +23,8 @@ from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
 import mujoco  # isort: skip  # after the backend has been chosen
 
 _POSES = 40  # random configurations, to see how far inertia varies
+_POSTURES = 100  # random ones of the arm, to see which links only seem to meet
+_FEW = 2  # of them: as many may be
 _LOCKED_RANGE = 1e-6  # [rad or m]
 
 
@@ -226,13 +230,37 @@ def _touching(model: mujoco.MjModel, home: dict[str, float]) -> tuple[tuple[str,
 def _joined(
     description: str, setup: RobotSetupConfig, home: dict[str, float]
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs of links that the collision checks of planning take to be joined, as they do."""
+    """Pairs of links that the collision checks of planning take to be joined, as they do.
+
+    And those whose convex hulls, which are what MuJoCo lets collide, often meet where the links
+    themselves do not: a forearm that folds into the hollow of an upper arm would jam there.
+    """
     robot = RobotModel.from_urdf(
         description, setup.left_camera_frame, setup.base_frame, mimics=setup.leaders
     )
     links = robot.links_with_solids
     positions = {joint.name: home.get(joint.name, 0.0) for joint in robot.joints}
-    movable = {tuple(pair) for pair in movable_pairs(robot, LinkTree.of(robot, positions)).tolist()}
-    return tuple(
-        (links[i], links[j]) for i, j in combinations(range(len(links)), 2) if (i, j) not in movable
-    )
+    tree = LinkTree.of(robot, positions)
+    movable = {(int(i), int(j)) for i, j in movable_pairs(robot, tree)}
+    colliding = movable - set(_only_hulls_meet(robot, tree, sorted(movable)))
+    pairs = combinations(range(len(links)), 2)
+    return tuple((links[i], links[j]) for i, j in pairs if (i, j) not in colliding)
+
+
+def _only_hulls_meet(
+    robot: RobotModel, tree: LinkTree, pairs: list[tuple[int, int]]
+) -> Iterator[tuple[int, int]]:
+    """Pairs of links whose hulls meet in more than a few postures in which they do not."""
+    chain = robot.arm
+    low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    qs = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(chain)))
+    true, hulls = TrueShapes(robot, tree, qs), TrueShapes(robot, tree, qs, convex=True)
+    links = robot.links_with_solids
+    hollow = {shape.link for shape in robot.shapes if shape.vertices is not None}
+    for first, second in pairs:
+        if hollow.isdisjoint((links[first], links[second])):
+            continue
+        met = [k for k in range(_POSTURES) if hulls.touch(first, second, k)]
+        if len(met) > _FEW and sum(not true.touch(first, second, k) for k in met) > _FEW:
+            yield first, second

@@ -194,7 +194,7 @@ class Exploration:
             self._teammates.reason = str(busy)
             return None
         self.progress, self.last_reason = choice.progress, choice.reason
-        self._unproductive.note(self.mission.views, choice.progress)
+        self._unproductive.note(self.mission.views, self.mission.seconds, choice.progress)
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)

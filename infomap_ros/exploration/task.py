@@ -88,21 +88,15 @@ class TaskConfig:
     )
     unproductive_views: int = setting(
         6,
-        "The exploration ends where so many views, one after the other, together bring less than "
-        "`min_gain` and less than `min_growth`.",
+        "The exploration ends where so many views, one after the other, together bring less for "
+        "their time than `min_rate`.",
         low=1,
         high=1000,
     )
-    min_gain: float = setting(
-        0.001,
-        "Share of the reachable surface that must become known, or known precisely enough, for "
-        "views not to be in vain.",
-        low=0.0,
-        high=1.0,
-    )
-    min_growth: float = setting(
-        0.01,
-        "Share by which the number of surface voxels must grow for views not to be in vain.",
+    min_rate: float = setting(
+        0.05,
+        "Least rate at which views make the map more certain, or known precisely enough, as a "
+        "share of the best rate that so many views one after the other have had.",
         low=0.0,
         high=1.0,
     )

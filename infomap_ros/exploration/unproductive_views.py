@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.exploration.rules import Ending, EndReason, StopRule
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.transforms import FloatArray
 
 
 class UnproductiveViews(StopRule):
-    """The last views together have brought too little to go on.
+    """The last views have brought so little for their time that to go on is not worth it.
 
-    What is known may come to be a smaller share when a view opens new ground, and surface voxels
-    may turn out to be none; such a fall takes nothing from what other views have brought.
+    What counts is how fast the entropy of the region falls, and the share of its surface rises that
+    is known precisely enough, over a few views together, each against its best such rate: most of
+    what a place tells is told early, and views that fill in the rest, a tenth of a percent after
+    the other, could go on for hours. A map that becomes less certain, as by a correction, takes
+    nothing from what other views have brought.
 
     Args:
         task: what is asked for.
@@ -22,27 +28,27 @@ class UnproductiveViews(StopRule):
 
     def __init__(self, task: TaskConfig) -> None:
         self.task = task
-        self._views, self._known, self._precise, self._surface = 0, 0.0, 0.0, 0
-        self._gains: list[tuple[float, float]] = []  # shares, a pair per view
+        self._views, self._seconds, self._state = 0, 0.0, np.zeros(2)
+        self._brought: list[FloatArray] = []  # bits, share of the surface and time of each view
+        self._best = np.zeros(2)
 
-    def note(self, views: int, progress: MapProgress) -> None:
-        """Take the state of the map after so many views."""
-        if views > self._views:
-            known = progress.known_fraction - self._known
-            gain = max(known, progress.min_fraction - self._precise)
-            growth = progress.surface_voxels / max(self._surface, 1) - 1.0
-            self._gains.append((max(gain, 0.0), max(growth, 0.0)))
-        self._views = views
-        self._known, self._precise = progress.known_fraction, progress.min_fraction
-        self._surface = max(self._surface, progress.surface_voxels)
+    def note(self, views: int, seconds: float, progress: MapProgress) -> None:
+        """Take the state of the map after so many views, and so much time, in any unit."""
+        state = np.array([-progress.entropy_bits, progress.min_fraction])
+        if views > self._views > 0:
+            brought = np.maximum(state - self._state, 0.0)
+            self._brought.append(np.append(brought, max(seconds - self._seconds, 0.0)))
+            self._best = np.maximum(self._best, self._rates(self.task.unproductive_views))
+        self._views, self._seconds, self._state = views, seconds, state
+
+    def restart(self) -> None:
+        """Count views from now on, against the best rates so far."""
+        self._brought.clear()
 
     @property
     def is_last_unproductive(self) -> bool:
         """Whether the last view alone has brought less than is asked of several."""
-        if not self._gains:
-            return False
-        gain, growth = self._gains[-1]
-        return gain < self.task.min_gain and growth < self.task.min_growth
+        return bool(self._brought) and self._share(1) <= self.task.min_rate
 
     def ending(self, choice: Choice | None) -> Ending | None:
         """NOTHING_LEFT, with what the last views have brought."""
@@ -51,18 +57,23 @@ class UnproductiveViews(StopRule):
 
     def reason(self) -> str:
         """How little the last views have brought; empty where it is enough."""
-        task = self.task
-        if len(self._gains) < task.unproductive_views:
+        count = self.task.unproductive_views
+        if len(self._brought) < count or self._share(count) > self.task.min_rate:
             return ""
-        gain, growth = (
-            sum(each) for each in zip(*self._gains[-task.unproductive_views :], strict=True)
-        )
-        if gain >= task.min_gain or growth >= task.min_growth:
-            return ""
+        bits, surface, _ = np.sum(self._brought[-count:], axis=0)
         return (
-            f"the last {task.unproductive_views} views made {100.0 * gain:.2f} % more of the "
-            f"surface known and {100.0 * growth:.1f} % more of it mapped"
+            f"the last {count} views told {bits:.0f} bits and made {100.0 * surface:.2f} % more of "
+            f"the surface known precisely, {100.0 * self._share(count):.1f} % of the best rate"
         )
+
+    def _rates(self, count: int) -> FloatArray:
+        """Bits and share of the surface per time that the last views have brought together."""
+        *brought, time = np.sum(self._brought[-count:], axis=0)
+        return np.array(brought) / max(float(time), 1e-3)
+
+    def _share(self, count: int) -> float:
+        """Rate of the last views as a share of the best one, of bits or surface: the larger."""
+        return float((self._rates(count) / np.maximum(self._best, 1e-12)).max())
 
 
 class StrategyAlternator:
@@ -85,8 +96,7 @@ class StrategyAlternator:
 
     def note(self, views: int, progress: MapProgress) -> None:
         """Take the state of the map after so many views."""
-        self._turn.note(views, progress)
+        self._turn.note(views, float(views), progress)
         if self._turn.reason():
             self.is_other = not self.is_other
-            self._turn = UnproductiveViews(self._task)
-            self._turn.note(views, progress)
+            self._turn.restart()

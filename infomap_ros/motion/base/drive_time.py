@@ -11,11 +11,12 @@ from infomap_ros.motion.base.path_driving import PathDriving
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 
 _PERIOD = 0.05  # [s] of the control; half of it changes the time by less than one percent
+_LAG = 0.5  # [s] of wheels behind what they are told, and until odometry shows that they rest
 _SLOWEST = 0.02  # share of the largest speeds below which nothing is driven for long
 
 
 def drive_seconds(path: FloatArray, config: PathFollowingConfig) -> float:
-    """Time from rest to rest of a base that follows a path exactly as told [s].
+    """Time from rest to rest of a base that follows a path as told, but for a lag [s].
 
     Args:
         path: x, y [m] and yaw [rad], shape (K, 3); without length it takes no time.
@@ -37,4 +38,4 @@ def drive_seconds(path: FloatArray, config: PathFollowingConfig) -> float:
         pose[1] += speed * _PERIOD * math.sin(middle)
         pose[2] += turn_rate * _PERIOD
         seconds += _PERIOD
-    return seconds
+    return seconds + _LAG

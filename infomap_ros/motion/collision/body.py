@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.collision import kernels
 from infomap_ros.motion.collision.collision_config import CollisionConfig
@@ -111,6 +112,27 @@ class CollisionBody:
         prismatic, parents = self.tree.arrays.prismatic, self.tree.arrays.parents
         turning = np.flatnonzero((parents == 0) & ~prismatic.astype(bool)) + 1
         return np.isin(self.arrays.bodies, turning)
+
+    @cached_property
+    def protrusions(self) -> dict[str, float]:
+        """How far the spheres of each link stick out of its shapes [m].
+
+        More than the tolerance where a link is large: see `cover_by_spheres`.
+        """
+        found = {}
+        for row, link in enumerate(self.links):
+            cover = self.arrays.spheres[self.arrays.starts[row] : self.arrays.starts[row + 1]]
+            gaps = [
+                shape.solid.signed_distance(
+                    transform_points(
+                        invert_transform(self.tree.placements[shape.joint] @ shape.placement),
+                        cover[:, :3],
+                    )
+                )
+                for shape in _shapes(self.robot, link)
+            ]
+            found[link] = float((np.min(gaps, axis=0) + cover[:, 3]).max())
+        return found
 
     @cached_property
     def kept(self) -> FloatArray:

@@ -43,7 +43,8 @@ class NearSpace:
         T_map_base: where it is now, shape (4, 4).
         joints: where all its joints are now, by name [rad or m].
         radius: no point of the body is farther from the base's origin [m].
-        clear_body: space within this of the present body is free [m].
+        clear_body: space within this of the present body is free, and more where the checks take a
+            link for larger than it is [m].
         known_free: further space that is free although it was never seen [map].
         foot: solids of the foot of the arm, base frame.
         in_the_way: solids that must not be touched and that the map does not show [map].
@@ -76,9 +77,15 @@ class NearSpace:
         positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
         positions.update({name: float(joints[name]) for name in positions if name in joints})
         half_diagonal = 0.5 * math.sqrt(3.0) * voxel_map.config.voxel_size
-        by = clear_body + half_diagonal  # so that no voxel that is not free reaches in
+        least = body.config.margin + wider
+        clear = {link: max(clear_body, out + least) for link, out in body.protrusions.items()}
         own = [
-            PlacedSolid(_grown(part.solid, by), T_map_base @ part.transform, part.name)
+            PlacedSolid(
+                # No voxel that is not free reaches into what the checks take for the body.
+                _grown(part.solid, clear[part.name] + half_diagonal),
+                T_map_base @ part.transform,
+                part.name,
+            )
             for part in robot.solids_in(robot.base_frame, positions)
         ]
         reach = body.config.tolerance + body.config.margin + wider + half_diagonal

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -18,11 +19,16 @@ from infomap_ros.nodes.live.live_exploration import Parameters, robot_parameters
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.processes import NodeProcesses
 from infomap_ros.nodes.team.team_topics import SHARED
+from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 from infomap_ros.simulation.multi_robot.team_starts import TeamStart
 
 _SHARING = ("map_fusion", "next_best_view")
 _IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
 _CLEARANCE = ViewPlannerConfig().start_clearance
+_CORES = 2
+"""That a robot's nodes need for all of its images. Where there are fewer, each node leaves out
+others than the next one does, and few scans have a pose: fewer images, all of them used, are more.
+"""
 _AGREEING = 2.0  # [s] between two comparisons of the maps
 
 
@@ -49,6 +55,7 @@ def member_parameters(
         "start": list(start.place),
         "seed": 1 + number,
         "publish_clock": number == 0,
+        "image_rate": IMAGE_RATE * min(1.0, (os.cpu_count() or 1) / (_CORES * len(names))),
     }
     member = {"robot_id": number + 1, "team": list(range(1, len(names) + 1))}
     for node in _IN_TEAM:

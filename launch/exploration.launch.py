@@ -15,7 +15,10 @@ from infomap_ros.nodes.live.launching import (
     numbers,
 )
 from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
-from infomap_ros.nodes.simulated.simulated_localization import simulated_localization
+from infomap_ros.nodes.simulated.simulated_localization import (
+    simulated_localization,
+    simulated_motion_noise,
+)
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 from launch import LaunchDescription
 
@@ -110,11 +113,12 @@ def _settings(given: dict[str, str], rectify: bool) -> dict[str, dict]:
         "fiducial_localization": {
             "rectify": rectify,
             "motion": "odometry",
-            **(simulated_localization() if truth["simulator"] else {}),
+            **(simulated_localization(given["robot"]) if truth["simulator"] else {}),
             "target.kind": given["target"],
         },
         "next_best_view": {
             "strategy": given["strategy"],
+            **(simulated_motion_noise(given["robot"]) if truth["simulator"] else {}),
             **task,
         },
         "explorer": {

@@ -18,7 +18,10 @@ from infomap_ros.nodes.simulated.simulated_driver import (
     has_actions,
     simulated_driver,
 )
-from infomap_ros.nodes.simulated.simulated_localization import simulated_localization
+from infomap_ros.nodes.simulated.simulated_localization import (
+    simulated_localization,
+    simulated_motion_noise,
+)
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 
@@ -76,7 +79,7 @@ def robot_parameters(
             "waiting.max_wait": _MAX_WAIT,
             **reliable("points2", "camera_pose", "camera_pose_uncertainty", "joint_states"),
         },
-        "next_best_view": {**updates},
+        "next_best_view": {**simulated_motion_noise(), **updates},
         "explorer": {
             "autostart": True,
             "resume": True,

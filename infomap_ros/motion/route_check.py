@@ -85,6 +85,8 @@ class RouteCheck:
     ) -> None:
         self._known_free, self._keep_out = known_free, keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
+        # The plan kept a margin; what uses it up, as noise of the ground does, breaks nothing off.
+        self._vehicle = whole.bare_vehicle
         self._base, self._joints = T_map_base, dict(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
         self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)
@@ -92,7 +94,7 @@ class RouteCheck:
         self._passed, self._arm_passed = 0, 0
         self._states = self._surroundings(voxel_map)
         self._fault: RouteFault | None = None
-        self._stood = self._whole.vehicle.stances(self._terrain(voxel_map), self._path).ok
+        self._stood = self._vehicle.stances(self._terrain(voxel_map), self._path).ok
         self._was_free = self._free(self._checker(voxel_map))
 
     def fault(
@@ -136,14 +138,14 @@ class RouteCheck:
         if len(self._path) - self._passed < 2:
             return None
         terrain = self._terrain(voxel_map)
-        outcomes = self._whole.vehicle.stances(terrain, self._path).outcomes
+        outcomes = self._vehicle.stances(terrain, self._path).outcomes
         blocked = self._stood & (outcomes != STANDS) & ~np.isin(outcomes, _TURNED_UNKNOWN)
         blocked[: self._passed] = False
         if not blocked.any():
             return None
         row = int(np.argmax(blocked))
         x, y, yaw = (float(value) for value in self._path[row])
-        why = self._whole.vehicle.stance(terrain, x, y, yaw).reason
+        why = self._vehicle.stance(terrain, x, y, yaw).reason
         reason = f"the base path is blocked at ({x:.2f}, {y:.2f}): {why}"
         return RouteFault((x, y, float(self._heights[row])), reason)
 

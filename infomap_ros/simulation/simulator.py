@@ -269,6 +269,11 @@ class Simulator(RobotSensors):
         return self._drive.advice
 
     @property
+    def skids(self) -> bool:
+        """Whether wheels skid where the base turns: two on one side, one behind the other."""
+        return self._drive.skids
+
+    @property
     def turn_gain(self) -> float:
         """The `turn_gain` that is used."""
         return self._drive.gain

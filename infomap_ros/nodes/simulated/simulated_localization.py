@@ -8,7 +8,10 @@ from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.nodes.common.parameters import parameter_values
-from infomap_ros.simulation.exploring.simulated_robot import SimulatedLocalizationConfig
+from infomap_ros.simulation.exploring.simulated_robot import (
+    SKIDDING,
+    SimulatedLocalizationConfig,
+)
 
 
 def simulated_localization(robot: str = "") -> dict[str, Any]:
@@ -32,7 +35,7 @@ def simulated_motion_noise(robot: str = "") -> dict[str, Any]:
     """
     if robot:
         return {}
-    return _unusual(SimulatedLocalizationConfig().motion, DeadReckoningConfig(), "motion_noise.")
+    return _unusual(SKIDDING, DeadReckoningConfig(), "motion_noise.")
 
 
 def _unusual(value: object, usual: object, prefix: str) -> dict[str, Any]:

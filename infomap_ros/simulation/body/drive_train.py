@@ -47,6 +47,7 @@ class DriveTrain:
 
     Attributes:
         gain: `DriveTrainConfig.turn_gain`, or what stands for it where that is 0.
+        skids: whether a side has wheels one behind the other.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class DriveTrain:
         wheels = body.trial.wheels
         self.radius = float(np.mean([wheel.radius for wheel in wheels]))
         self._sides = np.array([wheel.place[1] for wheel in wheels])
+        self.skids = bool(np.ptp([wheel.place[0] for wheel in wheels]) > self.radius)
         base = body.frame(body.setup.base_frame)[:3, :3]
         axes = [base.T @ body.frame(w.body)[:3, :3] @ w.axis for w in wheels]
         self._signs = np.array([np.sign(axis[1]) for axis in axes])

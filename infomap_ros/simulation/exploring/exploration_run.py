@@ -343,8 +343,10 @@ def localization_error(
         robot: that localizes itself, or not.
         options: of its exploration.
     """
-    known, motion = robot.link.fiducials, options.robot.localization.motion
-    return FiducialLocalizationError(robot.link.rig, known, options.prediction, motion)
+    link = robot.link
+    return FiducialLocalizationError(
+        link.rig, link.fiducials, options.prediction, link.motion_noise
+    )
 
 
 def _description(place: str) -> str:

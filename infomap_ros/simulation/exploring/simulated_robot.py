@@ -91,21 +91,21 @@ def _board_of_the_worlds() -> TargetConfig:
     return TargetConfig(kind="tags", tags=TagTargetConfig(board=WORLD_BOARD))
 
 
-def _rover_on_rough_ground() -> DeadReckoningConfig:
-    """Of four wheels that skid where it turns, on slopes; other robots trust their odometry more.
+SKIDDING = DeadReckoningConfig(
+    position_per_meter=0.08,
+    position_per_radian=0.05,
+    rotation_per_meter=0.02,
+    rotation_per_radian=0.02,
+    kinematics_position_sigma=0.003,
+    kinematics_rotation_sigma=0.004,
+)
+"""Odometry of wheels that skid where the base turns, on slopes.
 
-    The wheels of the simulator are 2.5 % too small to odometry: as independent steps that is 0.08 m
-    after one meter, for the 10 m over which it adds up. A turn by 1.2 rad was 16 mm off on mars, a
-    sixth of a millimeter with two driven wheels.
-    """
-    return DeadReckoningConfig(
-        position_per_meter=0.08,
-        position_per_radian=0.02,
-        rotation_per_meter=0.02,
-        rotation_per_radian=0.02,
-        kinematics_position_sigma=0.003,
-        kinematics_rotation_sigma=0.004,
-    )
+The wheels of the simulator are 2.5 % too small to odometry: as independent steps that is 0.08 m
+after one meter, for the 10 m over which it adds up, and 16 mm in a turn by 1.2 rad, which it was
+off on mars, are 0.05 m after one radian for ten such turns. With two driven wheels a turn was less
+than a millimeter off: there the defaults are right.
+"""
 
 
 def _with_kinematics() -> LocalizerConfig:
@@ -118,7 +118,7 @@ class SimulatedLocalizationConfig:
     """How the simulated robot locates its camera: by the board of its world, and what it sees."""
 
     target: TargetConfig = field(default_factory=_board_of_the_worlds)
-    motion: DeadReckoningConfig = field(default_factory=_rover_on_rough_ground)
+    motion: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
     localizer: LocalizerConfig = field(default_factory=_with_kinematics)
 
 
@@ -228,6 +228,9 @@ class SimulatedLink:
     ) -> None:
         self._simulator, self._observer, self._teammates = simulator, observer, teammates
         self.model = robot
+        told = config.localization.motion
+        skids = simulator.skids and told == DeadReckoningConfig()
+        self.motion_noise = SKIDDING if skids else told
         self.rig: StereoRig = rig_from_calibrations(*simulator.calibrations)
         sensors = SensorScheduleConfig(
             image_rate=config.image_rate,
@@ -264,7 +267,7 @@ class SimulatedLink:
         own = config.localization
         motion = RobotMotion(robot.camera_frame, robot)
         views: ViewSynchronizer[FramedView] = ViewSynchronizer(motion, is_required=True)
-        detector, kinematics = make_detector(own.target), KinematicMotion(own.motion)
+        detector, kinematics = make_detector(own.target), KinematicMotion(self.motion_noise)
         self._localizer = CameraLocalizer(
             CameraLocalizerConfig(own.localizer, kinematics, detector)
         )

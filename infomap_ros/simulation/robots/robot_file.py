@@ -10,7 +10,7 @@ import os
 import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ import yaml
 from infomap_ros.errors import ConfigError, ResourceError
 from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.robot_parameters import OTHERS, PARAMETERS, SECTIONS, SETUP
@@ -110,9 +109,7 @@ class RobotFile:
         names = {name: f"simulator.robot.{own}" for name, own in SETUP.items()} | OTHERS
         frame = {"base_frame": self.setup.base_frame}
         values = self.parameters | frame | {"description": str(self.description_path)}
-        own = [f"{names[k]}={_as_setting(v)}" for k, v in values.items() if k in names]
-        odometry = asdict(DeadReckoningConfig()).items()  # the rover's is for rough ground
-        return [*own, *(f"robot.localization.motion.{name}={value}" for name, value in odometry)]
+        return [f"{names[k]}={_as_setting(v)}" for k, v in values.items() if k in names]
 
     @property
     def description_path(self) -> Path:

@@ -22,7 +22,7 @@ from infomap_ros.geometry import PlacedSolid, Solid, Sphere
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.solid_extent import solid_extent
 
-_CELLS = 16000
+_CELLS = 4000
 _GROWTH = 1.25
 _SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its center
 _SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open

@@ -164,8 +164,8 @@ class CommandedRobot:
             traveled.append(self.place())
             left, turn = _away(traveled[-1], poses[-1])
             near = left <= self._config.position_tolerance
-            rests = self._link.base_speed() <= _STILL
-            return near and rests and turn <= self._config.heading_tolerance
+            there = near and turn <= self._config.heading_tolerance
+            return there and self._link.base_speed() <= _STILL
 
         end = self._finish(motion, arrived, interrupted)
         path = [(x, y, 0.0) for x, y, _ in _thinned(traveled)]

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import (
     PinholeCamera,
     invert_transform,
-    points_inside,
     transform_points,
 )
 from infomap_ros.geometry.transforms import FloatArray
@@ -207,12 +206,13 @@ class SceneFiducials:
         ids = np.arange(self._next, self._next + len(pixels))
         self._next += len(pixels)
         seen = self._tracker.add(view, ids, pixels)
-        if len(chosen.body):
-            points = seen.points(self._camera)
-            seen = seen.select(~body_mask(points, None, chosen.body, self._config.body, rays=True))
-        if len(chosen.others):
-            points = transform_points(T_map_camera, seen.points(self._camera))
-            seen = seen.select(~points_inside(points, chosen.others, self._config.body.margin))
+        for bodies, frame, own in (
+            (chosen.body, np.eye(4), True),
+            (chosen.others, T_map_camera, False),
+        ):
+            if len(bodies):
+                points = transform_points(frame, seen.points(self._camera))
+                seen = seen.select(~body_mask(points, None, bodies, self._config.body, rays=own))
         held = self._filter.fiducials().ids
         added = self._filter.add(seen)
         forgotten = np.setdiff1d(held, self._filter.fiducials().ids)

@@ -75,23 +75,25 @@ class RoutePlanner:
             planned: way to the view from a place nearby, shape (K, n): the view is reached in a
                 posture like the last one where that can be, and along this way.
         """
-        base, touched = self.trail.T_map_base, []
+        base, refused = self.trail.T_map_base, []
         checker = self.near.checker_at(base)
 
         def is_valid(q: FloatArray) -> bool:
             report = checker.check(q, base, base=False)
-            touched.append(f"touches {report.what}")
-            if report.free and not self.whole.sees_past_itself(q[None])[0]:
-                touched[-1] = _SEES_ITSELF
-                return False
-            return report.free
+            if not report.free:
+                refused.append(f"touches {report.what}")
+            elif not self.whole.sees_past_itself(q[None])[0]:
+                refused.append(_SEES_ITSELF)
+            else:
+                return True
+            return False
 
         found = solve_ik(
             self.whole.chain, np.linalg.inv(base) @ view, direction_only=True,
             q_start=self.q if planned is None else planned[-1], config=ik, is_valid=is_valid,
         )  # fmt: skip
         if not found.converged:
-            return None, touched[-1] if touched else found.reason
+            return None, refused[-1] if refused else found.reason
         arm = self._arm_along(planned, found.q) or self.arm_from_here(found.q)
         if not arm.converged:
             return None, arm.reason

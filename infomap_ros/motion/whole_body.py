@@ -64,11 +64,6 @@ class WholeBody:
         """How far what drives reaches from the base's origin, the arm in its posture for it [m]."""
         return float(self.vehicle.arrays.reach)
 
-    @property
-    def bare_vehicle(self) -> Vehicle:
-        """The vehicle without its margin."""
-        return _bare(self.vehicle)
-
     def wider_vehicle(self, by: float) -> Vehicle:
         """The vehicle with a body that is wider to all sides [m]."""
         return _wider(self.vehicle, by)
@@ -139,11 +134,6 @@ def _whole_body(
         arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
         own_view=own_view,
     )
-
-
-@lru_cache(maxsize=4)
-def _bare(vehicle: Vehicle) -> Vehicle:
-    return vehicle.without_margin()
 
 
 @lru_cache(maxsize=16)

@@ -97,6 +97,7 @@ class _Outline(NamedTuple):
         start: the origin in each solid's frame, shape (S, 3).
         growths: by how much each is grown for rays, negative where it is not asked, shape (S,) [m].
         slacks: further growth with which one ray stands for all of its bin, shape (S,) [m].
+        far: length beyond which no solid is [m].
         bins: of rays by x / z and y / z, shape (`_BINS`, `_BINS`); 0 not asked yet, 1 nothing is
             met there, 2 something may be.
     """
@@ -104,6 +105,7 @@ class _Outline(NamedTuple):
     start: NDArray[np.float64]
     growths: NDArray[np.float64]
     slacks: NDArray[np.float64]
+    far: float
     bins: NDArray[np.uint8]
 
 
@@ -112,16 +114,15 @@ def _outline(solids: Any, margin: float) -> Any:
     """See `_Outline`: joints and matchers err by angles, so what is near is grown by less."""
     count = len(solids.kinds)
     start, growths, slacks = np.empty((count, 3)), np.empty(count), np.empty(count)
-    origin, c, normal = np.zeros(3), np.zeros(6), np.empty(3)
+    origin, normal = np.zeros(3), np.empty(3)
     for s in range(count):
         _into_solid(origin, solids.centers[s], solids.rotations[s], start[s])
         gap = _gap(solids, s, start[s], normal)
-        growths[s] = min(margin, _GROWTH * gap)
-        if _touches(solids, s, start[s], c, 0.0, 0.0, normal):
-            growths[s] = -1.0
-        far = _distance(origin, solids.centers[s]) + solids.radii[s]
-        slacks[s] = min(_BIN * far, 0.9 * gap)  # the origin stays outside
-    return _Outline(start, growths, slacks, np.zeros((_BINS, _BINS), np.uint8))
+        growths[s] = min(margin, _GROWTH * gap) if gap > 0.0 else -1.0
+        reach = _distance(origin, solids.centers[s]) + solids.radii[s]
+        slacks[s] = min(_BIN * reach, 0.9 * gap)  # the origin stays outside
+    far = 2.0 * (_distance(solids.middle, origin) + solids.reach)
+    return _Outline(start, growths, slacks, far, np.zeros((_BINS, _BINS), np.uint8))
 
 
 @njit(cache=True, nogil=True)
@@ -132,8 +133,7 @@ def _is_behind(solids: Any, point: Any, outline: Any, local: Any) -> bool:
         column = int(point[0] / point[2] / _BIN + 0.5 * _BINS)
         if 0 <= row < _BINS and 0 <= column < _BINS:
             if outline.bins[row, column] == 0:
-                ray = np.array([_middle(column), _middle(row), 1.0])
-                ray *= 2.0 * (_distance(solids.middle, np.zeros(3)) + solids.reach)
+                ray = np.array([_middle(column), _middle(row), 1.0]) * outline.far
                 met = _meets_any(solids, ray, outline, True, local)
                 outline.bins[row, column] = 2 if met else 1
             if outline.bins[row, column] == 1:
@@ -160,7 +160,10 @@ def _meets_any(solids: Any, end: Any, outline: Any, widely: bool, local: Any) ->
 
 @njit(cache=True, nogil=True)
 def _gap(solids: Any, s: int, p: Any, normal: Any) -> float:
-    """Distance of a point outside to a solid, in its frame; of a polytope, at least so much."""
+    """Distance of a point to a solid, in its frame; of a polytope, at least so much.
+
+    Not above 0 inside; outside, `normal` becomes its direction, but for a polytope.
+    """
     kind, size = solids.kinds[s], solids.sizes[s]
     if kind == SPHERE:
         return _from_sphere(p, size, normal)
@@ -168,7 +171,7 @@ def _gap(solids: Any, s: int, p: Any, normal: Any) -> float:
         return _from_box(p, size, normal)
     if kind == CYLINDER:
         return _from_cylinder(p, size, normal)
-    gap = 0.0
+    gap = -math.inf
     for k in range(solids.plane_starts[s], solids.plane_starts[s + 1]):
         plane = solids.planes[k]
         gap = max(gap, plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3])
@@ -260,20 +263,15 @@ def _touches(
     solids: Any, s: int, p: Any, c: Any, margin: float, sigmas: float, normal: Any
 ) -> bool:
     """Whether a point, in the solid's frame, is within the grown solid."""
-    kind, size, rotation = solids.kinds[s], solids.sizes[s], solids.rotations[s]
-    if kind == POLYTOPE:
+    rotation = solids.rotations[s]
+    if solids.kinds[s] == POLYTOPE:
         for k in range(solids.plane_starts[s], solids.plane_starts[s + 1]):
             plane = solids.planes[k]
             distance = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
             if distance > margin and distance > margin + sigmas * _sigma(plane, rotation, c):
                 return False
         return True
-    if kind == SPHERE:
-        distance = _from_sphere(p, size, normal)
-    elif kind == BOX:
-        distance = _from_box(p, size, normal)
-    else:
-        distance = _from_cylinder(p, size, normal)
+    distance = _gap(solids, s, p, normal)
     return bool(distance <= margin or distance <= margin + sigmas * _sigma(normal, rotation, c))
 
 

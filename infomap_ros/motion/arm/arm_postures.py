@@ -34,7 +34,6 @@ class ArmPostures:
         radii: farthest that a camera is from the base's z axis, by its height and steepness in
             bins, 0 where there is none, shape (A, B) [m].
         lowest: height of the first bin [m].
-        covered: share of the image that the body covers, shape (K,).
         most_covered: share beyond which a posture is not taken for a view.
     """
 
@@ -44,7 +43,6 @@ class ArmPostures:
     steepness: FloatArray
     radii: FloatArray
     lowest: float
-    covered: FloatArray
     most_covered: float
 
     @classmethod
@@ -59,14 +57,14 @@ class ArmPostures:
         q = sample_postures(body, count)
         covered = np.zeros(len(q)) if own_view is None else own_view.covered(q)
         most = most_covered(covered)
-        q, covered = q[covered <= most], covered[covered <= most]
+        q = q[covered <= most]
         poses = body.chain.camera_pose(q)
         positions, directions = poses[:, :3, 3], poses[:, :3, 2]
         steepness = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
         lowest = float(positions[:, 2].min(initial=0.0))
         radii = _radii(positions, steepness, lowest)
         azimuths = np.arctan2(directions[:, 1], directions[:, 0])
-        return cls(q, positions, azimuths, steepness, radii, lowest, covered, most)
+        return cls(q, positions, azimuths, steepness, radii, lowest, most)
 
     @property
     def farthest(self) -> float:

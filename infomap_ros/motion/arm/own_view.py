@@ -62,9 +62,9 @@ class OwnView:
         """Share of the image that the body covers, shape (M,), in postures, shape (M, n)."""
         shares = np.empty(len(qs))
         if len(qs):
-            cameras = self.body.chain.camera_pose(qs)
-            _cast(self.body.tree.arrays, self.body.arrays, qs, cameras, self.rays, self.counted,
-                  shares)  # fmt: skip
+            T_camera_base = np.linalg.inv(self.body.chain.camera_pose(qs))[:, :3]
+            tree, arrays = self.body.tree.arrays, self.body.arrays
+            _cast(tree, arrays, qs, T_camera_base, self.rays, self.counted, shares)
         return shares
 
 
@@ -75,30 +75,22 @@ def most_covered(shares: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def _cast(
-    tree: Any, body: Any, qs: Any, cameras: Any, rays: Any, counted: Any, shares: Any
+    tree: Any, body: Any, qs: Any, T_camera_base: Any, rays: Any, counted: Any, shares: Any
 ) -> None:
     """Shares of rays, shape (R, 3), that meet a counted sphere, for each posture."""
-    spheres, base = np.empty_like(body.spheres), np.zeros((3, 4))
-    base[0, 0] = base[1, 1] = base[2, 2] = 1.0
-    meets = np.empty(len(rays), np.bool_)
+    spheres, meets = np.empty_like(body.spheres), np.empty(len(rays), np.bool_)
     for k in range(len(qs)):
-        place_spheres(tree, body, qs[k], base, spheres)
+        place_spheres(tree, body, qs[k], T_camera_base[k], spheres)
         meets[:] = False
-        camera = cameras[k]
         for s in range(len(spheres)):
             if not counted[s]:
                 continue
-            x = spheres[s, 0] - camera[0, 3]
-            y = spheres[s, 1] - camera[1, 3]
-            z = spheres[s, 2] - camera[2, 3]
-            cx = camera[0, 0] * x + camera[1, 0] * y + camera[2, 0] * z
-            cy = camera[0, 1] * x + camera[1, 1] * y + camera[2, 1] * z
-            cz = camera[0, 2] * x + camera[1, 2] * y + camera[2, 2] * z
-            square, radius = cx * cx + cy * cy + cz * cz, spheres[s, 3]
-            if cz < -radius or square <= radius * radius:
+            x, y, z, radius = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
+            square = x * x + y * y + z * z
+            if z < -radius or square <= radius * radius:
                 continue
             least = math.sqrt(square - radius * radius)
             for r in range(len(rays)):
-                if rays[r, 0] * cx + rays[r, 1] * cy + rays[r, 2] * cz >= least:
+                if rays[r, 0] * x + rays[r, 1] * y + rays[r, 2] * z >= least:
                     meets[r] = True
         shares[k] = meets.mean()

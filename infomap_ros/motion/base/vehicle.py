@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -157,6 +158,10 @@ class Vehicle:
 
     def without_margin(self) -> Vehicle:
         """The same vehicle, its body no larger than it is."""
+        return self._bare
+
+    @cached_property
+    def _bare(self) -> Vehicle:
         config = replace(self.config, margin=0.0)
         return Vehicle.from_robot(self.robot, config, self.joint_positions)
 

@@ -80,7 +80,7 @@ class CollisionBody:
         tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
         pairs = movable_pairs(robot, tree)
         pairs = pairs[~allowed_pairs(links, pairs, settings.allowed_contacts)]
-        qs = _configurations(robot, settings.samples)
+        qs = configurations(robot, settings.samples)
         shapes = TrueShapes(robot, tree, qs)
         tolerances = np.full(len(links), settings.tolerance)
         covers: dict[tuple[str, float], FloatArray] = {}
@@ -180,7 +180,7 @@ def _wanted_gaps(arrays: BodyArrays, margin: float) -> FloatArray:
     return margin * (arrays.bodies > 0)[arrays.pairs].sum(axis=1).astype(np.float64)
 
 
-def _configurations(robot: RobotModel, count: int) -> FloatArray:
+def configurations(robot: RobotModel, count: int) -> FloatArray:
     """The one at rest, then random ones within the limits; always the same."""
     chain = robot.arm
     low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)

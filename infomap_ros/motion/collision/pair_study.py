@@ -7,6 +7,7 @@ configurations tell, with the true shapes of the collision meshes beside them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import coal
@@ -54,12 +55,12 @@ class TrueShapes:
         self, robot: RobotModel, tree: LinkTree, qs: FloatArray, *, convex: bool = False
     ) -> None:
         self._shapes = [
-            [shape for shape in robot.shapes if shape.link == link]
+            [
+                replace(shape, geometry=_hull(shape.geometry)) if convex else shape
+                for shape in robot.shapes
+                if shape.link == link
+            ]
             for link in robot.links_with_solids
-        ]
-        self._geometries = [
-            [_hull(shape.geometry) if convex else shape.geometry for shape in shapes]
-            for shapes in self._shapes
         ]
         self._tree, self._qs = tree, qs
         self._placed: dict[int, FloatArray] = {}
@@ -78,9 +79,9 @@ class TrueShapes:
         if configuration not in self._placed:
             self._placed[configuration] = self._joints(self._qs[configuration])
         joints, placed = self._placed[configuration], []
-        for shape, geometry in zip(self._shapes[link], self._geometries[link], strict=True):
+        for shape in self._shapes[link]:
             pose = joints[shape.joint] @ shape.placement
-            placed.append((geometry, coal.Transform3s(pose[:3, :3], pose[:3, 3])))
+            placed.append((shape.geometry, coal.Transform3s(pose[:3, :3], pose[:3, 3])))
         return placed
 
     def _joints(self, q: FloatArray) -> FloatArray:

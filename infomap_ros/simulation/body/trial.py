@@ -12,6 +12,7 @@ import numpy as np
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
+from infomap_ros.motion.collision.body import configurations
 from infomap_ros.motion.collision.link_pairs import movable_pairs
 from infomap_ros.motion.collision.pair_study import TrueShapes
 from infomap_ros.motion.robot.link_tree import LinkTree
@@ -251,10 +252,7 @@ def _only_hulls_meet(
     robot: RobotModel, tree: LinkTree, pairs: list[tuple[int, int]]
 ) -> Iterator[tuple[int, int]]:
     """Pairs of links whose hulls meet in more than a few postures in which they do not."""
-    chain = robot.arm
-    low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    qs = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(chain)))
+    qs = configurations(robot, _POSTURES)[1:]  # how it rests was looked at
     true, hulls = TrueShapes(robot, tree, qs), TrueShapes(robot, tree, qs, convex=True)
     links = robot.links_with_solids
     hollow = {shape.link for shape in robot.shapes if shape.vertices is not None}
@@ -262,5 +260,5 @@ def _only_hulls_meet(
         if hollow.isdisjoint((links[first], links[second])):
             continue
         met = [k for k in range(_POSTURES) if hulls.touch(first, second, k)]
-        if len(met) > _FEW and sum(not true.touch(first, second, k) for k in met) > _FEW:
+        if sum(not true.touch(first, second, k) for k in met) > _FEW:
             yield first, second

@@ -17,6 +17,7 @@ from infomap_ros.motion.arm.driving_posture import driving_posture
 from infomap_ros.motion.arm.own_view import OwnView
 from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.link_pairs import is_any_of
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
@@ -84,8 +85,8 @@ class WholeBody:
     ) -> WholeBody:
         """Find out about a robot, or remember it.
 
-        Joints that are neither of the arm nor turn without end, such as those of a gripper, count
-        as they stand.
+        Joints that are not of the arm, such as those of a gripper or of a second arm, count as
+        they stand; those of wheels, which turn all the time, do not.
 
         Args:
             robot: with a camera frame.
@@ -97,13 +98,17 @@ class WholeBody:
             ConfigError: the configured driving posture does not fit the arm.
             RobotModelError: the robot has no camera frame or nothing to stand on.
         """
-        own = set(robot.arm.joint_names)
-        held = {
-            joint.name: round(float(joints[joint.name]), _ROUNDING)
-            for joint in robot.joints
-            if joint.name in joints and joint.name not in own and not joint.is_continuous
-        }
-        return _whole_body(robot, config, tuple(sorted(held.items())), camera)
+        body = _joints_of_body(robot, config.collision.ground_links)
+        others = sorted(body.intersection(joints).difference(robot.arm.joint_names))
+        held = {name: round(float(joints[name]), _ROUNDING) for name in others}
+        return _whole_body(robot, config, tuple(held.items()), camera)
+
+
+@lru_cache(maxsize=4)
+def _joints_of_body(robot: RobotModel, ground_links: tuple[str, ...]) -> frozenset[str]:
+    """Joints that move the camera or a link which does not stand on the ground."""
+    links = {link for link in robot.links_with_solids if not is_any_of(link, ground_links)}
+    return robot.joints_above(links | {robot.camera_frame})
 
 
 @lru_cache(maxsize=4)

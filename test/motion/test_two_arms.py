@@ -11,10 +11,12 @@ from infomap_ros.motion.arm.driving_posture import driving_posture
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import solid_extent
+from infomap_ros.motion.whole_body import WholeBody
 
-from .two_arms import HALF_BASE, RIGHT, two_arms
+from .two_arms import CAMERA, HALF_BASE, RIGHT, two_armed_urdf, two_arms
 
 TUCKED = dict(zip(RIGHT, (2.5, 2.6), strict=True))
 
@@ -60,3 +62,23 @@ def test_what_keeps_the_base_in_its_place_is_named(robot: RobotModel) -> None:
     free = WholeBodyReach(robot, voxel_map, np.eye(4), folded | TUCKED, start=start)
     assert "right_" not in free.may_reach(view)[0]
     assert free.planner.reachable_area().sum() > 2 * reach.planner.reachable_area().sum()
+
+
+def test_a_joint_of_the_other_arm_that_turns_without_end_counts_and_a_wheel_does_not() -> None:
+    """As the forearm and the wrist of PR2, whose gripper else seems to be somewhere else."""
+    urdf, elbow = two_armed_urdf(), RIGHT[1]
+    begin = urdf.index(f'"{elbow}" type="revolute"')
+    robot = RobotModel.from_urdf(
+        urdf[:begin] + urdf[begin:].replace("revolute", "continuous", 1), CAMERA
+    )
+    wheels = [joint.name for joint in robot.joints if joint.name.endswith("_wheel_joint")]
+    joints = at_rest(robot) | TUCKED
+    whole = WholeBody.of(robot, ReachingConfig(), joints)
+    assert len(wheels) == 4
+    assert WholeBody.of(robot, ReachingConfig(), joints | dict.fromkeys(wheels, 1.0)) is whole
+    placed = whole.body.spheres(whole.driving, np.eye(4))
+    lower = np.repeat(
+        np.array(whole.body.links) == "right_lower", np.diff(whole.body.arrays.starts)
+    )
+    truth = robot.forward_kinematics(joints, "right_lower") @ (0.2, 0.0, 0.0, 1.0)
+    np.testing.assert_allclose(placed[lower, :3].mean(axis=0), truth[:3], atol=0.02)

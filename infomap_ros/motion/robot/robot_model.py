@@ -189,6 +189,15 @@ class RobotModel:
             + (", ".join(self.mechanism.indices) or "none")
         )
 
+    def joints_above(self, links: Iterable[str]) -> frozenset[str]:
+        """Names of the joints that move any of these links.
+
+        Raises:
+            RobotModelError: a link is unknown.
+        """
+        mechanism = self.mechanism
+        return mechanism.owners(mechanism.above(map(self._parent_joint, links)))
+
     def configuration(
         self, joint_positions: Mapping[str, float], frames: Iterable[str] | None = None
     ) -> FloatArray:
@@ -206,8 +215,7 @@ class RobotModel:
         mechanism = self.mechanism
         if frames is None:
             return mechanism.configuration(joint_positions, mechanism.indices)
-        joints = mechanism.above(self._parent_joint(frame) for frame in frames)
-        return mechanism.configuration(joint_positions, mechanism.owners(joints))
+        return mechanism.configuration(joint_positions, self.joints_above(frames))
 
     def forward_kinematics(self, joint_positions: Mapping[str, float], frame: str) -> FloatArray:
         """Place of a frame: ``T_base_frame``, shape (4, 4).

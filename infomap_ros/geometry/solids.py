@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -123,6 +124,22 @@ class ConvexPolytope:
     @property
     def bounding_radius(self) -> float:
         return self.radius
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """Its corners, shape (m, 3) [m]."""
+        from scipy.optimize import linprog
+        from scipy.spatial import HalfspaceIntersection
+
+        planes, ones = self.normals, np.ones((len(self.normals), 1))
+        inscribed = linprog(
+            (0.0, 0.0, 0.0, -1.0),
+            np.hstack([planes, ones]),
+            self.offsets,
+            bounds=[(None, None)] * 4,
+        )
+        halfspaces = np.column_stack([planes, -self.offsets])
+        return np.asarray(HalfspaceIntersection(halfspaces, inscribed.x[:3]).intersections)
 
     def signed_distance(self, points: ArrayLike) -> FloatArray:
         coordinates = np.asarray(points, dtype=np.float64)

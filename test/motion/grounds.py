@@ -25,6 +25,7 @@ def ground(
     seen: Height | None = None,
     near: tuple[float, float, float] = (0.0, 0.0, 0.1),
     cell: float = CELL,
+    sigma: float = 0.0,
 ) -> Terrain:
     """A square of ground about the origin; NaN heights are unknown, all above is open and seen.
 
@@ -35,19 +36,20 @@ def ground(
         seen: of x and y, end of what was seen [m].
         near: where the robot is.
         cell: edge of a cell [m].
+        sigma: standard deviation of the heights [m].
     """
     count = round(2.0 * half / cell)
     x, y = (np.indices((count, count)) + 0.5) * cell - half
     everywhere = np.zeros((count, count))
     heights = height(x, y) + everywhere
     steps, roughness = np.empty_like(heights), np.empty_like(heights)
-    largest_steps(heights, everywhere, steps)
+    largest_steps(heights, everywhere + sigma, steps)
     plane_misfits(heights, 2, 0.1, roughness)
     above = everywhere + (np.inf if overhead is None else overhead(x, y))
     known = everywhere + (10.0 if seen is None else seen(x, y))
     return Terrain(
         heights=heights.astype(np.float32),
-        sigma=np.full(heights.shape, 0.01, np.float32),
+        sigma=np.full(heights.shape, sigma, np.float32),
         roughness=roughness.astype(np.float32),
         step=steps.astype(np.float32),
         floor=np.where(np.isnan(heights), -5.0, heights).astype(np.float32),

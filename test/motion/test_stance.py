@@ -163,6 +163,14 @@ def test_stone_between_the_wheels_is_straddled_up_to_the_clearance(vehicle):
     assert stance.clearance < 0.0
 
 
+def test_low_stone_that_may_be_noise_of_the_ground_does_not_stop_the_body(vehicle):
+    """Level ground seen from afar: a robot with 2 cm of clearance else could not move."""
+    for sigma, height, good in ((0.02, 0.08, True), (0.02, 0.12, False), (0.01, 0.09, False)):
+        terrain = ground(bump(0.0, 0.0, 0.06, height), sigma=sigma)
+        stance = vehicle.stance(terrain, 0.0, 0.0, 0.0)
+        assert stance.ok is good, (sigma, height, stance.reason)
+
+
 @pytest.mark.parametrize(
     ("height", "options", "yaw", "reason"),
     [

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_SURE = 2.0  # standard deviations
+SURE = 2.0
+"""Standard deviations by which ground counts as lower than it seems, where it is in the way."""
+
 _RING = 5  # known cells around a hole without which nothing is said of it
 
 
@@ -118,7 +120,7 @@ def _fill(
 def largest_steps(heights: Any, sigmas: Any, steps: Any) -> None:
     """Largest step that is sure to be there, to one of the 8 neighbors [m]; NaN without ground.
 
-    It is the difference in height less `_SURE` of its standard deviations: ground that was seen
+    It is the difference in height less `SURE` of its standard deviations: ground that was seen
     from afar is no stairs for its noise. The robot that comes nearer sees it better.
     """
     nx, ny = heights.shape
@@ -128,7 +130,7 @@ def largest_steps(heights: Any, sigmas: Any, steps: Any) -> None:
             for a in range(max(i - 1, 0), min(i + 2, nx)):
                 for b in range(max(j - 1, 0), min(j + 2, ny)):
                     deviation = math.hypot(sigmas[a, b], sigmas[i, j])
-                    difference = abs(heights[a, b] - here) - _SURE * deviation
+                    difference = abs(heights[a, b] - here) - SURE * deviation
                     if difference > step:
                         step = difference
             steps[i, j] = math.nan if math.isnan(here) else step

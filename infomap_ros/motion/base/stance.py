@@ -27,8 +27,8 @@ or body column that the outcome is about. NaN = not reached before the stance wa
 class TerrainArrays(NamedTuple):
     """A `Terrain` as the kernels take it; grids float32, shape (nx, ny) [m, map].
 
-    Besides its own: `bottom`, the heights with inf where unknown; and `top`, below which a column
-    is free for this vehicle.
+    Besides its own: `bottom`, what the heights are at least, inf where unknown; and `top`, below
+    which a column is free for this vehicle.
     """
 
     heights: NDArray[np.float32]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PlacedSolid, float_array
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.measures import SURE
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base import stance as kernels
 from infomap_ros.motion.base.body_columns import body_columns, off_the_ground
@@ -253,7 +254,8 @@ def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
         np.ascontiguousarray(getattr(terrain, name), dtype=np.float32)
         for name in TerrainArrays._fields[:6]
     )
-    bottom = np.where(np.isnan(heights), np.float32(np.inf), heights)
+    sure = heights - SURE * terrain.sigma  # else the noise of level ground stops a low body
+    bottom = np.where(np.isnan(sure), np.inf, sure).astype(np.float32)
     top = overhead if config.unseen_is_free else np.minimum(overhead, seen)
     x, y = terrain.origin
     return TerrainArrays(

@@ -21,23 +21,11 @@ def solid_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
         reach = 0.5 * solid.length * np.abs(axis)
         reach = reach + solid.radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
     elif isinstance(solid, ConvexPolytope):
-        return _polytope_extent(solid, rotation, middle)
+        corners = solid.vertices @ rotation.T + middle
+        return corners.min(axis=0), corners.max(axis=0)
     else:
         reach = np.full(3, solid.bounding_radius)
     return middle - reach, middle + reach
-
-
-def _polytope_extent(
-    solid: ConvexPolytope, rotation: FloatArray, middle: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """By linear programming: a polytope is given by its planes."""
-    from scipy.optimize import linprog
-
-    planes = solid.normals @ rotation.T
-    bounds = [(None, None)] * 3
-    high = [-linprog(-axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
-    low = [linprog(axis, planes, solid.offsets, bounds=bounds).fun for axis in np.eye(3)]
-    return middle + np.array(low), middle + np.array(high)
 
 
 def body_extent(

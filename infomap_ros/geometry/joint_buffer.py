@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Collection
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.records import JointStateRecord
 
 _NANOSECONDS = 1_000_000_000
+_MOST_JOINTS = 1000
+_STILL = 1e-3  # a joint that moved by no more stood still [rad or m]
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,8 @@ class JointBuffer:
     Several publishers may each know some of the joints. Positions are interpolated linearly
     between two neighbors at most `max_gap` apart, and never extrapolated. A joint state older
     than the newest of its joint by more than `max_gap` says that the clock was set back: what was
-    kept of that joint is forgotten.
+    kept of that joint is forgotten. Of more than a thousand joints the one that has been silent
+    for longest is forgotten.
     """
 
     def __init__(self, config: JointBufferConfig | None = None) -> None:
@@ -70,6 +76,8 @@ class JointBuffer:
                 series.stamps.clear()
                 series.positions.clear()
             self._insert(series, state.stamp, float(position))
+        for _ in range(len(self._series) - _MOST_JOINTS):
+            del self._series[min(self._series, key=lambda name: self._series[name].stamps[-1])]
 
     def _insert(self, series: _Series, stamp: int, position: float) -> None:
         place = bisect_left(series.stamps, stamp)
@@ -98,20 +106,51 @@ class JointBuffer:
             if len(series.stamps) > 1
         }
 
-    def at(self, stamp: int) -> dict[str, float]:
-        """Positions of all known joints at a time, by name [rad or m].
+    def at(self, stamp: int, needed: Collection[str] = ()) -> dict[str, float]:
+        """Positions of the joints that are known at a time, by name [rad or m].
+
+        A joint that fell silent while others go on, as a gripper that is told of on change, stands
+        where it was. One whose next position may be on its way is waited for.
 
         Args:
             stamp: [ns].
+            needed: joints of which that is not enough, if anything was ever heard of them.
 
         Raises:
-            PoseUnavailableError: no joint is known, or one is not known at that time; its
+            PoseUnavailableError: no joint, or not a needed one, is known at that time; its
                 `may_arrive` says whether a later joint state can change that.
         """
         if not self._series:
             reason = "no joint states"
             raise PoseUnavailableError("no joint state has arrived", reason, may_arrive=True)
-        return {name: self._position(name, stamp) for name in self._series}
+        found: dict[str, float] = {}
+        missing: dict[str, PoseUnavailableError] = {}
+        for name in self._series:
+            try:
+                found[name] = self._position(name, stamp)
+            except PoseUnavailableError as error:
+                missing[name] = error
+        problems = [missing[name] for name in needed if name in missing]
+        problems += [missing[name] for name in missing if self._is_awaited(name, stamp, found)]
+        if problems:
+            raise min(problems, key=lambda problem: problem.may_arrive)
+        if not found:
+            raise max(missing.values(), key=lambda problem: problem.may_arrive)
+        held = {name: self._held(name, stamp) for name in missing}
+        return found | {name: at for name, at in held.items() if at is not None}
+
+    def _is_awaited(self, name: str, stamp: int, found: Collection[str]) -> bool:
+        """Whether the next position of a joint may still come, as those of others came."""
+        beyond = stamp - self._series[name].stamps[-1]
+        newest = max((self._series[other].stamps[-1] for other in found), default=stamp)
+        return 0 < beyond <= self._max_gap and newest <= stamp + self._max_gap
+
+    def _held(self, name: str, stamp: int) -> float | None:
+        """Where a joint stood that was silent then; None where it moved or was not heard of."""
+        series = self._series[name]
+        place = bisect_left(series.stamps, stamp)
+        around = series.positions[max(place - 1, 0) : place + 1]
+        return around[-1] if place > 0 and np.ptp(around) <= _STILL else None
 
     def _position(self, name: str, stamp: int) -> float:
         series = self._series[name]

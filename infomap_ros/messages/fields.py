@@ -88,8 +88,11 @@ class MessageFields:
             self.fail(f"{self.path}{name} is {value!r}, expected a finite number")
         return number
 
-    def numbers(self, *names: str, size: int | None = None) -> FloatArray:
-        """A sequence of finite numbers, shape (n,), float64; `size` is n where the type says so."""
+    def numbers(self, *names: str, size: int | None = None, finite: bool = True) -> FloatArray:
+        """A sequence of numbers, shape (n,), float64; `size` is n where the type says so.
+
+        They must be finite unless `finite` is false.
+        """
         value = self.value(*names)
         try:
             numbers = np.array(value, dtype=np.float64)
@@ -100,7 +103,7 @@ class MessageFields:
         if numbers.ndim != 1 or (size is not None and len(numbers) != size):
             expected = "a sequence" if size is None else f"{size} numbers"
             self.fail(f"{self.path}{names[0]} has shape {numbers.shape}, expected {expected}")
-        if not np.isfinite(numbers).all():
+        if finite and not np.isfinite(numbers).all():
             self.fail(f"{self.path}{names[0]} holds NaN or infinity")
         return numbers
 

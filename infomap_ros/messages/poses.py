@@ -77,22 +77,31 @@ def decode_odometry(message: object) -> OdometryRecord:
 def decode_joint_state(message: object) -> JointStateRecord:
     """Read a ``sensor_msgs/JointState``.
 
+    Drivers leave NaN where they have no sensor: a joint without a position is left out, and where
+    one has no velocity none is told.
+
     Raises:
         MalformedMessageError: names and positions (or velocities, where there are any) differ in
-            number, a name is there twice, or a value is not finite.
+            number, or a name is there twice.
     """
     fields = MessageFields(message, JOINT_STATE)
     stamp, frame_id = fields.header()
-    names, positions = fields.texts("name"), fields.numbers("position")
-    velocities = fields.numbers("velocity")
+    names, positions = fields.texts("name"), fields.numbers("position", finite=False)
+    velocities = fields.numbers("velocity", finite=False)
     if len(positions) != len(names):
         fields.fail(f"has {len(names)} names but {len(positions)} positions")
     if len(velocities) not in (0, len(names)):
         fields.fail(f"has {len(names)} names but {len(velocities)} velocities")
     if len(set(names)) != len(names):
         fields.fail("names a joint twice")
+    known = np.isfinite(positions)
+    have_velocities = len(velocities) > 0 and np.isfinite(velocities[known]).all()
     return JointStateRecord(
-        stamp, frame_id, names, positions, velocities if len(velocities) else None
+        stamp,
+        frame_id,
+        tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
+        positions[known],
+        velocities[known] if have_velocities else None,
     )
 
 

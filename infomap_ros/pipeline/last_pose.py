@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from infomap_ros.errors import InfomapError, PoseUnavailableError
@@ -23,10 +24,14 @@ class LastPose:
     Args:
         joints: is filled by the owner, who calls `settle` when it has been.
         assumed: covariance of poses that have none.
+
+    Attributes:
+        needed: joints that must be known at the stamp of a pose.
     """
 
     def __init__(self, joints: JointBuffer, assumed: AssumedPoseConfig) -> None:
         self._joints, self._assumed = joints, assumed
+        self.needed: Collection[str] = ()
         self._waiting: list[PoseRecord] = []  # later than the known one; joints are missing
         self._known: tuple[PoseRecord, dict[str, float]] | None = None
         self._start: RobotPosture | None = None
@@ -50,7 +55,7 @@ class LastPose:
         """Find out where joints and odometry were at the newest pose, now that more are known."""
         for number in reversed(range(len(self._waiting))):
             try:
-                joints = self._joints.at(self._waiting[number].stamp)
+                joints = self._joints.at(self._waiting[number].stamp, self.needed)
             except PoseUnavailableError:
                 continue
             self._known, self._start = (self._waiting[number], joints), None
@@ -69,12 +74,14 @@ class LastPose:
             if not self._waiting:
                 raise PoseUnavailableError("no camera_pose has arrived yet")
             newest = self._waiting[-1]
-            return newest, self._joints.at(newest.stamp)  # or an error that says what is missing
+            return newest, self._joints.at(
+                newest.stamp, self.needed
+            )  # or an error that says what is missing
         pose, joints = self._known
         if carried is None or self._start is None:
             return pose, joints
         here = carried.carry(pose, self._start)
-        return (pose, joints) if here is pose else (here, self._joints.at(here.stamp))
+        return (pose, joints) if here is pose else (here, self._joints.at(here.stamp, self.needed))
 
 
 def _posture(carried: CarriedPose, stamp: int) -> RobotPosture | None:

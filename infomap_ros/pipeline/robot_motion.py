@@ -108,7 +108,8 @@ class RobotMotion:
         robot = self._robot
         if robot is None or not {self._base, self._camera_frame} <= set(robot.frames):
             return self._by_tf(stamp)
-        joints = self._joints.at(stamp) if robot.joints else {}
+        needed = robot.joints_above((self._base, self._camera_frame))
+        joints = self._joints.at(stamp, needed) if needed else {}
         T_root_base = robot.forward_kinematics(joints, self._base)
         return invert_transform(T_root_base) @ robot.forward_kinematics(joints, self._camera_frame)
 

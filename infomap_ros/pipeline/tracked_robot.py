@@ -51,6 +51,7 @@ class TrackedRobot:
     def describe(self, robot: RobotModel, camera_frame: str) -> None:
         """Learn what the robot is, and which optical frame the poses are of."""
         self._robot, self._carried = robot, CarriedPose(camera_frame, robot)
+        self._pose.needed = robot.joints_above((robot.base_frame, robot.camera_frame))
         self._stamped = None
 
     def add(self, record: Record) -> None:

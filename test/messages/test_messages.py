@@ -295,7 +295,6 @@ def test_joint_state_round_trip():
         ("name", ["a"]),
         ("name", ["a", "a"]),
         ("position", np.array([1.0])),
-        ("position", np.array([1.0, np.nan])),
         ("velocity", np.array([1.0])),
     ],
 )
@@ -305,6 +304,21 @@ def test_joint_state_that_contradicts_itself(field, value):
     setattr(message, field, value)
     with pytest.raises(MalformedMessageError):
         ms.decode_joint_state(message)
+
+
+def test_joint_without_a_sensor_is_left_out_of_a_joint_state():
+    """Drivers tell NaN for what they do not measure."""
+    joints = JointStateRecord(STAMP, "", ("a", "b"), np.array([1.0, 2.0]), np.array([0.1, 0.2]))
+    for field, names, has_velocities in (
+        ("position", ("a",), True),
+        ("velocity", ("a", "b"), False),
+    ):
+        message = ms.encode(TYPES, joints)
+        setattr(message, field, np.array([1.0, np.nan]))
+        record = ms.decode_joint_state(message)
+        assert record.names == names
+        np.testing.assert_array_equal(record.positions, [1.0, 2.0][: len(names)])
+        assert (record.velocities is not None) is has_velocities
 
 
 def test_transforms_round_trip(rng):

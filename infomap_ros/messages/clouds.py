@@ -125,7 +125,7 @@ def _cells(fields: MessageFields) -> _Cells:
 def _layout(fields: MessageFields, point_step: int) -> dict[str, tuple[int, str]]:
     layout: dict[str, tuple[int, str]] = {}
     for part in fields.children("fields"):
-        name, offset = part.text("name"), part.integer("offset")
+        name, offset = part.name("name"), part.integer("offset")
         code = _TYPE_CODES.get(part.integer("datatype", high=255))
         count = max(1, part.integer("count"))
         if code is None:

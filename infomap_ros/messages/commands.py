@@ -81,7 +81,7 @@ def decode_arm_trajectory(message: object) -> ArmTrajectoryCommand:
     """
     fields = MessageFields(message, JOINT_TRAJECTORY)
     stamp, label = fields.header()
-    names = fields.texts("joint_names")
+    names = fields.names("joint_names")
     points = fields.children("points")
     if not names or not points:
         fields.fail(f"has {len(names)} joints and {len(points)} points")

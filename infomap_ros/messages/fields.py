@@ -19,6 +19,7 @@ from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry.transforms import FloatArray
 
 _NANOSECONDS = 1_000_000_000
+_LONGEST_NAME = 256
 _BYTE_CONTAINERS = (bytes, bytearray, memoryview, array.array)
 
 
@@ -67,6 +68,17 @@ class MessageFields:
             self.fail(f"{self.path}{name} is {type(value).__name__}, expected a string")
         return value
 
+    def name(self, name: str) -> str:
+        """A string that names something: printable, so that logs and terminals may show it."""
+        return self._checked_name(name, self.text(name))
+
+    def _checked_name(self, field: str, text: str) -> str:
+        if len(text) > _LONGEST_NAME:
+            self.fail(f"{self.path}{field} is a name of {len(text)} letters")
+        if not text.isprintable():
+            self.fail(f"{self.path}{field} is {text!r}, expected a printable name")
+        return text
+
     def integer(self, name: str, low: int = 0, high: int = 2**32 - 1) -> int:
         """A whole number within [low, high]."""
         value = self.value(name)
@@ -107,12 +119,12 @@ class MessageFields:
             self.fail(f"{self.path}{names[0]} holds NaN or infinity")
         return numbers
 
-    def texts(self, name: str) -> tuple[str, ...]:
-        """A sequence of strings."""
+    def names(self, name: str) -> tuple[str, ...]:
+        """A sequence of names, see `name`."""
         value = self.value(name)
         if not isinstance(value, (list, tuple)) or not all(isinstance(v, str) for v in value):
             self.fail(f"{self.path}{name} is not a sequence of strings")
-        return tuple(value)
+        return tuple(self._checked_name(name, text) for text in value)
 
     def data(self, name: str = "data") -> NDArray[np.uint8]:
         """A byte sequence without a copy, shape (n,), uint8."""
@@ -136,4 +148,4 @@ class MessageFields:
     def header(self) -> tuple[int, str]:
         """Stamp [ns] and frame of the header."""
         header = self.child("header")
-        return header.stamp(), header.text("frame_id").lstrip("/")
+        return header.stamp(), header.name("frame_id").lstrip("/")

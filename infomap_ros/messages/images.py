@@ -77,7 +77,7 @@ def decode_image(message: object) -> ImageRecord:
     """
     fields = MessageFields(message, IMAGE)
     stamp, frame_id = fields.header()
-    encoding = fields.text("encoding")
+    encoding = fields.name("encoding")
     pixels = _pixels(fields, encoding)
     if match := _BAYER_ENCODING.fullmatch(encoding):
         _check_mosaic(fields, pixels)
@@ -130,7 +130,7 @@ def decode_compressed_image(message: object) -> ImageRecord:
     """
     fields = MessageFields(message, COMPRESSED_IMAGE)
     stamp, frame_id = fields.header()
-    form, data = fields.text("format"), fields.data()
+    form, data = fields.name("format"), fields.data()
     if "compressedDepth" in form:
         if not form.startswith(("16UC1", "mono16")) or "rvl" in form:
             fields.fail(f"format '{form}' is not supported")
@@ -180,7 +180,7 @@ def decode_camera_info(message: object) -> CameraInfoRecord:
         calibration = CameraCalibration(
             width=width,
             height=height,
-            distortion_model=fields.text("distortion_model"),
+            distortion_model=fields.name("distortion_model"),
             distortion=fields.numbers("d", "D"),
             intrinsics=window @ k if k[0, 0] else k,
             rectification=fields.numbers("r", "R", size=9).reshape(3, 3),

@@ -66,7 +66,7 @@ def decode_odometry(message: object) -> OdometryRecord:
         frame_id,
         _pose(pose.child("pose")),
         _covariance(pose),
-        fields.text("child_frame_id").lstrip("/"),
+        fields.name("child_frame_id").lstrip("/"),
         twist=np.concatenate(
             [_vector(velocity.child("linear")), _vector(velocity.child("angular"))]
         ),
@@ -86,7 +86,7 @@ def decode_joint_state(message: object) -> JointStateRecord:
     """
     fields = MessageFields(message, JOINT_STATE)
     stamp, frame_id = fields.header()
-    names, positions = fields.texts("name"), fields.numbers("position", finite=False)
+    names, positions = fields.names("name"), fields.numbers("position", finite=False)
     velocities = fields.numbers("velocity", finite=False)
     if len(positions) != len(names):
         fields.fail(f"has {len(names)} names but {len(positions)} positions")
@@ -136,7 +136,7 @@ def decode_text(message: object, stamp: int = 0) -> TextRecord:
 
 def _transform(fields: MessageFields, is_static: bool) -> TransformRecord:
     stamp, parent = fields.header()
-    child = fields.text("child_frame_id").lstrip("/")
+    child = fields.name("child_frame_id").lstrip("/")
     if not parent or not child or parent == child:
         fields.fail(f"{fields.path}frames '{parent}' and '{child}' are not parent and child")
     part = fields.child("transform")

@@ -86,7 +86,7 @@ def decode_rows(message: object) -> tuple[int, str, NDArray[np.void]]:
 def _layout(fields: MessageFields, step: int) -> np.dtype[np.void]:
     names, kinds, offsets = [], [], []
     for part in fields.children("fields"):
-        names.append(part.text("name"))
+        names.append(part.name("name"))
         offsets.append(part.integer("offset"))
         kind = _TYPE_OF_CODE.get(part.integer("datatype", high=255))
         count = part.integer("count", high=_MAX_COUNT)

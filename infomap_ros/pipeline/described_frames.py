@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from scipy.spatial.transform import Rotation
 
@@ -27,6 +27,27 @@ def with_prefix(description: str, prefix: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
+def links_of(description: str) -> frozenset[str]:
+    """Names of the links of a URDF; none where it cannot be read."""
+    root = _read(description)
+    return frozenset(
+        () if root is None else (link.get("name", "") for link in root.iterfind("link"))
+    )
+
+
+def fixed_chains(
+    edges: Mapping[str, TransformRecord], wanted: Iterable[str], links: Collection[str]
+) -> list[TransformRecord]:
+    """The fixed transforms from links of a robot down to frames, where they lead there.
+
+    Args:
+        edges: fixed transforms, each by its child frame.
+        wanted: the frames.
+        links: names of the robot's links.
+    """
+    return [edge for frame in wanted for edge in _chain(frame, edges, links)]
+
+
 def with_fixed_frames(
     description: str, edges: Mapping[str, TransformRecord], wanted: Iterable[str]
 ) -> str:
@@ -41,8 +62,7 @@ def with_fixed_frames(
     root = _read(description)
     if root is None:
         return description
-    links = {link.get("name", "") for link in root.iterfind("link")}
-    added = [edge for frame in wanted for edge in _chain(frame, edges, links)]
+    added = fixed_chains(edges, wanted, links_of(description))
     for edge in {edge.child_frame_id: edge for edge in added}.values():
         _attach(root, edge)
     return ET.tostring(root, encoding="unicode") if added else description
@@ -57,7 +77,7 @@ def _read(description: str) -> ET.Element | None:
 
 
 def _chain(
-    frame: str, edges: Mapping[str, TransformRecord], links: set[str]
+    frame: str, edges: Mapping[str, TransformRecord], links: Collection[str]
 ) -> list[TransformRecord]:
     """The transforms from a link down to a frame, none where there is no such way."""
     chain: list[TransformRecord] = []

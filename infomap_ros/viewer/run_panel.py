@@ -37,6 +37,10 @@ def map_figures(
     )
 
 
+def _bold(text: str) -> str:
+    return f'<div style="padding:0 0.6em"><b>{html.escape(text)}</b></div>'
+
+
 class RunPanel:
     """State, figures, curves, log and buttons.
 
@@ -48,7 +52,7 @@ class RunPanel:
     def __init__(self, viser: Any, orders: Mapping[str, Callable[[], str]]) -> None:
         self._viser, self._lock = viser, threading.Lock()
         gui = viser.gui
-        self._state = gui.add_markdown("**starting**")
+        self._state = gui.add_html(_bold("starting"))
         self._figures = gui.add_html("")
         self._orders = orders
         if orders:
@@ -79,7 +83,7 @@ class RunPanel:
             state: in a few words.
             figures: by name, each with its unit.
         """
-        self._state.content = f"**{state}**"
+        self._state.content = _bold(state)
         rows = "".join(
             f"<tr><td>{html.escape(name)}</td>"
             f'<td style="text-align:right"><b>{html.escape(value)}</b></td></tr>'

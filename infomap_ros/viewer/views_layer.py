@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from infomap_ros.viewer.colors import BASE_WAY, CHOSEN, REJECTED
 from infomap_ros.viewer.shapes import draw_way, frustum, place
 
 _LENGTH = 0.14  # of the arrow of a view [m]
+_STYLE = "margin:0.3em 0;padding:0 0.6em 0 0.8em;font-size:0.85em;overflow-wrap:anywhere"
 _LISTED = 4  # views whose terms are told
 _LIFT = np.array([0.0, 0.0, 0.03])  # of the base's way above the ground [m]
 
@@ -48,8 +50,8 @@ class ViewsLayer:
     def __init__(self, viser: Any) -> None:
         self._scene = viser.scene
         self._chosen: Any = None
-        self._reason = viser.gui.add_markdown("_no view was chosen yet_")
-        self._details = viser.gui.add_markdown("")
+        self._reason = viser.gui.add_html(as_text("no view was chosen yet"))
+        self._details = viser.gui.add_html("")
 
     def show(self, views: Sequence[ConsideredView]) -> None:
         """Show what was considered at a choice, the best first."""
@@ -76,7 +78,7 @@ class ViewsLayer:
 
     def show_reason(self, reason: str) -> None:
         """Say why a view was chosen, or why none."""
-        self._reason.content = reason
+        self._reason.content = as_text(reason)
 
     def show_way(self, places: FloatArray) -> None:
         """Show the way of the base, shape (K, 3) [m, map]; K = 0 where it stays."""
@@ -101,13 +103,23 @@ class ViewsLayer:
 
 
 def _summary(views: Sequence[ConsideredView]) -> str:
-    """The best views and why others were rejected, as Markdown."""
+    """The best views and why others were rejected, as HTML."""
     rated = [view.text for view in views if not view.rejected]
     rejected = Counter(view.text.split(":")[0] for view in views if view.rejected)
-    lines = [f"{len(rated)} views rated, {rejected.total()} rejected (gray)."]
+    text = as_text(f"{len(rated)} views rated, {rejected.total()} rejected (gray).")
     if rated:
-        lines += ["", "The best:", "", *(f"- {text}" for text in rated[:_LISTED])]
+        text += as_text("The best:") + _list(rated[:_LISTED])
     if rejected:
-        lines += ["", "Rejected:", ""]
-        lines += [f"- {count} x {reason}" for reason, count in rejected.most_common(_LISTED)]
-    return "\n".join(lines)
+        reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(_LISTED)]
+        text += as_text("Rejected:") + _list(reasons)
+    return text
+
+
+def as_text(text: str) -> str:
+    """A paragraph of HTML that shows words as they are, whoever sent them."""
+    return f'<p style="{_STYLE}">{html.escape(text)}</p>'
+
+
+def _list(lines: Sequence[str]) -> str:
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
+    return f'<ul style="{_STYLE}">{items}</ul>'

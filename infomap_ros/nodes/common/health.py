@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 STALE_AFTER = 5.0  # [s]
 WARNING_PERIOD = 5.0  # [s], between two log lines on the same reason
+_LONGEST_DETAIL = 500  # letters that are told of a drop
 _WINDOW = 50  # arrivals from which a rate is computed
 
 
@@ -111,7 +112,7 @@ class Health:
         now = self._clock()
         with self._lock:
             self._drops[reason] += 1
-            self._last_detail[reason] = detail
+            self._last_detail[reason] = detail[:_LONGEST_DETAIL]
             if now < self._quiet_until.get(reason, now):
                 return False
             self._quiet_until[reason] = now + WARNING_PERIOD

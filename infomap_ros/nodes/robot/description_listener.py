@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 from std_msgs.msg import String
 
 from infomap_ros.geometry import TransformRecord
@@ -11,7 +12,12 @@ from infomap_ros.messages import decode_text
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.frame_listener import FrameListener
-from infomap_ros.pipeline.described_frames import with_fixed_frames, with_prefix
+from infomap_ros.pipeline.described_frames import (
+    fixed_chains,
+    links_of,
+    with_fixed_frames,
+    with_prefix,
+)
 
 
 class DescriptionListener:
@@ -42,7 +48,8 @@ class DescriptionListener:
         self._on_description, self._prefix, self._pass_on = on_description, prefix, on_edge
         self.published = ""
         self._text: str | None = None
-        self._told: str | None = None
+        self._links: frozenset[str] = frozenset()
+        self._told: list[TransformRecord] | None = None
         self._wanted: set[str] = set()
         self._edges: dict[str, TransformRecord] = {}
         node.listen(String, "robot_description", self._on_text, qos.latched(), required=required)
@@ -57,6 +64,7 @@ class DescriptionListener:
     def _on_text(self, message: String) -> None:
         self.published = decode_text(message).text
         self._text, self._told = with_prefix(self.published, self._prefix), None
+        self._links = links_of(self._text)
         self._tell()
 
     def _on_edge(self, edge: TransformRecord) -> None:
@@ -69,7 +77,17 @@ class DescriptionListener:
         """Tell the description, where it is another than was told last."""
         if self._text is None:
             return
-        text = with_fixed_frames(self._text, self._edges, sorted(self._wanted))
-        if text != self._told:
-            self._told = text
-            self._on_description(text)
+        wanted = sorted(self._wanted)
+        chain = fixed_chains(self._edges, wanted, self._links)
+        if self._told is None or not _are_same(chain, self._told):
+            self._told = chain
+            self._on_description(with_fixed_frames(self._text, self._edges, wanted))
+
+
+def _are_same(first: list[TransformRecord], second: list[TransformRecord]) -> bool:
+    """Whether chains lead by the same frames and transforms."""
+    return len(first) == len(second) and all(
+        (a.child_frame_id, a.frame_id) == (b.child_frame_id, b.frame_id)
+        and np.array_equal(a.transform, b.transform)
+        for a, b in zip(first, second, strict=True)
+    )

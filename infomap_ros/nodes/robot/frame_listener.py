@@ -8,13 +8,15 @@ from typing import Any
 
 from rclpy.qos import QoSProfile
 
+from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import TransformRecord
 from infomap_ros.messages import TF, decode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import message_class
 
-_MOST_FRAMES = 10_000  # of which edges are heard; a robot has some hundreds
+_MOST_FRAMES = 10_000  # names that are known; a robot has some hundreds
+_MOST_AT_ONCE = 1000  # of one message
 
 
 class FrameListener:
@@ -49,7 +51,12 @@ class FrameListener:
         self._node.listen(kind, topic, receive, profile, required=False)
 
     def _on_transforms(self, message: Any, *, is_static: bool) -> None:
-        for edge in decode_transforms(message, is_static):
-            self._children.add(edge.child_frame_id)
-            if len(self._children) <= _MOST_FRAMES:
+        edges = decode_transforms(message, is_static)
+        if len(edges) > _MOST_AT_ONCE:
+            text = f"has {len(edges)} transforms, at most {_MOST_AT_ONCE} are heard at once"
+            raise MalformedMessageError(TF, text)
+        for edge in edges:
+            if len(self._children) < _MOST_FRAMES:
+                self._children.add(edge.child_frame_id)
+            if edge.child_frame_id in self._children:
                 self._on_edge(edge)

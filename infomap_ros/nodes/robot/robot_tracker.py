@@ -90,7 +90,9 @@ class RobotTracker:
         self._tracked = TrackedRobot(node.config(JointBufferConfig), node.config(AssumedPoseConfig))
         self._news = threading.Condition()
         self._infos: list[CameraCalibration | None] = [None] * len(infos)
-        self._description = self._read = self._description_hash = ""
+        self._description = self._description_hash = ""
+        self._camera_frame = self._last_frame = ""
+        self._read: tuple[str, str] | None = None
         self._newest_pose: PoseRecord | None = None
         self._lockstep: LockstepTime | None = None
         self._log = node.get_logger()
@@ -293,28 +295,37 @@ class RobotTracker:
         def receive(message: CameraInfo) -> None:
             record = decode_camera_info(message)
             with self._news:
-                is_first = self._infos[number] is None
                 self._infos[number] = record.calibration
-                if is_first and number == 0:
-                    self._camera_frame = self._config.camera_frame or record.frame_id
-            if is_first and number == 0:
-                self._texts.want(self._camera_frame)
-                with self._news:
-                    self._read_robot()
+            if number == 0:
+                self._take_frame(self._config.camera_frame or record.frame_id)
 
         return receive
 
+    def _take_frame(self, frame: str) -> None:
+        """Take the frame of a camera info.
+
+        At once where no robot is known by another one, else when it has come twice, as a single
+        odd one means nothing.
+        """
+        with self._news:
+            is_repeated, self._last_frame = frame == self._last_frame, frame
+            if frame == self._camera_frame or not (is_repeated or self._read is None):
+                return
+            self._camera_frame = frame
+        self._texts.want(frame)
+        with self._news:
+            self._read_robot()
+
     def _read_robot(self) -> None:
         """Read the robot once both its description and the camera's frame are known."""
-        if not self._description or self._infos[0] is None:
+        wanted = self._description, self._camera_frame
+        if not all(wanted) or self._read == wanted:
             return
-        if self._read == self._description:
-            return
-        self._read = self._description
         config = self._config
         robot = config.robot.read(
             self._description, self._camera_frame, config.base_frame, config.arm_joints
         )
         self._tracked.describe(robot, self._camera_frame)
+        self._read = wanted
         self._log.info(f"robot '{robot.name}', camera in '{self._camera_frame}'")
         self._news.notify_all()

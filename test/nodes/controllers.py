@@ -225,7 +225,7 @@ class PathController:
 
 
 class VelocityController:
-    """Moves a base on paper by cmd_vel, which it forgets after half a second.
+    """Moves a base on paper by cmd_vel, which it forgets after `patience` seconds.
 
     Args:
         rover: whose base it moves.
@@ -234,7 +234,7 @@ class VelocityController:
     """
 
     def __init__(self, rover: Any, kind: Any = Twist) -> None:
-        self.rover, self.stuck = rover, False
+        self.rover, self.stuck, self.patience = rover, False, 0.5
         self.pose = np.zeros(3)
         self.commands: list[tuple[float, float]] = []
         self._age = 1.0
@@ -248,7 +248,7 @@ class VelocityController:
 
     def _move(self) -> None:
         self._age += PERIOD
-        if self._age > 0.5 or self.stuck or not self.commands:
+        if self._age > self.patience or self.stuck or not self.commands:
             return
         speed, rate = self.commands[-1]
         yaw = self.pose[2]

@@ -251,6 +251,16 @@ class MonitoredNode(Node):
         if self.lockstep is not None:
             self.lockstep.report()
 
+    @property
+    def motion_clock(self) -> Clock:
+        """What motions are timed by: the clock of a simulator, or one that nobody sets.
+
+        The time of the machine may be stepped, by hours, while something moves.
+        """
+        if self.get_parameter("use_sim_time").value:
+            return self.get_clock()
+        return Clock(clock_type=ClockType.STEADY_TIME)
+
     def guard(self, origin: str, action: Callable[[], object]) -> bool:
         """Run an action; an error of the library becomes a counted drop.
 

@@ -131,7 +131,7 @@ class _Topics:
         self, node: MonitoredNode, controllers: Iterable[str], joints: JointListener
     ) -> None:
         self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
-        self._clock, self._joints = node.get_clock(), joints
+        self._clock, self._joints = node.motion_clock, joints
         self._publishers = {
             name: node.advertise(JointTrajectory, f"{name}/joint_trajectory", qos.stream())
             for name in controllers
@@ -139,7 +139,7 @@ class _Topics:
         self._order: Order | None = None
         self._parts: Sequence[ControllerTrajectory] = ()
         self._end = 0
-        node.create_timer(_PERIOD, self._look)
+        node.create_timer(_PERIOD, self._look, clock=self._clock)
 
     @property
     def is_active(self) -> bool:

@@ -34,6 +34,7 @@ class VelocityBase:
         self._frames = node.config(RobotTrackerConfig)
         self._tracker = RobotTracker(node, infos=("left/camera_info",))
         self._clock, self._stamped = node.get_clock(), config.base == "cmd_vel_stamped"
+        self._pace = node.motion_clock
         kind = TwistStamped if self._stamped else Twist
         self._velocities = node.advertise(kind, "cmd_vel", qos.stream(depth=1))
         self._driving = PathDriving(config.following())
@@ -41,7 +42,7 @@ class VelocityBase:
         self._cause = ""
         self._in_odometry = False
         self._newest, self._seen, self._last = 0, 0, 0
-        node.create_timer(_PERIOD, self._drive)
+        node.create_timer(_PERIOD, self._drive, clock=self._pace)
 
     @property
     def is_active(self) -> bool:
@@ -132,4 +133,4 @@ class VelocityBase:
         self._velocities.publish(stamped)
 
     def _now(self) -> int:
-        return int(self._clock.now().nanoseconds)
+        return int(self._pace.now().nanoseconds)

@@ -149,13 +149,23 @@ def _middle(number: int) -> float:
 @njit(cache=True, nogil=True)
 def _meets_any(solids: Any, end: Any, outline: Any, widely: bool, local: Any) -> bool:
     for s in range(len(solids.kinds)):
-        growth = outline.growths[s]
-        if growth >= 0.0:
-            _into_solid(end, solids.centers[s], solids.rotations[s], local)
-            slack = outline.slacks[s] if widely else 0.0
-            if _meets(solids, s, outline.start[s], local, growth + slack):
-                return True
+        growth = outline.growths[s] + (outline.slacks[s] if widely else 0.0)
+        if outline.growths[s] < 0.0 or _passes(end, solids.centers[s], solids.radii[s] + growth):
+            continue
+        _into_solid(end, solids.centers[s], solids.rotations[s], local)
+        if _meets(solids, s, outline.start[s], local, growth):
+            return True
     return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _passes(end: Any, center: Any, radius: float) -> bool:
+    """Whether the segment from the origin passes a sphere; most solids are told apart by it."""
+    along = end[0] * center[0] + end[1] * center[1] + end[2] * center[2]
+    length = end[0] * end[0] + end[1] * end[1] + end[2] * end[2]
+    share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+    x, y, z = (share * end[0] - center[0], share * end[1] - center[1], share * end[2] - center[2])
+    return bool(x * x + y * y + z * z > radius * radius)
 
 
 @njit(cache=True, nogil=True)
@@ -193,7 +203,9 @@ def _meets(solids: Any, s: int, a: Any, b: Any, growth: float) -> bool:
                 before += plane[j] * a[j]
                 after += plane[j] * b[j]
             enter, leave = _clip(before - plane[3], after - plane[3], enter, leave)
-        return bool(enter <= leave)
+            if enter > leave:
+                return False
+        return True
     if kind == BOX:
         for j in range(3):
             bound = size[j] + growth

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import ConfigError, InvalidInputError, MapFileError
+from infomap_ros.errors import CapacityError, ConfigError, InvalidInputError, MapFileError
 from infomap_ros.geometry import (
     MotionClock,
     PinholeCamera,
@@ -96,8 +96,8 @@ class VoxelMap:
 
         Raises:
             InvalidInputError: an argument has a wrong shape or impossible content.
-            CapacityError: the map would exceed ``memory_limit``.
-            In both cases the map is as it was before.
+            CapacityError: the map would exceed ``memory_limit``, or the machine has no memory left;
+                the map can be used and saved.
         """
         config = self.config
         correlation = config.error_correlation if error_correlation is None else error_correlation
@@ -107,7 +107,12 @@ class VoxelMap:
         given = points, T_map_sensor, covariances, known, camera
         scan = scan_input.checked_scan(*given, config.default_sigma)
         scan_input.check_within_limits(scan.transform, config.voxel_size)
-        report = self._integrator.integrate(self._storage, scan, correlation)
+        try:
+            report = self._integrator.integrate(self._storage, scan, correlation)
+        except CapacityError:
+            raise
+        except MemoryError as error:
+            raise CapacityError("the machine has no memory left for a scan") from error
         if isinstance(pose_covariance, PoseUncertainty):
             put_offset(self._storage, pose_covariance.offset_at_origin(scan.transform[:3, 3]))
         return report

@@ -103,8 +103,8 @@ def with_records(
     """
     before = int(surface.counts[PAGE_COUNT])
     surface = surface._replace(page=grown(surface.page, SIDES * blocks, -1))
-    pages = int(kernels.open_pages(surface, records))
-    surface = surface._replace(
+    pages = before + count_new(surface, records >> 9, records & 511)[0]
+    surface = surface._replace(  # all memory is had before anything is entered
         places=grown(surface.places, pages, used=before),
         rows=grown(
             surface.rows,
@@ -114,6 +114,7 @@ def with_records(
     )
     surface.places[before:pages] = -1
     found = np.empty(len(records), np.int64)
+    kernels.open_pages(surface, records)
     kernels.open_rows(surface, records, found)
     return surface, found
 

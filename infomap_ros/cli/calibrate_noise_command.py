@@ -9,6 +9,7 @@ import typer
 
 from infomap_ros.cli.command_options import chosen, lists_settings
 from infomap_ros.cli.results import results_in
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.stereo import StereoConfig, calibration
 from infomap_ros.stereo.ground_truth import load_pairs
 from infomap_ros.stereo.noise_plot import draw_noise_fit
@@ -41,6 +42,6 @@ def calibrate_noise(
         fit = calibration.calibrate_noise(pairs, config, half_sizes=half_sizes)
         draw_noise_fit(fit, out / "noise.png")
         summary = fit.summary()
-        (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        write_text(out / "summary.json", json.dumps(summary, indent=1) + "\n")
     typer.echo(fit.table())
     typer.echo(json.dumps(summary))

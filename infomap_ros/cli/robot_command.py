@@ -8,6 +8,7 @@ import typer
 from infomap_ros import __version__
 from infomap_ros.cli.progress_bar import says_when_it_compiles
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.simulation.robots.drawing import draw_robot
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.robots.robot_reading import RobotReading, read_robot
@@ -40,7 +41,7 @@ def robot(
     out.parent.mkdir(parents=True, exist_ok=True)
     title = f"{reading.robot.name}, written by infomap robot {__version__}"
     text = reading.file.text(title)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text)
     RobotFile.read(out)  # it says what was meant
     picture = out.with_suffix(".png")
     draw_robot(reading, picture)

@@ -14,6 +14,7 @@ from infomap_ros.cli.study_options import (
     refusals,
     workers,
 )
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.studies.common.runs import Kept, run_all
 from infomap_ros.studies.drift import (
     DriftConfig,
@@ -61,7 +62,7 @@ def drift(
     panels = panels_of(results)
     if panels:
         draw_drift(panels, [out / "drift.png", out / "drift.svg"])
-    (out / "drift.csv").write_text("\n".join(drift_rows(panels)) + "\n", encoding="utf-8")
+    write_text(out / "drift.csv", "\n".join(drift_rows(panels)) + "\n")
     finish("drift", drift_table(panels), drift_summary(panels, time.monotonic() - start), out)
     raise typer.Exit(0 if all(panel.ratio <= 0.5 for panel in panels) else 1)
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from infomap_ros.errors import ConfigError, InfomapError
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.views.ranking.strategies import make_strategy
 
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
@@ -88,8 +89,8 @@ def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
 
 def finish(name: str, tables: str, figures: Mapping[str, float | str], out: Path) -> None:
     """Write the tables, as NAME.md, and summary.json; print both."""
-    (out / f"{name}.md").write_text(tables, encoding="utf-8")
+    write_text(out / f"{name}.md", tables)
     text = json.dumps(dict(figures))
-    (out / "summary.json").write_text(text + "\n", encoding="utf-8")
+    write_text(out / "summary.json", text + "\n")
     typer.echo(tables)
     typer.echo(text)

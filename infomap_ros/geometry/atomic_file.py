@@ -49,14 +49,19 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         os.close(folder)
 
 
-def write_json(path: Path, content: object) -> None:
-    """Write JSON to a file, as `replacing` does.
+def write_text(path: str | Path, text: str) -> None:
+    """Write text to a file, as `replacing` does.
 
     Raises:
         OSError: the file cannot be written; what was there before stays.
     """
     with replacing(path) as file:
-        file.write(json.dumps(content).encode("utf-8"))
+        file.write(text.encode("utf-8"))
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON to a file, as `replacing` does; raises as `write_text` does."""
+    write_text(path, json.dumps(content))
 
 
 def _regular(path: Path) -> Path:

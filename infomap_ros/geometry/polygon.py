@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
 
 _FLAT = 1e-9  # [m^2]; a polygon of a smaller area is a line
+_SAME = 1e-6  # corners nearer to each other are one [m]
+_MOST_CORNERS = 1000  # each pair of edges is compared
+_FARTHEST = 1e6  # coordinates keep their micrometers [m]
 
 
 @dataclass(frozen=True)
@@ -24,8 +28,8 @@ class Polygon:
         name: what it is, for messages.
 
     Raises:
-        InvalidInputError: fewer than three corners, one that is not finite, edges that cross or
-            touch, or no area; names the polygon.
+        InvalidInputError: fewer than three corners or more than 1000, one that is not finite or
+            beyond 1000 km, edges that cross or touch, or no area; names the polygon.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -49,8 +53,13 @@ class Polygon:
         what = f"polygon '{self.name}'"
         if len(self.corners) < 3:
             raise InvalidInputError(what, f"has {len(self.corners)} corners, expected at least 3")
+        if len(self.corners) > _MOST_CORNERS:
+            text = f"has {len(self.corners)} corners, expected at most {_MOST_CORNERS}"
+            raise InvalidInputError(what, text)
         if not np.isfinite(self.corners).all():
             raise InvalidInputError(what, f"has a corner that is not finite: {self.corners}")
+        if np.abs(self.corners).max() > _FARTHEST:
+            raise InvalidInputError(what, f"has a corner farther than {_FARTHEST:g} m away")
         if crossing := self._crossing():
             raise InvalidInputError(what, f"crosses or touches itself: {crossing}")
         if abs(self._area()) < _FLAT:
@@ -82,42 +91,51 @@ class Polygon:
     def _crossing(self) -> str:
         """Two edges that have a point in common that they should not have, in words; or empty."""
         edges, count = self._edges(), len(self.corners)
-        repeated = next((a for a, b in edges if a == b), None)
-        if repeated is not None:
-            return f"corner {repeated} is there twice in a row"
-        for i, (a, b) in enumerate(edges):
-            for j in range(i + 1, count):
-                c, d = edges[j]
-                if j == i + 1 or (i == 0 and j == count - 1):
-                    shared, first, last = (b, a, d) if j == i + 1 else (a, b, c)
-                    if count > 3 and _folds_back(shared, first, last):
-                        return f"the edges at {shared} lie on each other"
-                elif _meet(a, b, c, d):
-                    return f"edge {a} to {b} and edge {c} to {d}"
+        for number, (a, b) in enumerate(edges):
+            if math.dist(a, b) < _SAME:
+                return f"corner {a} is there twice in a row"
+            c = edges[(number + 1) % count][1]
+            if count > 3 and _folds_back(b, a, c):
+                return f"the edges at {b} lie on each other"
+        meeting = np.triu(_meeting(np.array(self.corners)), 2)
+        meeting[0, -1] = False  # the first edge and the last have a corner in common
+        for i, j in np.argwhere(meeting)[:1]:
+            (a, b), (c, d) = edges[i], edges[j]
+            return f"edge {a} to {b} and edge {c} to {d}"
         return ""
 
 
 _Point = tuple[float, float]
 
 
+def _meeting(corners: FloatArray) -> NDArray[np.bool_]:
+    """Which two edges of a polygon, shape (n, 2), have a point in common, shape (n, n)."""
+    ends = np.roll(corners, -1, axis=0)
+    first, last = _turns(corners, corners), _turns(corners, ends)
+    apart = (first > 0.0) != (last > 0.0)
+    crosses = apart & apart.T & (first != 0.0) & (last != 0.0) & (first.T != 0.0) & (last.T != 0.0)
+    touches = (first == 0.0) & _between(corners, corners)
+    touches |= (last == 0.0) & _between(corners, ends)
+    return np.asarray(crosses | touches | touches.T)
+
+
+def _turns(corners: FloatArray, points: FloatArray) -> FloatArray:
+    """Twice the signed areas of edges (n) with points (m), positive to the left, shape (n, m)."""
+    along = np.roll(corners, -1, axis=0) - corners
+    to = points[None] - corners[:, None]
+    return np.asarray(along[:, None, 0] * to[..., 1] - along[:, None, 1] * to[..., 0])
+
+
+def _between(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """Whether points, in one line with edges, lie between their ends, shape (n, m)."""
+    pairs = np.stack([corners, np.roll(corners, -1, axis=0)])
+    low, high = pairs.min(axis=0)[:, None], pairs.max(axis=0)[:, None]
+    return np.asarray(((low <= points) & (points <= high)).all(axis=-1))
+
+
 def _turn(a: _Point, b: _Point, c: _Point) -> float:
     """Twice the signed area of a triangle: positive where c lies to the left of a to b."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _is_between(a: _Point, b: _Point, c: _Point) -> bool:
-    """Whether c, in one line with a and b, lies between them."""
-    return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
-
-
-def _meet(a: _Point, b: _Point, c: _Point, d: _Point) -> bool:
-    """Whether two segments have a point in common."""
-    turns = _turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b)
-    apart = (turns[0] > 0.0) != (turns[1] > 0.0) and (turns[2] > 0.0) != (turns[3] > 0.0)
-    if apart and 0.0 not in turns:
-        return True
-    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(t == 0.0 and _is_between(*end) for t, end in zip(turns, ends, strict=True))
 
 
 def _folds_back(corner: _Point, first: _Point, last: _Point) -> bool:

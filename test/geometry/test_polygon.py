@@ -76,9 +76,24 @@ def test_the_sense_of_rotation_and_a_repeated_first_corner_do_not_matter() -> No
         ([(0, 0), (1, 0), (1, 0), (0, 1)], "twice in a row"),
         ([(0, 0), (1, 1), (2, 2)], "no area"),
         ([(0, 0), (1, 0, 0), (1, 1)], "not a pair"),
+        ([(0, 0), (1e-170, 0), (1, 1)], "twice in a row"),
+        ([(0, 0), (1e160, 0), (1, 1)], "farther than"),
+        ([(n, n % 2) for n in range(20_000)], "20000 corners"),
     ],
 )
 def test_what_is_no_polygon_is_refused_by_name(corners: list, problem: str) -> None:
     with pytest.raises(InvalidInputError, match=problem) as caught:
         Polygon.of(corners, "stairs")
     assert caught.value.name == "polygon 'stairs'"
+
+
+def test_crossing_edges_are_found_wherever_they_are(rng: np.random.Generator) -> None:
+    """A star with rays at all angles is simple; with two of its corners exchanged it is not."""
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 60))
+    star = rng.uniform(1.0, 2.0, 60)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    assert len(Polygon.of(star.tolist(), "star").corners) == 60
+    for first in (3, 20, 50):
+        crossed = star.copy()
+        crossed[[first, first + 7]] = crossed[[first + 7, first]]
+        with pytest.raises(InvalidInputError, match="crosses or touches itself"):
+            Polygon.of(crossed.tolist(), "star")

@@ -24,6 +24,7 @@ from infomap_ros.exploration.reports.report_page.tables import (
     table,
     words,
 )
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import MapImage, map_from_above
 
@@ -96,7 +97,7 @@ def write_comparison(out: Path, folders: Mapping[str, Path]) -> None:
         Section("maps", "The maps from above", _maps(found)),
     ]
     text = page("Explorations compared", "", _lead(runs), None, parts)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text)
 
 
 def _lead(runs: Mapping[str, RecordedRun]) -> str:

@@ -17,6 +17,7 @@ from infomap_ros.exploration.reports.report_page.scene import add_camera_path, s
 from infomap_ros.exploration.reports.report_page.surface import drawn_surface
 from infomap_ros.exploration.reports.report_page.time_line import time_line
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import MapImage, map_from_above
@@ -171,4 +172,4 @@ def _paragraph(text: str) -> str:
 
 
 def _write(out: str | Path, text: str) -> None:
-    Path(out).write_text(text, encoding="utf-8")
+    write_text(out, text)

@@ -17,6 +17,7 @@ from infomap_ros.exploration.reports.report_page.plan import plan
 from infomap_ros.exploration.reports.report_page.scene import scene_of
 from infomap_ros.exploration.reports.report_page.surface import drawn_surface
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import map_from_above
 
@@ -68,7 +69,7 @@ def write_team_report(
     ]
     lead = "".join(_robot(place, *item) for place, item in enumerate(runs.items()))
     text = page(title, sections.subtitle(everything), lead, scene, parts)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text)
 
 
 def _together(runs: list[RecordedRun]) -> RecordedRun:

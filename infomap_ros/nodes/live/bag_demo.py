@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from infomap_ros.errors import BagError, ProcessError
 from infomap_ros.exploration.reports.report import write_map_report
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_vertices, write_ply
@@ -130,7 +131,7 @@ def write_results(
         "memory_bytes": voxel_map.memory_bytes(),
         "voxel_size": voxel_map.config.voxel_size,
     }
-    (out / SUMMARY_FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    write_text(out / SUMMARY_FILE, json.dumps(figures, indent=1) + "\n")
     introduction = (
         f"The bag {bag.name}, played through stereo_range, fiducial_localization and map_fusion as "
         "separate processes. "

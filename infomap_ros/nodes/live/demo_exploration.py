@@ -10,6 +10,7 @@ from pathlib import Path
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.nodes.live.run_state import RunState
 from infomap_ros.replay.mapping.map_files import SUMMARY_FILE
 from infomap_ros.simulation.exploring.exploration_run import task_in
@@ -116,7 +117,7 @@ def write_summary(out: Path, results: Mapping[str, object]) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    (out / SUMMARY_FILE).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_text(out / SUMMARY_FILE, json.dumps(results, indent=1) + "\n")
 
 
 def check_not_failed(results: Mapping[str, object], folder: Path, name: str = "") -> None:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import quaternion_from_transform
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.replay.localizing.localize_run import LocalizeRun
 from infomap_ros.replay.localizing.trajectory import Trajectory
 
@@ -51,7 +52,7 @@ def write_localize_files(run: LocalizeRun, out: Path) -> dict[str, int | float |
     write_covariances(trajectory, out / COVARIANCE_FILE)
     draw_run(run, out / "trajectory.png")
     summary = run.summary()
-    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    write_text(out / SUMMARY_FILE, json.dumps(summary, indent=1) + "\n")
     return summary
 
 

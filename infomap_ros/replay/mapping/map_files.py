@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.exploration.reports.report import write_map_report
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.replay.mapping.map_run import MapRun
@@ -52,5 +53,5 @@ def write_map_files(run: MapRun, out: Path) -> dict[str, int | float | str]:
         draw_sigma(run.first.cloud, out / "sigma.png")
     summary = run.summary()
     write_map_report(out / PAGE_FILE, run.map, name, figures=summary, camera_path=path)
-    (out / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    write_text(out / SUMMARY_FILE, json.dumps(summary, indent=1) + "\n")
     return summary

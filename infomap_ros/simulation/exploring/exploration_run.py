@@ -28,6 +28,7 @@ from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotS
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
@@ -200,7 +201,7 @@ class ExplorationRun:
         run = read_run(self._out / LOG_FILE)
         summary = self.summary(ending) | prediction_figures(run) | hindrance_figures(run)
         text = json.dumps(summary, indent=1) + "\n"
-        (self._out / SUMMARY_FILE).write_text(text, encoding="utf-8")
+        write_text(self._out / SUMMARY_FILE, text)
         world = self.options.world
         title = f"Exploring {world.name}, seed {world.seed}"
         write_report(

@@ -522,3 +522,11 @@ def test_kernels_of_clouds_run_uncompiled(rng):
     colors = np.empty((1, 1, 3), np.uint8)
     _unpack_colors.py_func(np.array([[0x00010203]], np.uint32), colors)
     assert colors.tolist() == [[[1, 2, 3]]]
+
+
+def test_a_png_that_unfolds_to_gigabytes_is_refused_before_it_is_decoded():
+    tiny = cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].ravel()
+    tiny[16:24] = np.frombuffer(np.array([20_000, 20_000], ">u4").tobytes(), np.uint8)
+    message = SimpleNamespace(header=header(), format="png", data=tiny)
+    with pytest.raises(MalformedMessageError, match="400000000 pixels"):
+        ms.decode_compressed_image(message)

@@ -148,7 +148,7 @@ def decode_compressed_image(message: object) -> ImageRecord:
 
 
 def _declared_pixels(data: NDArray[np.uint8]) -> int:
-    """Pixels that a PNG says it holds, 0 for another format: a megabyte of it may hold gigabytes."""
+    """Pixels that a PNG, which may unfold a thousandfold, says it holds; 0 for other formats."""
     header = data[:24].tobytes()
     if len(header) < 24 or not header.startswith(b"\x89PNG\r\n\x1a\n"):
         return 0

@@ -32,7 +32,7 @@ from infomap_ros.stereo import (
 )
 from infomap_ros.stereo.images import check_size
 
-_DEPTH_ENCODINGS = ("32FC1", "16UC1", "mono16")
+DEPTH_ENCODINGS = ("32FC1", "16UC1", "mono16")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +183,8 @@ class DepthRangeEstimator:
     def measure(self, images: ImageSet) -> RangeMeasurement:
         """See `RangeEstimator.measure`."""
         depth, calibrations = images.images[0], images.calibrations
-        if depth.encoding not in _DEPTH_ENCODINGS:
-            expected = ", ".join(_DEPTH_ENCODINGS)
+        if depth.encoding not in DEPTH_ENCODINGS:
+            expected = ", ".join(DEPTH_ENCODINGS)
             problem = f"encoding '{depth.encoding}' of a depth image, expected {expected}"
             raise MalformedMessageError(IMAGE, problem)
         if self._sensor is None or self._calibration != calibrations[0]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 import threading
 from pathlib import Path
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, Sphere, make_transform
+from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -206,8 +208,6 @@ def test_unknown_frames_and_joints_are_named(arm):
         (one_link('<capsule radius="1" length="1"/>'), "'tool'.*capsule"),
         (one_link(""), "'tool'.*nothing"),
         (one_link('<box size="1 1"/>'), "0 of 1 collision shapes"),
-        (one_link('<sphere radius="-1"/>'), "'tool'.*positive"),
-        (one_link('<mesh filename="package://nowhere/a.stl"/>'), "package://nowhere/a.stl"),
         (
             '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
             '<joint name="i" type="fixed"><parent link="b"/><child link="c"/></joint>'
@@ -260,11 +260,57 @@ def test_flat_mesh_becomes_a_plate(tmp_path):
     np.testing.assert_array_equal(distance <= 0.0, [True, False, False])
 
 
-def test_mesh_in_one_line_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("shape", "named", "is_missing"),
+    [
+        ('<sphere radius="-1"/>', "'tool'.*positive", False),
+        ('<box size="0 0 0"/>', "'tool'.*positive", False),
+        ('<mesh filename="package://nowhere/a.stl"/>', "'tool'.*package://nowhere/a.stl", True),
+    ],
+)
+def test_shape_that_cannot_be_had_is_left_out_and_named(shape, named, is_missing):
+    robot = RobotModel.from_urdf(one_link(shape))
+    assert robot.solids_in("tool", {}) == []
+    (sentence,) = robot.left_out
+    assert re.search(named, sentence)
+    assert robot.missing == (robot.left_out if is_missing else ())
+
+
+def test_the_other_shapes_of_a_robot_with_a_missing_mesh_are_kept():
+    missing = (
+        '<collision><geometry><mesh filename="package://nowhere/a.stl"/></geometry></collision>'
+    )
+    urdf = ARM.replace('<link name="slider"/>', f'<link name="slider">{missing}</link>')
+    robot = RobotModel.from_urdf(urdf)
+    assert len(robot.missing) == 1
+    assert len(robot.shapes) == len(RobotModel.from_urdf(ARM).shapes)
+    with pytest.raises(RobotModelError, match=r"no motion can be planned without .*nowhere/a\.stl"):
+        CollisionBody.from_robot(robot)
+
+
+@pytest.mark.parametrize(
+    ("limit", "named"),
+    [
+        ('effort="-1" velocity="1"', "'slide' has effort='-1'"),
+        ('velocity="1"', "'slide' has no effort"),
+    ],
+)
+def test_limit_that_is_none_names_its_joint(limit, named):
+    urdf = ARM.replace('effort="1" velocity="0.1"', limit)
+    with pytest.raises(RobotModelError, match=named):
+        RobotModel.from_urdf(urdf)
+
+
+def test_prefix_that_nothing_declares_is_no_error():
+    extension = '<gazebo><sensor:camera name="c" xlink:href="x"/></gazebo></robot>'
+    assert RobotModel.from_urdf(ARM.replace("</robot>", extension)).frames
+
+
+def test_mesh_in_one_line_is_left_out(tmp_path):
     line = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2]], dtype=float)
     write_stl(tmp_path / "a.stl", line, [(0, 1, 2)])
-    with pytest.raises(RobotModelError, match="'tool'"):
-        RobotModel.from_urdf(one_link('<mesh filename="a.stl"/>'), package_folders=[tmp_path])
+    robot = RobotModel.from_urdf(one_link('<mesh filename="a.stl"/>'), package_folders=[tmp_path])
+    assert "'tool'" in robot.left_out[0]
 
 
 def test_threads_do_not_disturb_each_other(arm):

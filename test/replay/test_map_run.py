@@ -229,7 +229,7 @@ def test_encoding_that_is_no_depth_is_dropped_and_named(tmp_path):
         for topic, record in depth_frames()
     ]
     with pytest.raises(BagError, match=r"no frame could be mapped: 6 x .*'mono8' of a depth image"):
-        mapped(write(tmp_path / "bag", entries))
+        mapped(write(tmp_path / "bag", entries), topics={"depth": "/depth/image_rect"})
 
 
 def test_left_without_right_is_counted(tmp_path):

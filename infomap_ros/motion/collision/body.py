@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.collision import kernels
@@ -74,8 +75,11 @@ class CollisionBody:
             joint_positions: of the other joints [rad or m]; at rest where not given.
 
         Raises:
-            RobotModelError: the robot has no camera frame or its arm moves its own base.
+            RobotModelError: the robot has no camera frame, its arm moves its own base, or the mesh
+                of a link is missing.
         """
+        if robot.missing:
+            raise RobotModelError(f"no motion can be planned without {'; '.join(robot.missing)}")
         settings, robot = config or CollisionConfig(), robot.holding(joint_positions or {})
         tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
         pairs = movable_pairs(robot, tree)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import coal
@@ -55,10 +56,26 @@ class BodyShape:
         return np.asarray(self.geometry.vertices(), dtype=np.float64).reshape(-1, 3)
 
 
+class Shapes(NamedTuple):
+    """Shapes of a robot.
+
+    Attributes:
+        found: those that can be used.
+        missing: meshes that this computer does not have, in sentences.
+        empty: shapes without a size, in sentences.
+    """
+
+    found: tuple[BodyShape, ...]
+    missing: tuple[str, ...]
+    empty: tuple[str, ...]
+
+
 def body_shapes(
     model: pinocchio.Model, description: RobotDescription, package_folders: Sequence[str | Path]
-) -> tuple[BodyShape, ...]:
+) -> Shapes:
     """Build the collision shapes of all links; a mesh becomes its convex hull.
+
+    Meshes that this computer does not have, and shapes without a size, are left out.
 
     Args:
         model: made from the same description.
@@ -67,26 +84,28 @@ def body_shapes(
             besides the description's own folder, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
 
     Raises:
-        RobotModelError: a mesh is not found or lies in one line, or dimensions are impossible or
-            beyond `LARGEST`.
+        RobotModelError: dimensions cannot be read or are beyond `LARGEST`.
     """
-    own = [] if description.folder is None else [description.folder]
-    try:
-        geometry = pinocchio.buildGeomFromUrdfString(
-            model,
-            description.xml,
-            pinocchio.GeometryType.COLLISION,
-            package_dirs=[str(folder) for folder in (*package_folders, *own)],
-        )
-    except (ValueError, RuntimeError) as error:
-        raise RobotModelError(f"collision shapes: {error}") from error
-    shapes = tuple(_shape(model, item) for item in geometry.geometryObjects)
-    if len(shapes) != description.collision_shapes:
+    folders = _folders(description, package_folders)
+    items, missing = _geometry(model, description.xml, "collision", folders)
+    if len(items) + len(missing) != description.collision_shapes:
         raise RobotModelError(
-            f"only {len(shapes)} of {description.collision_shapes} collision shapes can be read: "
+            f"only {len(items)} of {description.collision_shapes} collision shapes can be read: "
             "check their dimensions and origins"
         )
-    return shapes
+    found, empty = [], []
+    for item in items:
+        try:
+            found.append(_shape(model, item))
+        except InvalidInputError as error:
+            link = str(model.frames[item.parentFrame].name)
+            empty.append(f"link '{link}' has an impossible shape: {error}")
+    return Shapes(tuple(found), tuple(missing), tuple(empty))
+
+
+def _folders(description: RobotDescription, package_folders: Sequence[str | Path]) -> list[str]:
+    own = [] if description.folder is None else [description.folder]
+    return [str(folder) for folder in (*package_folders, *own)]
 
 
 def visible_shapes(
@@ -106,43 +125,69 @@ def visible_shapes(
         package_folders: as for `body_shapes`.
         solids: collision shapes of the robot.
     """
-    own = [] if description.folder is None else [description.folder]
-    folders = [str(folder) for folder in (*package_folders, *own)]
+    try:
+        items, _ = _geometry(
+            model, description.xml, "visual", _folders(description, package_folders)
+        )
+    except RobotModelError:
+        return ()
     found = []
-    for item in _visual_geometry(model, description.xml, folders):
+    for item in items:
         try:
             shape = _shape(model, item)
-        except RobotModelError:
+        except (InvalidInputError, RobotModelError):
             continue
         if _sticks_out(shape, [solid for solid in solids if solid.link == shape.link]):
             found.append(shape)
     return tuple(found)
 
 
-def _visual_geometry(
-    model: pinocchio.Model, xml: str, folders: Sequence[str]
-) -> list[pinocchio.GeometryObject]:
-    """Visual shapes of all links; where that fails, of each link that can be read."""
-    kind = pinocchio.GeometryType.VISUAL
+def _geometry(
+    model: pinocchio.Model, xml: str, tag: str, folders: list[str]
+) -> tuple[list[pinocchio.GeometryObject], list[str]]:
+    """The shapes of all links, and what is left out as its mesh cannot be read."""
     try:
-        every = pinocchio.buildGeomFromUrdfString(model, xml, kind, package_dirs=folders)
-        return list(every.geometryObjects)
-    except (ValueError, RuntimeError):
-        pass
-    found: list[pinocchio.GeometryObject] = []
-    links = [link.get("name") for link in ElementTree.fromstring(xml).findall("link")]
-    for name in links:
-        tree = ElementTree.fromstring(xml)
-        for link in tree.findall("link"):
-            for visual in link.findall("visual") if link.get("name") != name else []:
-                link.remove(visual)
-        text = ElementTree.tostring(tree, encoding="unicode")
-        try:
-            one = pinocchio.buildGeomFromUrdfString(model, text, kind, package_dirs=folders)
-        except (ValueError, RuntimeError):
-            continue
-        found.extend(one.geometryObjects)
-    return found
+        return _built(model, xml, tag, folders), []
+    except (ValueError, RuntimeError) as error:
+        root, missing = ElementTree.fromstring(xml), []
+        readable: dict[str, str] = {}
+        for link in root.findall("link"):
+            for part in link.findall(tag):
+                mesh = part.find("geometry/mesh")
+                file = "" if mesh is None else mesh.get("filename", "")
+                if file not in readable:
+                    readable[file] = _why_not(file, tag, folders) if file else ""
+                if readable[file]:
+                    link.remove(part)
+                    missing.append(f"link '{link.get('name')}': {readable[file]}")
+        if not missing:
+            raise RobotModelError(f"{tag} shapes: {error}") from error
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        return _built(model, text, tag, folders), missing
+    except (ValueError, RuntimeError) as error:
+        raise RobotModelError(f"{tag} shapes: {error}") from error
+
+
+def _built(
+    model: pinocchio.Model, xml: str, tag: str, folders: list[str]
+) -> list[pinocchio.GeometryObject]:
+    kind = pinocchio.GeometryType.VISUAL if tag == "visual" else pinocchio.GeometryType.COLLISION
+    built = pinocchio.buildGeomFromUrdfString(model, xml, kind, package_dirs=folders)
+    return list(built.geometryObjects)
+
+
+def _why_not(file: str, tag: str, folders: list[str]) -> str:
+    """Why a mesh cannot be read, asked of a robot that has nothing else; empty where it can."""
+    robot = ElementTree.Element("robot", name="mesh")
+    part = ElementTree.SubElement(ElementTree.SubElement(robot, "link", name="link"), tag)
+    ElementTree.SubElement(ElementTree.SubElement(part, "geometry"), "mesh", filename=file)
+    text = ElementTree.tostring(robot, encoding="unicode")
+    try:
+        _built(pinocchio.buildModelFromXML(text), text, tag, folders)
+    except (ValueError, RuntimeError) as error:
+        return str(error)
+    return ""
 
 
 def _sticks_out(shape: BodyShape, solids: Sequence[BodyShape]) -> bool:
@@ -174,11 +219,7 @@ def _outline(shape: BodyShape) -> FloatArray:
 
 
 def _shape(model: pinocchio.Model, item: pinocchio.GeometryObject) -> BodyShape:
-    link = str(model.frames[item.parentFrame].name)
-    try:
-        solid = _solid(item.geometry)
-    except InvalidInputError as error:
-        raise RobotModelError(f"link '{link}' has an impossible shape: {error}") from error
+    link, solid = str(model.frames[item.parentFrame].name), _solid(item.geometry)
     if not solid.bounding_radius <= LARGEST:
         text = f"link '{link}' has a collision shape of radius {solid.bounding_radius:g} m"
         raise RobotModelError(f"{text}, at most {LARGEST:g} m are read")

@@ -36,6 +36,9 @@ class RobotModel:
         arm_joints: joints that `arm` moves, empty for all between base and camera.
         mechanism: the joints, with those that mimic.
         model: the Pinocchio model, not to be written to.
+        missing: collision meshes that this computer does not have, in sentences: who plans motions
+            needs them.
+        left_out: those, and collision shapes without a size.
     """
 
     def __init__(
@@ -52,6 +55,8 @@ class RobotModel:
         self.model = model = mechanism.model
         self.name = str(model.name)
         self._shapes = tuple(shapes)
+        self.missing: tuple[str, ...] = ()
+        self.left_out: tuple[str, ...] = ()
         self._frame_ids = {
             str(frame.name): index
             for index, frame in enumerate(model.frames)
@@ -97,7 +102,7 @@ class RobotModel:
 
         Raises:
             RobotModelError: the URDF is missing or malformed, holds a joint or collision shape of
-                an unknown type, a mesh is not found, a frame or joint is unknown, or a joint of the
+                an unknown type, a frame or joint is unknown, or a joint of the
                 arm does not move the camera; names the culprit.
         """
         description = read_urdf(path_or_xml, mimics)
@@ -105,14 +110,16 @@ class RobotModel:
             model = pinocchio.buildModelFromXML(description.xml)
         except (ValueError, RuntimeError) as error:
             raise RobotModelError(f"malformed URDF: {error}") from error
-        shapes = body_shapes(model, description, package_folders)
+        shapes, missing, empty = body_shapes(model, description, package_folders)
         mechanism = Mechanism(model, description.followers, assumed_joints)
 
         @cache
         def visible() -> Sequence[BodyShape]:
             return visible_shapes(model, description, package_folders, shapes)
 
-        return cls(mechanism, shapes, base_frame, camera_frame, arm_joints, None, visible)
+        robot = cls(mechanism, shapes, base_frame, camera_frame, arm_joints, None, visible)
+        robot.missing, robot.left_out = missing, missing + empty
+        return robot
 
     @cached_property
     def arm(self) -> KinematicChain:
@@ -136,10 +143,12 @@ class RobotModel:
             return self
         others = set(self.mechanism.indices) - set(self.arm_joints)
         held = {name: joint_positions[name] for name in others if name in joint_positions}
-        return RobotModel(
+        other = RobotModel(
             self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held,
             self._find_visible,
         )  # fmt: skip
+        other.missing, other.left_out = self.missing, self.left_out
+        return other
 
     def chain(
         self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None

@@ -9,6 +9,7 @@ come from a stranger, so its size is bounded before anything else reads it.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,6 +38,7 @@ FARTHEST = 1000.0
 """Of the origin of a joint or shape in its link [m]; so nothing overflows on the way to a tip."""
 
 _MOST_ELEMENTS = 100_000
+_MOST_PREFIXES = 50
 _MOST_NESTING = 64  # of elements; URDF needs six, simulators' extensions a few more
 
 
@@ -85,6 +87,7 @@ def read_urdf(path_or_xml: str | Path, mimics: Mapping[str, str] | None = None) 
 def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) -> RobotDescription:
     try:
         _check_number("bytes", len(xml.encode("utf-8")), MOST_BYTES)
+        xml = with_plain_names(xml)
         parser = ElementTree.XMLParser(target=_BoundedTree())
         parser.feed(xml)
         root = parser.close()
@@ -100,6 +103,18 @@ def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) ->
     for origin in root.iter("origin"):
         _check_origin(origin)
     return RobotDescription(xml, folder, shapes, read_followers(root, mimics))
+
+
+def with_plain_names(xml: str) -> str:
+    """XML without the prefixes of names that nothing declares, which ROS's parser does not mind.
+
+    Extensions of simulators have them: ``<sensor:camera>``.
+    """
+    declared = {*re.findall(r"\bxmlns:([\w.-]+)\s*=", xml), "xml", "xmlns"}
+    prefixes = {*re.findall(r"</?([\w.-]+):", xml), *re.findall(r"\s([\w.-]+):[\w.-]+\s*=", xml)}
+    for prefix in prefixes - declared if len(prefixes) < _MOST_PREFIXES else ():
+        xml = re.sub(rf"(</?|\s){re.escape(prefix)}:(?=[\w.-]+[\s=/>])", r"\1", xml)
+    return xml
 
 
 class _BoundedTree(ElementTree.TreeBuilder):
@@ -155,13 +170,31 @@ def _check_joints(root: ElementTree.Element, links: list[str]) -> None:
             raise RobotModelError(
                 f"joint '{name}' has the type '{kind}', expected one of {', '.join(_JOINT_TYPES)}"
             )
-        if kind in ("revolute", "prismatic") and joint.find("limit") is None:
-            raise RobotModelError(f"joint '{name}' is {kind} and has no <limit>")
+        _check_limit(name, kind, joint.find("limit"))
         parent, child = (_linked(joint, name, end, links) for end in ("parent", "child"))
         if child in parents:
             raise RobotModelError(f"link '{child}' is the child of two joints, one is '{name}'")
         parents[child] = parent
     _check_tree(links, parents)
+
+
+def _check_limit(joint: str, kind: str, limit: ElementTree.Element | None) -> None:
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            raise RobotModelError(f"joint '{joint}' is {kind} and has no <limit>")
+        return
+    for key in ("effort", "velocity"):
+        text = limit.get(key)
+        if kind != "fixed" and (text is None or not _is_number(text, low=0.0)):
+            problem = f"no {key}" if text is None else f"{key}='{text[:60]}', expected at least 0"
+            raise RobotModelError(f"the <limit> of joint '{joint}' has {problem}")
+
+
+def _is_number(text: str, low: float) -> bool:
+    try:
+        return float(text) >= low
+    except ValueError:
+        return False
 
 
 def _linked(joint: ElementTree.Element, name: str, end: str, links: list[str]) -> str:

@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from infomap_ros.errors import BagError
+from infomap_ros.errors import BagError, CalibrationError
+from infomap_ros.geometry import CameraInfoRecord, ImageRecord, Record
+from infomap_ros.geometry.camera import rig_from_calibrations
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.pipeline.perception import ImageSources, Perception
-from infomap_ros.pipeline.range_estimator import RangeEstimator
+from infomap_ros.pipeline.range_estimator import DEPTH_ENCODINGS, RangeEstimator
 from infomap_ros.pipeline.view_estimator import ViewEstimator
-from infomap_ros.replay.bags.topics import Topics, find_depth_topics, find_stereo_topics
+from infomap_ros.replay.bags.bag_contents import types_of
+from infomap_ros.replay.bags.reader import Recording
+from infomap_ros.replay.bags.topics import (
+    DepthTopics,
+    StereoTopics,
+    find_depth_topics,
+    find_stereo_topics,
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +49,7 @@ class ImageInputConfig:
 
 
 def find_images(
-    types: Topics,
+    bag: Recording,
     config: ImageInputConfig,
     given: Mapping[str, str],
     make_estimator: Callable[[str, bool], RangeEstimator | ViewEstimator],
@@ -49,8 +58,11 @@ def find_images(
 ) -> Perception:
     """Find the images and who measures them.
 
+    A pair without a baseline, or a depth camera without depths, is passed over where nobody names
+    it; `Recording.problems` says so.
+
     Args:
-        types: topics of the bag with their types.
+        bag: the bag.
         config: which images are wanted.
         given: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
             ``right_info``, ``depth``, ``info``, ``color``.
@@ -64,7 +76,7 @@ def find_images(
     failures = []
     for kind in ("stereo", "depth") if wanted == "auto" else (wanted,):
         try:
-            sources, raw = _sources(kind, types, config, given_of(given, kind), color)
+            sources, raw = _sources(kind, bag, config, given_of(given, kind), color)
         except BagError as error:
             failures.append(str(error))
             continue
@@ -73,17 +85,52 @@ def find_images(
 
 
 def _sources(
-    kind: str, types: Topics, config: ImageInputConfig, given: Mapping[str, str], color: bool
+    kind: str, bag: Recording, config: ImageInputConfig, given: Mapping[str, str], color: bool
 ) -> tuple[ImageSources, bool]:
     """Topics of a kind of images, and whether they are raw."""
+    types = types_of(bag)
     if kind == "stereo":
-        pair = find_stereo_topics(types, given)
+        pair = find_stereo_topics(types, given, lambda pair: _noted(bag, _why_no_pair(bag, pair)))
         raw = {"auto": not pair.is_rectified, "yes": True, "no": False}[config.rectify]
         infos = pair.left_info, pair.right_info
         return ImageSources((pair.left_image, pair.right_image), infos), raw
-    found = find_depth_topics(types, given)
+    found = find_depth_topics(types, given, lambda one: _noted(bag, _why_no_depth(bag, one)))
     colors = (found.color,) if color and found.color else ()
     return ImageSources((found.depth, *colors), (found.info,)), False
+
+
+def _noted(bag: Recording, problem: str) -> str:
+    """Say of images that they are passed over."""
+    if problem and problem not in bag.problems:
+        bag.problems.append(problem)
+    return problem
+
+
+def _why_no_pair(bag: Recording, pair: StereoTopics) -> str:
+    """Why the camera infos of two images are not those of a stereo pair; empty where they are."""
+    infos = [_first(bag, topic) for topic in (pair.left_info, pair.right_info)]
+    if not all(isinstance(info, CameraInfoRecord) for info in infos):
+        return ""
+    left, right = (info.calibration for info in infos if isinstance(info, CameraInfoRecord))
+    try:
+        rig_from_calibrations(left, right)
+    except CalibrationError as error:
+        return f"{pair.left_image} and {pair.right_image} are no stereo pair: {error}"
+    return ""
+
+
+def _why_no_depth(bag: Recording, topics: DepthTopics) -> str:
+    """Why an image holds no depths; empty where it may."""
+    image = _first(bag, topics.depth)
+    if isinstance(image, ImageRecord) and image.encoding not in DEPTH_ENCODINGS:
+        return f"{topics.depth} is no depth image: its encoding is '{image.encoding}'"
+    return ""
+
+
+def _first(bag: Recording, topic: str) -> Record | None:
+    """The first message of a topic that can be read."""
+    first = next(iter(bag.records([topic])), None)
+    return None if first is None else first.record
 
 
 def given_of(topics: Mapping[str, str], task: str) -> dict[str, str]:

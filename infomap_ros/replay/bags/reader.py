@@ -112,10 +112,7 @@ class BagReader:
         self._source = self._open()
         self.start, self.end = self._source.start, self._source.end
         self.topics = _by_topic(self._source.channels)
-        try:
-            self._store = typestore_of(self._source.channels)
-        except DAMAGE as error:
-            raise BagError(f"{self.path.name}: message definitions are damaged: {error}") from error
+        self._store = typestore_of(self._source.channels)
 
     def _open(self) -> BagSource:
         if not self.path.exists():
@@ -148,7 +145,8 @@ class BagReader:
             source.close()
             found = "; ".join(source.problems) or str(error)
             raise BagError(f"nothing in {self.path.name} can be read: {found}") from error
-        self.problems = source.problems or [f"{self.path.name}: {error}"]
+        why = f"{type(error).__name__}: {error}"
+        self.problems = source.problems or [f"{self.path.name} is read without its index ({why})"]
         return source
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
@@ -220,15 +218,22 @@ class BagReader:
                 f"{self.path.name} has no topic {', '.join(missing)}; it has "
                 f"{', '.join(sorted(self.topics)) or 'none'}"
             )
-        last, at_last = -1, 0
+        last, at_last, count = -1, 0, 0
         try:
             for channel, stamp, data in self._source.messages(wanted):
                 at_last = at_last + 1 if stamp == last else 1
-                last = stamp
+                last, count = stamp, count + 1
                 yield channel, stamp, data
         except DAMAGE as error:
             self.problems.append(f"{self.path.name} is damaged after {last} ns: {error}")
             yield from self._rest(wanted, last, at_last)
+            return
+        promised = sum(self.topics[topic].count for topic in wanted)
+        if count < promised:
+            found = f"{self.path.name} promises {promised} messages and gives {count}"
+            self.problems += [] if found in self.problems else [found]
+            if count == 0:  # by its index; there may be more without it
+                yield from self._rest(wanted, last, at_last)
 
     def _rest(
         self, wanted: Collection[str], last: int, at_last: int

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import apsw
 from backports import zstd
@@ -73,6 +74,11 @@ class Channel:
     latched: bool = False
     definition: str = ""
     is_idl: bool = False
+
+    def __post_init__(self) -> None:
+        package, _, name = self.type_name.partition("/")
+        if name and "/" not in name:  # as some writers have it
+            object.__setattr__(self, "type_name", f"{package}/msg/{name}")
 
 
 class BagSource(Protocol):
@@ -170,27 +176,31 @@ def is_latched_by_custom(topic: str) -> bool:
 def typestore_of(channels: Collection[Channel], omit: Collection[str] = ()) -> Typestore:
     """The message types that the channels use.
 
-    Definitions come from the bag; where it holds none, from ROS 2 Jazzy.
+    Definitions come from the bag; where it holds none that can be read, from ROS 2 Jazzy.
 
     Args:
         channels: with their definitions.
         omit: names of types whose definition in the bag is not used.
-
-    Raises:
-        Exception: one of `DAMAGE` when a definition cannot be read.
     """
-    types = {}
+    types: dict[str, Any] = {}
     for channel in channels:
-        if channel.is_idl:
-            for text in _idl_files(channel.definition):
-                types.update(get_types_from_idl(text))
-        elif channel.definition:
-            types.update(get_types_from_msg(channel.definition, channel.type_name))
+        with contextlib.suppress(*DAMAGE):
+            types.update(_types_of(channel))
     store = get_typestore(Stores.EMPTY)
     store.register({name: fields for name, fields in types.items() if name not in omit})
     known = get_typestore(Stores.ROS2_JAZZY).fielddefs
     store.register({name: fields for name, fields in known.items() if name not in store.fielddefs})
     return store
+
+
+def _types_of(channel: Channel) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    if channel.is_idl:
+        for text in _idl_files(channel.definition):
+            found.update(get_types_from_idl(text))
+    elif channel.definition:
+        found.update(get_types_from_msg(channel.definition, channel.type_name))
+    return found
 
 
 def _idl_files(definition: str) -> list[str]:

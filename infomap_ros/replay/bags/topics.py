@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from infomap_ros.errors import BagError
 from infomap_ros.messages import (
@@ -19,6 +20,9 @@ from infomap_ros.messages import (
 
 Topics = Mapping[str, str]
 """Type name by topic."""
+
+Candidate = TypeVar("Candidate")
+Found = TypeVar("Found")
 
 _IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
 _POSE_TYPES = (POSE_WITH_COVARIANCE, POSE)
@@ -72,7 +76,11 @@ class DepthTopics:
         return (self.depth, self.info) + ((self.color,) if self.color else ())
 
 
-def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -> StereoTopics:
+def find_stereo_topics(
+    topics: Topics,
+    given: Mapping[str, str] | None = None,
+    why_not: Callable[[StereoTopics], str] = lambda _: "",
+) -> StereoTopics:
     """Find the images and camera infos of a stereo pair.
 
     Of several pairs, a rectified one goes first, then a raw one with the shortest name.
@@ -81,9 +89,10 @@ def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -
         topics: type by name.
         given: topics that the user names, under ``left_image``, ``right_image``, ``left_info``
             and ``right_info``.
+        why_not: why a pair that nobody names cannot be used; empty where it can.
 
     Raises:
-        BagError: there is no pair, or an image has no camera info; says what was looked for.
+        BagError: there is no pair, or none that can be used; says what was looked for.
     """
     named = {key: value for key, value in (given or {}).items() if value}
     check_present(topics, named.values())
@@ -93,7 +102,12 @@ def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -
         pairs = [p for p in pairs if left in (None, p[0]) and right in (None, p[1])]
         if not pairs:
             raise BagError(f"no stereo pair {_among(topics)}")
-        left, right = pairs[0]
+        return _first_usable(pairs, lambda pair: _stereo(topics, pair, named), why_not)
+    return _stereo(topics, (left, right), named)
+
+
+def _stereo(topics: Topics, pair: tuple[str, str], named: Mapping[str, str]) -> StereoTopics:
+    left, right = pair
     return StereoTopics(
         left,
         right,
@@ -103,7 +117,31 @@ def find_stereo_topics(topics: Topics, given: Mapping[str, str] | None = None) -
     )
 
 
-def find_depth_topics(topics: Topics, given: Mapping[str, str] | None = None) -> DepthTopics:
+def _first_usable(
+    candidates: Sequence[Candidate],
+    complete: Callable[[Candidate], Found],
+    why_not: Callable[[Found], str],
+) -> Found:
+    """The first that has all its topics and can be used, else an error that says why none can."""
+    problems = []
+    for candidate in candidates:
+        try:
+            found = complete(candidate)
+        except BagError as error:
+            problems.append(str(error))
+            continue
+        problem = why_not(found)
+        if not problem:
+            return found
+        problems.append(problem)
+    raise BagError("; ".join(dict.fromkeys(problems)))
+
+
+def find_depth_topics(
+    topics: Topics,
+    given: Mapping[str, str] | None = None,
+    why_not: Callable[[DepthTopics], str] = lambda _: "",
+) -> DepthTopics:
     """Find a depth image, its camera info, and colors for it.
 
     A depth image that is aligned to the color image goes first; colors are used only when they
@@ -112,16 +150,23 @@ def find_depth_topics(topics: Topics, given: Mapping[str, str] | None = None) ->
     Args:
         topics: type by name.
         given: topics that the user names, under ``depth``, ``info`` and ``color``.
+        why_not: why a camera that nobody names cannot be used; empty where it can.
 
     Raises:
-        BagError: there is no depth image, or it has no camera info.
+        BagError: there is no depth image, or none that can be used; says why.
     """
     named = {key: value for key, value in (given or {}).items() if value}
     check_present(topics, named.values())
-    depth = named.get("depth") or next(iter(sorted(_depth_images(topics), key=_preference)), None)
-    if depth is None:
-        images = [name for name, kind in topics.items() if kind in _IMAGE_TYPES]
-        raise BagError(f"no depth camera ('depth' in its topic) among the images {_listed(images)}")
+    if "depth" in named:
+        return _depth(topics, named["depth"], named)
+    images = sorted(_depth_images(topics), key=_preference)
+    if not images:
+        listed = _listed(name for name, kind in topics.items() if kind in _IMAGE_TYPES)
+        raise BagError(f"no depth camera ('depth' in its topic) among the images {listed}")
+    return _first_usable(images, lambda image: _depth(topics, image, named), why_not)
+
+
+def _depth(topics: Topics, depth: str, named: Mapping[str, str]) -> DepthTopics:
     info = named.get("info") or find_camera_info(topics, depth)
     return DepthTopics(depth, info, named.get("color") or _color_of(topics, depth))
 

@@ -124,7 +124,7 @@ def find_localize_inputs(
         RobotModelError: the robot description cannot be used.
     """
     types = types_of(bag)
-    perception = _find_views(types, options, is_dense)
+    perception = _find_views(bag, options, is_dense)
     image_topic = perception.sources.images[0]
     camera_frame = frame_of(bag, image_topic)
     odometry = _find_odometry(types, options)
@@ -143,7 +143,7 @@ def find_localize_inputs(
     return LocalizeInputs(perception, camera_frame, motion, odometry, tuple(topics), frames)
 
 
-def _find_views(types: Topics, options: LocalizeOptions, is_dense: bool) -> Perception:
+def _find_views(bag: Recording, options: LocalizeOptions, is_dense: bool) -> Perception:
     def make_estimator(kind: str, raw: bool) -> ViewEstimator:
         if kind == "stereo":
             return StereoViewEstimator(
@@ -151,7 +151,7 @@ def _find_views(types: Topics, options: LocalizeOptions, is_dense: bool) -> Perc
             )
         return DepthViewEstimator(options.depth)
 
-    return find_images(types, options.input, options.topics, make_estimator, color=True)
+    return find_images(bag, options.input, options.topics, make_estimator, color=True)
 
 
 def _find_odometry(types: Topics, options: LocalizeOptions) -> str:

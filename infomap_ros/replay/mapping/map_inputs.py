@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 
-from infomap_ros.errors import BagError
+from infomap_ros.errors import BagError, RobotModelError
 from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import parameter, parameters_of
@@ -143,10 +143,10 @@ def find_inputs(bag: Recording, options: MapOptions) -> MapInputs:
 
     Raises:
         BagError: it has no range images or nothing that tells a pose.
-        RobotModelError: the robot description cannot be used.
+        RobotModelError: the robot description that is given cannot be used.
     """
     types = types_of(bag)
-    perception, located = _find_range(types, options), None
+    perception, located = _find_range(bag, options), None
     pose_topic = _pose_topic(types, options)
     if not pose_topic:
         located = find_localize_inputs(bag, localize_options(options), is_dense=True)
@@ -157,6 +157,7 @@ def find_inputs(bag: Recording, options: MapOptions) -> MapInputs:
     image_topic = perception.sources.images[0]
     camera_frame = frame_of(bag, image_topic)
     body, note = _find_body(bag, types, options, bool(joint_topics))
+    bag.problems += [] if body.robot is None else body.robot.left_out
     return MapInputs(
         perception,
         pose_topic,
@@ -199,13 +200,13 @@ def _find_poses(
     )
 
 
-def _find_range(types: Topics, options: MapOptions) -> Perception:
+def _find_range(bag: Recording, options: MapOptions) -> Perception:
     def make_estimator(kind: str, raw: bool) -> RangeEstimator:
         if kind == "stereo":
             return StereoRangeEstimator(options.stereo, rectify=raw)
         return DepthRangeEstimator(options.depth)
 
-    return find_images(types, options.input, options.topics, make_estimator)
+    return find_images(bag, options.input, options.topics, make_estimator)
 
 
 def _tf_map_frame(bag: Recording, tf_topics: list[str]) -> str:
@@ -223,7 +224,13 @@ def _find_body(
     description = options.robot or description_in(bag, types)
     if not description:
         return RobotBody(), "no robot description"
-    robot = options.description.read(description)
+    try:
+        robot = options.description.read(description)
+    except RobotModelError as error:
+        if options.robot:  # it was asked for
+            raise
+        bag.problems.append(f"the robot's body is not removed from the scans: {error}")
+        return RobotBody(), str(error)
     if robot.joints and not has_joints and not options.robot:
         return RobotBody(), "no joint states"
     return RobotBody(robot), ""

@@ -1,0 +1,103 @@
+"""Bags as others write them: odd type names, definitions, cameras, metadata."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
+from infomap_ros.pipeline.range_estimator import DepthRangeEstimator, StereoRangeEstimator
+from infomap_ros.replay.bags import reader as reader_module
+from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
+from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.bags.source import Channel, typestore_of
+from infomap_ros.replay.bags.writer import BagWriter
+from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+
+START = 1_700_000_000_000_000_000
+
+
+def calibration(baseline: float) -> CameraCalibration:
+    k = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
+    p = np.hstack([k, [[-100.0 * baseline], [0], [0]]])
+    return CameraCalibration(64, 48, "plumb_bob", np.zeros(5), k, np.eye(3), p)
+
+
+def chosen(path: Path) -> tuple[tuple[str, ...], list[str]]:
+    """Topics of the images that `auto` takes, and what is said of others."""
+
+    def make(kind: str, raw: bool) -> StereoRangeEstimator | DepthRangeEstimator:
+        if kind == "stereo":
+            return StereoRangeEstimator(StereoConfig(), rectify=raw)
+        return DepthRangeEstimator(DepthCameraConfig())
+
+    with BagReader(path) as bag:
+        found = find_images(bag, ImageInputConfig(), {}, make)
+        return found.sources.images, bag.problems
+
+
+def write_camera(writer: BagWriter, name: str, encoding: str, baseline: float = 0.0) -> None:
+    dtype = np.uint16 if encoding == "16UC1" else np.uint8
+    pixels = np.zeros((48, 64) if encoding != "bgr8" else (48, 64, 3), dtype)
+    namespace = name.rsplit("/", 1)[0]
+    info = CameraInfoRecord(START, "optical", calibration(baseline))
+    writer.write(f"{namespace}/camera_info", info)
+    writer.write(name, ImageRecord(START, "optical", pixels, encoding))
+
+
+def test_cameras_of_two_hands_are_no_stereo_pair(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_camera(writer, "/left_hand/image_raw", "mono8")
+        write_camera(writer, "/right_hand/image_raw", "mono8")
+        write_camera(writer, "/depth/image_rect", "16UC1")
+    images, problems = chosen(tmp_path / "bag")
+    assert images == ("/depth/image_rect",)
+    assert "/left_hand/image_raw and /right_hand/image_raw are no stereo pair" in problems[0]
+
+
+def test_colors_of_a_camera_that_is_called_depth_are_no_depths(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_camera(writer, "/r200_depth/image_raw", "bgr8")
+        write_camera(writer, "/r200_depth/depth/image_raw", "16UC1")
+    images, problems = chosen(tmp_path / "bag")
+    assert images == ("/r200_depth/depth/image_raw",)
+    assert problems == ["/r200_depth/image_raw is no depth image: its encoding is 'bgr8'"]
+
+
+def test_a_true_pair_is_taken_before_a_depth_camera(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_camera(writer, "/left/image_rect", "mono8")
+        write_camera(writer, "/right/image_rect", "mono8", baseline=0.1)
+        write_camera(writer, "/depth/image_rect", "16UC1")
+    assert chosen(tmp_path / "bag") == (("/left/image_rect", "/right/image_rect"), [])
+
+
+def test_a_short_type_name_is_the_long_one() -> None:
+    assert Channel("/image", "sensor_msgs/Image", 1).type_name == "sensor_msgs/msg/Image"
+    assert Channel("/a", "example/srv/Add_Event", 1).type_name == "example/srv/Add_Event"
+
+
+def test_a_definition_that_cannot_be_read_spoils_no_other() -> None:
+    channels = [
+        Channel("/add/_service_event", "a/srv/Add_Event", 1, definition="int64 a\n---\nint64 b\n"),
+        Channel("/text", "std_msgs/msg/String", 1, definition="string data\n"),
+    ]
+    known = typestore_of(channels).fielddefs
+    assert "std_msgs/msg/String" in known
+    assert "sensor_msgs/msg/Image" in known
+    assert "a/srv/Add_Event" not in known
+
+
+def test_messages_that_the_index_does_not_give_are_read_without_it(
+    tmp_path: Path, monkeypatch
+) -> None:
+    """As where QoS in metadata.yaml and in the file differ: rosbags then gives none."""
+    with BagWriter(tmp_path / "bag") as writer:
+        write_camera(writer, "/left/image_rect", "mono8")
+    monkeypatch.setattr(reader_module.RosbagsSource, "messages", lambda _self, _topics: iter(()))
+    with BagReader(tmp_path / "bag") as bag:
+        records = list(bag.records(["/left/image_rect"]))
+        assert bag.problems == ["bag promises 1 messages and gives 0"]
+    assert len(records) == 1
+    assert isinstance(records[0].record, ImageRecord)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -191,17 +192,25 @@ class MapBuilder:
         self._begin_correction()
         return report
 
-    def correct(self) -> None:
-        """Carry out all corrections; raises as `correct_more`."""
-        while self.is_correcting:
+    def correct(self, most: int | None = None) -> None:
+        """Carry out all corrections; raises as `correct_more`.
+
+        Args:
+            most: number of parts after which the rest is left for later.
+        """
+        for _ in count() if most is None else range(most):
+            if not self.is_correcting:
+                break
             self.correct_more()
 
     def _begin_correction(self) -> None:
-        """Look at the next keyframes that move scans."""
-        while self._keyframes and not self._corrected.is_correcting:
+        """Look at all keyframes that were told meanwhile: the newest poses count."""
+        if self._corrected.is_correcting or not self._keyframes:
+            return
+        while self._keyframes:
             heard = self._keyframes.popleft()
             self._corrected.hear(heard.stamp, heard.stamps, heard.transforms, heard.covariances)
-            self._corrected.begin_correction()
+        self._corrected.begin_correction()
 
     def _check_origin(self, what: str, origin: int) -> None:
         """Refuse poses that are not in this map.

@@ -92,12 +92,15 @@ class Fusion:
         body: of the robot.
         builder: of the map.
         map_frame: frame of the map.
+        pace: scans that a correction puts elsewhere with each view, as a node does beside its other
+            work; None for all at once.
     """
 
     scans: ScanSynchronizer[RangeMeasurement]
     body: RobotBody
     builder: MapBuilder
     map_frame: str = "map"
+    pace: int | None = None
 
 
 class Pipeline:
@@ -130,6 +133,8 @@ class Pipeline:
     def finish(self) -> Iterator[Located | Fused]:
         """Do what can be done without anything that still waits; raises as `process`."""
         yield from self._work(END)
+        if self._fusion is not None:
+            self._fusion.builder.correct()
 
     def _add(self, seen: Record | Seen) -> None:
         """Let it wait for what belongs to it."""
@@ -184,7 +189,7 @@ class Pipeline:
             told_kept = kept.stamps, sent, kept.covariances, origin
             keyframes = KeyframePoses(result.stamp, frame, *told_kept)
             fusion.builder.add_keyframes(keyframes)
-            fusion.builder.correct()
+        fusion.builder.correct(fusion.pace)
 
     def _fuse(self, now: int | None = None) -> Iterator[Fused]:
         """Fuse the scans that are complete."""

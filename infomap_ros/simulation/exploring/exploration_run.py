@@ -188,7 +188,9 @@ class ExplorationRun:
             self.robot.begin()
         except PoseUnavailableError as error:
             return self._exploration.end(Ending(EndReason.FAILED, str(error)))
-        return self._exploration.run()
+        ending = self._exploration.run()
+        self.robot.link.finish()
+        return ending
 
     def write_results(self, ending: Ending) -> dict[str, object]:
         """Write map file, .ply, summary and report; returns the summary.

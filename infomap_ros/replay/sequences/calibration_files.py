@@ -34,6 +34,20 @@ _MODELS = {
 }
 """Distortion models by the names that files give them."""
 
+_LARGEST = 10_000_000  # bytes of a calibration file
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    OverflowError,
+    RecursionError,
+    yaml.YAMLError,
+    cv2.error,
+)
+"""What the readers raise where a file is not what it seems."""
+
 _LONGEST_BASELINE = 5.0  # of a pair on a robot or car; more means another unit than meters [m]
 
 
@@ -107,9 +121,11 @@ def read_calibration(files: Sequence[Path], size: Size) -> Calibration:
 
 def _read(path: Path, size: Size) -> Calibration:
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = _text_of(path)
         if "opencv-matrix" in text or "opencv_storage" in text:
             return _opencv(path, size)
+        if re.search(r"^Camera1?\.fx\s*:", text, re.MULTILINE):
+            return _orb_slam(text, size)
         if re.search(r"^\s*cam0\s*=\s*\[", text, re.MULTILINE):
             return _middlebury(text, size)
         if re.search(r"^P(_rect_0)?[0-3]:", text, re.MULTILINE) or _is_numbers(text, 12):
@@ -123,14 +139,25 @@ def _read(path: Path, size: Size) -> Calibration:
                 return read(content, size)
     except InfomapError as error:
         raise CalibrationError(f"calibration {path}: {error}") from error
-    except (OSError, ValueError, KeyError, TypeError, IndexError, yaml.YAMLError, cv2.error) as e:
+    except _UNREADABLE as e:
         reason = e.strerror if isinstance(e, OSError) else repr(e)
         raise CalibrationError(f"calibration {path} cannot be read: {reason}") from e
     raise CalibrationError(
         f"calibration {path} is of no known format: expected Kalibr (camchain.yaml), EuRoC "
-        "(sensor.yaml), ROS (camera_info yaml), OpenCV (yml or xml), KITTI or Middlebury "
-        "(calib.txt), or a 3x3 matrix"
+        "(sensor.yaml), ROS (camera_info yaml), OpenCV (yml or xml), ORB-SLAM (Camera.fx), KITTI "
+        "or Middlebury (calib.txt), or a 3x3 matrix"
     )
+
+
+def _text_of(path: Path) -> str:
+    """What stands in a file, which is a regular one of a sensible size."""
+    if path.exists() and not path.is_file():
+        raise CalibrationError("is no file")
+    with path.open("rb") as file:
+        content = file.read(_LARGEST + 1)
+    if len(content) > _LARGEST:
+        raise CalibrationError(f"has more than {_LARGEST} bytes")
+    return content.decode("utf-8", errors="replace")
 
 
 def _is_numbers(text: str, columns: int) -> bool:
@@ -167,6 +194,10 @@ def _matrix_of(fx: float, fy: float, cx: float, cy: float) -> FloatArray:
 
 def _kalibr(content: Mapping[str, Any], size: Size) -> Calibration:
     cameras = [content[name] for name in ("cam0", "cam1") if name in content]
+    for camera in cameras:
+        model = str(camera.get("camera_model", "pinhole"))
+        if model != "pinhole":
+            raise CalibrationError(f"camera_model '{model}' is not supported, pinhole is")
     described = tuple(
         _raw(
             _matrix_of(*camera["intrinsics"]),
@@ -176,11 +207,21 @@ def _kalibr(content: Mapping[str, Any], size: Size) -> Calibration:
         )
         for camera in cameras
     )
+    bodies = [_kalibr_body(camera) for camera in cameras]
     given = cameras[1].get("T_cn_cnm1") if len(cameras) > 1 else None
     T = None if given is None else check_transform(given, "T_cn_cnm1")
-    body = cameras[0].get("T_cam_imu")
-    T_first_body = None if body is None else check_transform(body, "T_cam_imu")
-    return Calibration(described, T, T_first_body, is_rectified=False)
+    if T is None and len(bodies) > 1 and bodies[0] is not None and bodies[1] is not None:
+        T = bodies[1] @ invert_transform(bodies[0])
+    return Calibration(described, T, bodies[0], is_rectified=False)
+
+
+def _kalibr_body(camera: Mapping[str, Any]) -> FloatArray | None:
+    """T_camera_body of one camera: of Kalibr, or its inverse as OpenVINS writes it."""
+    if camera.get("T_cam_imu") is not None:
+        return check_transform(camera["T_cam_imu"], "T_cam_imu")
+    if camera.get("T_imu_cam") is not None:
+        return invert_transform(check_transform(camera["T_imu_cam"], "T_imu_cam"))
+    return None
 
 
 def _euroc(content: Mapping[str, Any], size: Size) -> Calibration:
@@ -232,19 +273,43 @@ def _opencv(path: Path, size: Size) -> Calibration:
         find("D1", "distCoeffs1", "dist_coeffs_left", "LEFT.D", "distortion_coefficients", "D"),
         find("D2", "distCoeffs2", "dist_coeffs_right", "RIGHT.D"),
     ]
+    rectified = [
+        (find("R1", "LEFT.R"), find("P1", "LEFT.P")),
+        (find("R2", "RIGHT.R"), find("P2", "RIGHT.P")),
+    ]
     rotation, translation = find("R"), find("T", "translation")
     T = None
     if rotation is not None and translation is not None:
         T = make_transform(rotation, translation.ravel())
     cameras = []
-    for matrix, distortion in zip(matrices, distortions, strict=True):
+    is_known = all(part is not None for pair in rectified for part in pair) and T is None
+    for matrix, distortion, (R, P) in zip(matrices, distortions, rectified, strict=True):
         if matrix is not None:
             numbers = np.zeros(5) if distortion is None else distortion.ravel()
             model = "rational_polynomial" if len(numbers) > 5 else "plumb_bob"
-            cameras.append(CameraCalibration(*size, model, numbers, matrix))
+            camera = CameraCalibration(*size, model, numbers, matrix)
+            if is_known and R is not None and P is not None:
+                camera = replace(camera, rectification=R, projection=P[:3])
+            cameras.append(camera)
     if not cameras and T is None:
         raise CalibrationError("holds neither M1, D1 (or camera_matrix) nor R, T")
     return Calibration(tuple(cameras), T, is_rectified=False)
+
+
+def _orb_slam(text: str, size: Size) -> Calibration:
+    """Settings of ORB-SLAM: one pinhole, and for rectified pairs its baseline times fx."""
+    found = dict(re.findall(r"^(?:Camera1?|Stereo)\.(\w+)\s*:\s*(\S+)", text, re.MULTILINE))
+    kind = re.search(r"^Camera\.type\s*:\s*\W*(\w+)", text, re.MULTILINE)
+    if kind and kind[1].lower() not in ("pinhole", "rectified"):
+        raise CalibrationError(f"Camera.type '{kind[1]}' is not supported, PinHole is")
+    matrix = _matrix_of(*(float(found[name]) for name in ("fx", "fy", "cx", "cy")))
+    size = int(found.get("width", size[0])), int(found.get("height", size[1]))
+    baseline = float(found["bf"]) / matrix[0, 0] if "bf" in found else float(found.get("b", 0.0))
+    if baseline > 0.0:
+        left, right = _pinhole(matrix, size), _pinhole(matrix, size, -matrix[0, 0] * baseline)
+        return Calibration((left, right), is_rectified=True)
+    distortion = [float(found.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+    return Calibration((_raw(matrix, distortion, "radtan", size),), is_rectified=False)
 
 
 def _kitti(text: str, size: Size, path: Path) -> Calibration:

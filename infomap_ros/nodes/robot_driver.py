@@ -76,7 +76,8 @@ class RobotDriverNode(MonitoredNode):
         moving = [driver for driver in self._drivers if driver.is_active]
         for driver in self._drivers:
             driver.stop("~/stop was called")
-        response.success, response.message = True, "stopping" if moving else "nothing moves"
+        words = "stopping" if moving else "nothing that this node began moves; all was told to stop"
+        response.success, response.message = True, words
         return response
 
     def destroy_node(self) -> None:

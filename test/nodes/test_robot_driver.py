@@ -10,6 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Path
+from rclpy.action import ActionClient
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -20,7 +21,7 @@ from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.driving.action_types import action_class
+from infomap_ros.nodes.driving.action_types import FOLLOW_JOINT_TRAJECTORY, action_class
 from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
 from infomap_ros.nodes.robot_driver import RobotDriverNode
 
@@ -335,3 +336,39 @@ def test_an_arm_without_controllers_is_no_configuration(graph: Any) -> None:
 def test_a_missing_package_is_named_with_how_to_get_it() -> None:
     with pytest.raises(ResourceError, match="apt-get install ros-jazzy-no-such-msgs"):
         action_class("no_such_msgs/action/Fly")
+
+
+@NEEDS_ACTIONS
+@pytest.mark.parametrize("way", ["start of the node", "empty trajectory", "service"])
+def test_what_a_killed_driver_began_is_stopped_too(graph: Any, way: str) -> None:
+    """The goal is another client's, as that of a driver that was killed is to its successor."""
+    arm = TrajectoryController(graph, "arm_controller", dict.fromkeys(ARM, 0.1))
+    action = action_class(FOLLOW_JOINT_TRAJECTORY)
+    stranger = ActionClient(graph.tester, action, "arm_controller/follow_joint_trajectory")
+    graph.spin_until(stranger.server_is_ready, "the controller")
+
+    def start_driver() -> RobotDriverNode:
+        table = [f"arm_controller: {', '.join(ARM)}"]
+        return graph.add(RobotDriverNode, base="none", controllers=table)
+
+    driver = None if way == "start of the node" else start_driver()
+    if driver is not None:
+        motions = driver._drivers[0]._carrier._motions
+        graph.spin_until(lambda: not motions._new, "the first cancel of all")
+    knots = np.array([[0.1] * 3, [1.0] * 3])
+    path = ArmPath(ARM, knots, np.array([0.0, 20.0]))
+    goal = action.Goal(trajectory=encode_arm_trajectory(TYPES, 0, path))
+    stranger.send_goal_async(goal)
+    graph.spin_until(lambda: arm.moves, "motion")
+    if driver is None:
+        start_driver()
+    elif way == "service":
+        stop = graph.tester.create_client(Trigger, "robot_driver/stop")
+        graph.spin_until(stop.service_is_ready, "the service")
+        stop.call_async(Trigger.Request())
+    else:
+        publisher = graph.publisher(JointTrajectory, "arm_trajectory")
+        graph.spin_until(publisher.get_subscription_count, "the driver")
+        publisher.publish(JointTrajectory())
+    graph.spin_until(lambda: not arm.moves, "stop")
+    assert arm.canceled == 1

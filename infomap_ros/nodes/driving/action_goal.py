@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.clock import Clock
 
@@ -82,7 +83,14 @@ class ActionGoal:
         self._canceling, self._cause = True, cause
         self._answer_due = self._in(_ANSWER)
         if self._handle is not None:
-            self._handle.cancel_goal_async()
+            self._cancel(self._handle)
+
+    def _cancel(self, handle: Any) -> None:
+        handle.cancel_goal_async().add_done_callback(self._on_cancel_answer)
+
+    def _on_cancel_answer(self, future: Any) -> None:
+        if future.result().return_code == CancelGoal.Response.ERROR_REJECTED:
+            self._lose("refuses to stop")
 
     def check(self) -> None:
         """Notice a server that has gone or does not answer, and a goal that takes too long."""
@@ -108,7 +116,7 @@ class ActionGoal:
             return
         self._handle = handle
         if self._canceling or self.has_ended:
-            handle.cancel_goal_async()
+            self._cancel(handle)
         else:
             self._answer_due = 0
         handle.get_result_async().add_done_callback(self._on_result)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any
 
+from action_msgs.srv import CancelGoal
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
@@ -31,15 +34,23 @@ class ActionMotions:
     and it ends when all have ended. Goals of a motion that was replaced are left to their servers
     to replace; where a server refuses to, they are canceled.
 
+    A driver that was killed leaves goals that run on and nobody knows: at the start, and whenever
+    something is to stop, the servers are asked to cancel all that they have.
+
     Args:
         node: whose executor serves the clients.
+        actions: names of the actions that goals are sent to.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, actions: Iterable[str]) -> None:
         self._log, self._clock = node.get_logger(), node.get_clock()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._motion: _Motion | None = None
         self._replaced: list[ActionGoal] = []
+        self._cancels = {
+            name: node.create_client(CancelGoal, f"{name}/_action/cancel_goal") for name in actions
+        }
+        self._new = set(self._cancels)  # servers that nothing was asked of yet
         node.create_timer(_PERIOD, self._check, clock=self._steady)
 
     def start(self, order: Order, stages: Sequence[Sequence[GoalRequest]]) -> None:
@@ -66,6 +77,7 @@ class ActionMotions:
                 self._replaced.append(goal)
                 if goal.request.client not in clients:
                     goal.cancel(REPLACED)
+        self._new.clear()  # servers replace what they have
         self._send_next(self._motion)
 
     def stop(self, cause: str) -> None:
@@ -81,6 +93,24 @@ class ActionMotions:
             goals += motion.goals
         for goal in goals:
             goal.cancel(cause)
+        self._cancel_all(self._cancels)
+
+    def _cancel_all(self, names: Iterable[str]) -> None:
+        """Ask servers to cancel whatever they have, by a request without a goal's id."""
+        for name in names:
+            client = self._cancels[name]
+            if client.service_is_ready():
+                self._new.discard(name)
+                future = client.call_async(CancelGoal.Request())
+                future.add_done_callback(partial(self._on_canceled, name))
+
+    def _on_canceled(self, name: str, future: Any) -> None:
+        response, known = future.result(), self.is_active
+        if response.return_code == CancelGoal.Response.ERROR_REJECTED:
+            self._log.error(f"{name} refuses to stop")
+        elif response.goals_canceling and not known:
+            count = len(response.goals_canceling)
+            self._log.warning(f"{name}: {count} goals were running that this node has not sent")
 
     @property
     def is_active(self) -> bool:
@@ -127,6 +157,8 @@ class ActionMotions:
             motion.order.end(Outcome.SUCCEEDED, "", parts)
 
     def _check(self) -> None:
+        if self._motion is None:
+            self._cancel_all(tuple(self._new))
         running = [] if self._motion is None else self._motion.goals
         for goal in (*running, *self._replaced):
             goal.check()

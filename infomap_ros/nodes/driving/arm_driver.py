@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from rclpy.action import ActionClient
@@ -34,6 +34,7 @@ from infomap_ros.nodes.driving.motion_result import ARM, MotionResult, Order, Ou
 
 _SLACK = 5.0  # [s] that a controller's result may come after its goal_time_tolerance
 _ARRIVED = 0.03  # [rad or m] that a joint without a result may be off its goal
+_MOVES = 0.01  # [rad/s or m/s] above which a joint moves
 _PERIOD = 0.1  # [s] between two looks at joints that move without a result
 _NANOSECONDS = 1_000_000_000
 
@@ -91,6 +92,10 @@ class ArmDriver:
         self._carrier.start(order, parts)
 
 
+def _action_of(controller: str) -> str:
+    return f"{controller}/follow_joint_trajectory"
+
+
 class _Actions:
     """The controllers' actions."""
 
@@ -98,10 +103,9 @@ class _Actions:
         self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
         self._action = action_class(FOLLOW_JOINT_TRAJECTORY)
         self._clients = {
-            name: ActionClient(node, self._action, f"{name}/follow_joint_trajectory")
-            for name in controllers
+            name: ActionClient(node, self._action, _action_of(name)) for name in controllers
         }
-        self._motions = ActionMotions(node)
+        self._motions = ActionMotions(node, [_action_of(name) for name in self._clients])
 
     @property
     def is_active(self) -> bool:
@@ -128,10 +132,14 @@ class _Topics:
     """The controllers' topics, which give no result: the joints tell."""
 
     def __init__(
-        self, node: MonitoredNode, controllers: Iterable[str], joints: JointListener
+        self,
+        node: MonitoredNode,
+        controllers: Mapping[str, Sequence[str]],
+        joints: JointListener,
     ) -> None:
         self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
         self._clock, self._joints = node.motion_clock, joints
+        self._controllers = controllers
         self._publishers = {
             name: node.advertise(JointTrajectory, f"{name}/joint_trajectory", qos.stream())
             for name in controllers
@@ -147,7 +155,8 @@ class _Topics:
 
     def start(self, order: Order, parts: Sequence[ControllerTrajectory]) -> None:
         touched = {part.controller for part in parts}
-        self._halt([part for part in self._parts if part.controller not in touched])
+        left = {p.controller: p.joints for p in self._parts if p.controller not in touched}
+        self._halt(left)
         if self._order is not None:
             self._order.end(Outcome.CANCELED, REPLACED)
         for part in parts:
@@ -158,19 +167,29 @@ class _Topics:
 
     def stop(self, cause: str) -> None:
         if self._order is not None:
-            self._halt(self._parts)
+            self._halt({part.controller: part.joints for part in self._parts})
             self._finish(Outcome.CANCELED, cause)
+            return
+        known, velocities = self._joints.positions, self._joints.velocities
+        self._halt(  # what another has begun, such as this node before it was killed
+            {
+                name: joints
+                for name, joints in self._controllers.items()
+                if known.keys() >= set(joints)
+                and any(abs(velocities.get(joint, 0.0)) > _MOVES for joint in joints)
+            }
+        )
 
-    def _halt(self, parts: Sequence[ControllerTrajectory]) -> None:
-        """Slow down and stand."""
+    def _halt(self, controllers: Mapping[str, Sequence[str]]) -> None:
+        """Let controllers, by name, slow down their joints and stand."""
         joints = self._joints
-        for part in parts:
-            here = np.array([joints.positions[name] for name in part.joints])
-            speeds = np.array([joints.velocities.get(name, 0.0) for name in part.joints])
-            stop = stopping_path(part.joints, here, speeds)
+        for controller, names in controllers.items():
+            here = np.array([joints.positions[name] for name in names])
+            speeds = np.array([joints.velocities.get(name, 0.0) for name in names])
+            stop = stopping_path(tuple(names), here, speeds)
             still = np.zeros_like(stop.positions)
             message = encode_arm_trajectory(self._types, 0, stop, still)
-            self._publishers[part.controller].publish(message)
+            self._publishers[controller].publish(message)
 
     def _look(self) -> None:
         """See whether the joints have arrived."""
@@ -186,7 +205,7 @@ class _Topics:
         if errors[worst] <= _ARRIVED:
             self._finish(Outcome.SUCCEEDED, "")
         elif late > self._time:
-            self._halt(self._parts)
+            self._halt({part.controller: part.joints for part in self._parts})
             reason = f"'{worst}' is {errors[worst]:.3f} off its goal {late:.1f} s after the end"
             self._finish(Outcome.FAILED, reason)
 

@@ -102,7 +102,7 @@ class _Nav2:
         self._follows = self._config.base == "follow_path"
         self._action = action_class(FOLLOW_PATH if self._follows else NAVIGATE_THROUGH_POSES)
         self._client = ActionClient(node, self._action, self._config.base)
-        self._motions = ActionMotions(node)
+        self._motions = ActionMotions(node, [self._config.base])
 
     @property
     def is_active(self) -> bool:

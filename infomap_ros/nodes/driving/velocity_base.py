@@ -74,7 +74,9 @@ class VelocityBase:
 
     def stop(self, cause: str) -> None:
         """Slow down and stand; the order ends then."""
-        if self._order is not None and not self._cause:
+        if self._order is None:
+            self.halt()  # of a base that another has set going
+        elif not self._cause:
             self._cause = cause
             self._driving.stop()
 

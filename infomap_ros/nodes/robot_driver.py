@@ -2,13 +2,15 @@
 
 Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
 of trajectories, or velocities. A newer command takes the place of the one before; an empty
-trajectory or a path of less than two poses stops, as do ~/stop and the end of this node. What
-became of each command is on motion_results, with the controller's own words.
+trajectory or a path of less than two poses stops, as do ~/stop and the end of this node; where it
+is killed, a watchdog stops the robot, but for an arm that is driven by topics. What became of each
+command is on motion_results, with the controller's own words.
 """
 
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,10 +19,11 @@ from std_srvs.srv import Trigger
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.driving.arm_driver import ArmDriver
+from infomap_ros.nodes.driving.arm_driver import ArmDriver, action_of
 from infomap_ros.nodes.driving.base_driver import BaseDriver
 from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
 from infomap_ros.nodes.driving.motion_result import (
@@ -29,6 +32,7 @@ from infomap_ros.nodes.driving.motion_result import (
     Outcome,
     encode_motion_result,
 )
+from infomap_ros.nodes.driving.watchdog import Reach, Watchdog
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
 _LEAVING = 0.2  # [s] in which the last commands to stop leave this process
@@ -46,7 +50,7 @@ class RobotDriverNode(MonitoredNode):
 
     SETTABLE = ("max_speed", "max_turn_rate", "acceleration", "turn_acceleration")
 
-    def __init__(self, **node_arguments: Any) -> None:
+    def __init__(self, *, is_watched: bool = False, **node_arguments: Any) -> None:
         super().__init__("robot_driver", **node_arguments)
         config = self.config(RobotDriverConfig)
         if config.arm != "none" and not config.controllers:
@@ -57,8 +61,24 @@ class RobotDriverNode(MonitoredNode):
             self._drivers.append(ArmDriver(self, self._report))
         if config.base != "none":
             self._drivers.append(BaseDriver(self, self._report))
+        self._watchdog = Watchdog(self._reach(config)) if is_watched else None
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
+
+    def _reach(self, config: RobotDriverConfig) -> Reach:
+        """What must be stopped where this process is killed."""
+        actions = []
+        if config.arm == "follow_joint_trajectory":
+            actions += [action_of(name) for name in read_controllers(config.controllers)]
+        is_velocity = config.base.startswith("cmd_vel")
+        if config.base != "none" and not is_velocity:
+            actions.append(config.base)
+        return Reach(
+            tuple(map(self.resolve_service_name, actions)),
+            (self.resolve_topic_name("cmd_vel"),) if is_velocity else (),
+            config.base == "cmd_vel_stamped",
+            self.get_namespace(),
+        )
 
     def _report(self, result: MotionResult) -> None:
         """Publish what became of a motion, and say it."""
@@ -87,12 +107,14 @@ class RobotDriverNode(MonitoredNode):
             driver.halt()
         if moving:
             time.sleep(_LEAVING)
+        if self._watchdog is not None:
+            self._watchdog.part()
         super().destroy_node()
 
 
 def main() -> int:
     """Run the node."""
-    return run_node(RobotDriverNode)
+    return run_node(partial(RobotDriverNode, is_watched=True))
 
 
 if __name__ == "__main__":

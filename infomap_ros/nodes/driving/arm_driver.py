@@ -92,7 +92,8 @@ class ArmDriver:
         self._carrier.start(order, parts)
 
 
-def _action_of(controller: str) -> str:
+def action_of(controller: str) -> str:
+    """Name of the action of a controller."""
     return f"{controller}/follow_joint_trajectory"
 
 
@@ -103,9 +104,9 @@ class _Actions:
         self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
         self._action = action_class(FOLLOW_JOINT_TRAJECTORY)
         self._clients = {
-            name: ActionClient(node, self._action, _action_of(name)) for name in controllers
+            name: ActionClient(node, self._action, action_of(name)) for name in controllers
         }
-        self._motions = ActionMotions(node, [_action_of(name) for name in self._clients])
+        self._motions = ActionMotions(node, [action_of(name) for name in self._clients])
 
     @property
     def is_active(self) -> bool:

@@ -1,0 +1,81 @@
+"""robot_driver is killed while arm and base move: both stop, though nobody answers for it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Path
+from trajectory_msgs.msg import JointTrajectory
+
+from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
+from infomap_ros.motion.route import ArmPath
+from infomap_ros.nodes.common.environment import process_environment
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+
+from .controllers import TrajectoryController, VelocityController
+from .rovers import PaperRover
+from .test_robot_driver import ARM, NEEDS_ACTIONS
+
+TYPES = RclpyMessageTypes()
+
+
+class Moving:
+    """A driver in a process of its own that moves the arm and a base that obeys its last order."""
+
+    def __init__(self, graph: Any) -> None:
+        self.graph, self.rover = graph, PaperRover(graph)
+        self.rover.obeys = self.rover.moves_arm = False
+        self.base = VelocityController(self.rover)
+        self.base.patience = np.inf
+        self.arm = TrajectoryController(graph, "arm_controller", dict.fromkeys(ARM, 0.1), False)
+        self.paths = graph.publisher(Path, "base_path")
+        self.trajectories = graph.publisher(JointTrajectory, "arm_trajectory")
+        table = f"controllers:=['arm_controller: {', '.join(ARM)}']"
+        command = [sys.executable, "-m", "infomap_ros.nodes.robot_driver", "--ros-args"]
+        command += ["-r", f"__ns:={graph.namespace}", "-p", "base:=cmd_vel", "-p", table]
+        environment = os.environ | process_environment() | {"ROS_DOMAIN_ID": str(graph.domain)}
+        self.process = subprocess.Popen(command, env=environment)
+        self._sent = 0.0
+        graph.spin_until(self._is_watched, "the watchdog", 60.0)
+        graph.spin_until(self._moves, "arm and base", 60.0)
+
+    def _is_watched(self) -> bool:
+        return "robot_driver_watchdog" in self.graph.tester.get_node_names()
+
+    def _moves(self) -> bool:
+        if time.monotonic() > self._sent + 1.0:
+            self._sent = time.monotonic()
+            poses = np.column_stack([np.linspace(0.0, 5.0, 51), np.zeros((51, 2))])
+            if self.base.pose[0] == 0.0:
+                self.paths.publish(encode_base_path(TYPES, 1, "map", poses))
+            if not self.arm.moves:
+                knots = np.array([[0.1] * 3, [1.0] * 3])
+                path = ArmPath(ARM, knots, np.array([0.0, 30.0]))
+                self.trajectories.publish(encode_arm_trajectory(TYPES, 0, path))
+        return bool(self.arm.moves and self.base.pose[0] > 0.2)
+
+
+@NEEDS_ACTIONS
+@pytest.mark.parametrize("is_killed", [True, False])
+def test_the_robot_stops_when_its_driver_is_gone(graph: Any, is_killed: bool) -> None:
+    moving = Moving(graph)
+    try:
+        begin = time.monotonic()
+        if is_killed:
+            moving.process.kill()
+        else:
+            moving.process.terminate()
+        graph.spin_until(
+            lambda: not moving.arm.moves and moving.base.commands[-1] == (0.0, 0.0), "standstill"
+        )
+        assert time.monotonic() - begin < 2.0
+        assert moving.arm.canceled == 1
+    finally:
+        moving.process.kill()
+        moving.process.wait()

@@ -105,8 +105,6 @@ setup(
         ],
         # What the benchmarks are compared with.
         "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
-        # Not in requirements.lock: large, and only `exploration.rerun_recording` needs it.
-        "rerun": ["rerun-sdk>=0.24"],
         # The page that shows a run while it goes on.
         "viewer": ["viser>=1.1,<2"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],

@@ -41,8 +41,6 @@ PYTHON_PACKAGES = {
 }
 # Loaded by name at run time, so that no import tells of it.
 NOT_IMPORTED = {"rmw_fastrtps_cpp"}
-# Extras that the set-up leaves out.
-NOT_LOCKED = {"rerun"}
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +175,7 @@ def test_every_dependency_is_imported(manifest: Package, setup_script: Any) -> N
 
 def test_lock_holds_every_requirement_within_its_range(setup_script: Any) -> None:
     pins = locked()
-    locked_extras = setup_script.extras_require.keys() - NOT_LOCKED
-    extras = [text for name in locked_extras for text in setup_script.extras_require[name]]
+    extras = [text for texts in setup_script.extras_require.values() for text in texts]
     for text in (*setup_script.install_requires, *extras):
         requirement = Requirement(text)
         assert requirement.specifier.contains(pins[canonicalize_name(requirement.name)])
@@ -188,7 +185,7 @@ def test_lock_is_made_of_all_extras_but_the_large_ones(setup_script: Any) -> Non
     makefile = (REPOSITORY / "Makefile").read_text("utf-8")
     named = re.search(r"^EXTRAS := (.*)$", makefile, re.MULTILINE)
     assert named is not None
-    assert set(named[1].split()) == setup_script.extras_require.keys() - NOT_LOCKED
+    assert set(named[1].split()) == setup_script.extras_require.keys()
 
 
 def test_lock_holds_what_its_packages_require() -> None:

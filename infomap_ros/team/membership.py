@@ -28,6 +28,7 @@ MOST_AHEAD = 1 << 24
 _MOST_BEHIND = 32 * 600  # versions; ten minutes at the fastest rate
 _BEYOND_OWN = 1 << 29  # versions of who was never heard; half a year, as `own_version` has it
 _KEPT_SESSIONS = 16
+_ALIVE = 30.0  # [s] without a word after which a robot may have started with an earlier clock
 
 
 class Told(Protocol):
@@ -121,7 +122,7 @@ class Membership:
         newest = self._newest.setdefault(update.robot, update.version)
         newest = own_version if update.robot == self._own else newest
         ahead = versions_ahead(update.version, newest)
-        if self._is_current(update, ahead > 0, now):
+        if self._is_current(update, ahead, now):
             if not -_MOST_BEHIND <= ahead <= MOST_AHEAD:
                 self._refuse(update, newest, BACKWARDS if ahead < 0 else AHEAD)
             self._newest[update.robot] = update.version if ahead > 0 else newest
@@ -157,19 +158,24 @@ class Membership:
         text = f"robot {update.robot} is at version {newest}, not at {int(update.versions.max())}"
         raise UpdateRefusedError(f"{text}: {reason}", reason)
 
-    def _is_current(self, update: Told, is_newer: bool, now: float) -> bool:
+    def _is_current(self, update: Told, ahead: int, now: float) -> bool:
         """Whether an update is of its robot's present session, which may begin with it.
 
         Raises:
-            UpdateRefusedError: an earlier session goes on.
+            UpdateRefusedError: an earlier session goes on, or is heard of for the first time long
+                after the present one, which is alive, has begun: somebody replays it.
         """
         robot, session = update.robot, update.session
         known = self._sessions.setdefault(robot, [session])
         began = self._began.setdefault(robot, now)
         if known[-1] == session:
             return True
-        if not is_newer:
-            return False  # late, from before a start
+        if ahead <= 0:  # late, from before a start
+            is_alive = robot != self._own and now - self._spoke.get(robot, -np.inf) < _ALIVE
+            is_late = now - began > self._grace or ahead < -_MOST_BEHIND
+            if ahead < 0 and is_alive and is_late and session not in known:
+                self._refuse(update, self._newest[robot], BACKWARDS)
+            return False
         if session not in known and robot != self._own:
             self._sessions[robot] = [*known[1 - _KEPT_SESSIONS :], session]
             self._began[robot], self._newest[robot] = now, update.version

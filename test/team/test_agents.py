@@ -219,7 +219,7 @@ def test_old_words_of_who_has_fallen_silent_make_no_ghost(session: int, behind: 
 def test_a_robot_whose_clock_was_never_set_is_heard_after_it_was_forgotten() -> None:
     board = AgentBoard(0, 1, AgentBoardConfig(memory=60.0))
     board.hear(word(3, 2**30), 0.0)
-    assert not board.hear(word(3, 1000, session=8), 1.0)
+    assert refusal(board, word(3, 1000, session=8), 1.0) == BACKWARDS
     assert board.hear(word(3, 1001, session=8), 61.0)
     assert board.hear(word(3, 1002, session=8), 62.0)
 

@@ -153,6 +153,8 @@ class ViewMotion:
         if route is not None:
             reaching = self.config.reaching
             whole = self.whole(state)
+            if route.moves_base:
+                whole = whole.driving_in(route.arm_before.positions[-1])
             self._check = RouteCheck(
                 route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
                 known_free, self._forbidden,

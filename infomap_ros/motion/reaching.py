@@ -111,9 +111,10 @@ class WholeBodyReach:
         )
         self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
-        self._routes = RoutePlanner(
-            self._whole, self.near, self.config, past.after(self._base, self._q, sent)
-        )
+        trail = past.after(self._base, self._q, sent)
+        self._routes = RoutePlanner(self._whole, self.near, self.config, trail)
+        self._whole = self._routes.foldable()
+        self._routes = replace(self._routes, whole=self._whole)
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._planner_before = None if previous is None else previous._last_planner

@@ -219,6 +219,17 @@ class RoutePlanner:
         limits = self.config.trajectory
         return plan_arm_path(self.near.checker_at(base), self.q, goal, base, QUICK_SEARCH, limits)
 
+    def foldable(self) -> WholeBody:
+        """The robot with a posture to drive in that is free here, the usual one if it is."""
+        base, whole = self.trail.T_map_base, self.whole
+        checker = self.near.checker_at(base)
+        if checker.check(whole.driving, base, base=False).free:
+            return whole
+        for row in np.flatnonzero(checker.are_free(whole.compact, base, base=False))[:_BRANCHES]:
+            if self._quick_arm(whole.compact[row]).converged:
+                return whole.driving_in(whole.compact[row])
+        return whole
+
     @property
     def why_not_folded(self) -> str:
         """Why the arm cannot be brought to the driving posture, or empty."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_postures import ArmPostures
-from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.arm.driving_posture import compact_postures, driving_posture
 from infomap_ros.motion.arm.own_view import OwnView
 from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.collision.body import CollisionBody
@@ -23,6 +23,8 @@ from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _ROUNDING = 2  # decimals of the positions of joints that are not the arm's
+_COMPACT = 40  # postures
+_SAME = 1e-3  # [rad or m]
 _SPARE = 0.1  # [m]; beyond the farthest sampled point of the body
 
 
@@ -68,6 +70,17 @@ class WholeBody:
     def wider_vehicle(self, by: float) -> Vehicle:
         """The vehicle with a body that is wider to all sides [m]."""
         return _wider(self.vehicle, by)
+
+    @cached_property
+    def compact(self) -> FloatArray:
+        """Postures to drive in where the driving one is blocked, the best first, shape (K, n)."""
+        return compact_postures(self.body, _COMPACT)
+
+    def driving_in(self, q: FloatArray) -> WholeBody:
+        """The same robot, which drives in another posture, shape (n,), with its footprint."""
+        if np.abs(q - self.driving).max() < _SAME:
+            return self
+        return _driving_in(self, tuple(q.tolist()))
 
     def sees_past_itself(self, qs: FloatArray) -> NDArray[np.bool_]:
         """In which postures, shape (M, n), not too much of the image is the robot, shape (M,)."""
@@ -139,6 +152,13 @@ def _whole_body(
         arm_reach=float(np.linalg.norm(postures.positions, axis=1).max()) + _SPARE,
         own_view=own_view,
     )
+
+
+@lru_cache(maxsize=16)
+def _driving_in(whole: WholeBody, q: tuple[float, ...]) -> WholeBody:
+    vehicle = whole.vehicle.with_joints(whole.chain.by_name(np.array(q)))
+    foot = _foot(whole.body, vehicle.joint_positions)
+    return replace(whole, vehicle=vehicle, driving=np.array(q), foot=foot)
 
 
 @lru_cache(maxsize=16)

@@ -251,3 +251,29 @@ def test_robot_that_has_only_looked_ahead_can_leave_its_place(
     reach = WholeBodyReach(robot, ahead, BASE, joints, start=ClearStart(BASE, 0.9))
     result = reach.way_to((x, 0.0, 0.0), {})
     assert result.reason == "" and result.travel == pytest.approx(abs(x), abs=0.01)
+
+
+def test_another_compact_posture_drives_where_the_usual_one_is_blocked(
+    robot: RobotModel, joints: dict[str, float], gate: WholeBodyReach
+) -> None:
+    """A thing where the folded arm would be, and the arm is not."""
+    body, usual = gate._whole.body, gate._whole.driving
+    moves = np.repeat(body.arrays.bodies > 0, np.diff(body.arrays.starts))
+    folded, now = body.spheres(usual, BASE), body.spheres(np.zeros(4), BASE)
+    gaps = np.linalg.norm(folded[:, None, :3] - now[None, :, :3], axis=-1) - now[:, 3]
+    thing = folded[int(np.argmax(np.where(moves, gaps.min(axis=1), 0.0))), :3]
+
+    def occupied(x, y, z):
+        near = np.maximum.reduce([abs(x - thing[0]), abs(y - thing[1]), abs(z - thing[2])]) < 0.05
+        return wall_with_a_gate(x, y, z) | near
+
+    reach = WholeBodyReach(robot, map_where(occupied, everything), BASE, joints)
+    assert np.abs(reach._whole.driving - usual).max() > 0.1
+    result = reach.reach(VIEWS[0])
+    assert_reaches(reach, result, VIEWS[0])
+    assert result.route is not None and result.route.moves_base
+    q = result.route.arm_before.positions[-1]
+    np.testing.assert_allclose(q, reach._whole.driving)
+    assert reach.near.checker_at(BASE).check(q, BASE, base=False).free
+    outline = np.abs(body.spheres(q, np.eye(4))[moves][:, :2]).max()
+    assert reach.planner.vehicle.arrays.reach >= outline  # it drives with the outline of that

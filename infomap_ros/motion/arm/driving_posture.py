@@ -21,6 +21,7 @@ _LOW_COST = 10.0
 _CLEARANCE = 0.1  # [m]
 _SPARE = 0.02  # share of a joint's range that is kept from its limits
 _STAYS = 0.01  # [m]; what the arm moves to the side by less than this, over all its postures, stays
+_UNLIKE = 0.5  # [rad or m] by which some joint of two postures differs
 _COMPARED = 50  # postures in which that is seen
 
 
@@ -39,14 +40,30 @@ def driving_posture(body: CollisionBody) -> FloatArray:
     Raises:
         RobotModelError: no posture without contact was found.
     """
+    return least_posture(body, _cost_of(body))
+
+
+def compact_postures(body: CollisionBody, count: int) -> FloatArray:
+    """Other postures to drive in, by the cost of `driving_posture`, shape (K, n), K <= count.
+
+    Where the map blocks the best one, one that is unlike it may be free.
+    """
+    qs, cost = sample_postures(body, _POSTURES), _cost_of(body)
+    kept: list[FloatArray] = []
+    for row in np.argsort([cost(q) for q in qs]):
+        if len(kept) == count:
+            break
+        if not kept or np.abs(np.array(kept) - qs[row]).max(axis=1).min() > _UNLIKE:
+            kept.append(qs[row])
+    return np.array(kept).reshape(-1, len(body.chain))
+
+
+def _cost_of(body: CollisionBody) -> Callable[[FloatArray], float]:
+    """What is least in the driving posture, as a function of the arm's positions."""
     still, moving = _standing(body)
     low, high = _outline(body, still)
     swings = _swinging(body)[moving]
-
-    def cost(q: FloatArray) -> float:
-        return _cost(body.spheres(q, np.eye(4))[moving], swings, low, high)
-
-    return least_posture(body, cost)
+    return lambda q: _cost(body.spheres(q, np.eye(4))[moving], swings, low, high)
 
 
 def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> FloatArray:

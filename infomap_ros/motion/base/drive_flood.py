@@ -59,6 +59,8 @@ def flood(
     while waiting or begun < len(starts):
         while begun < len(starts) and start_costs[begun] < cost + ring:
             node, total, begun = starts[begun], start_costs[begun], begun + 1
+            if count == len(entries):
+                entries = _doubled(entries)
             if costs[node] < 0 or total < costs[node]:
                 costs[node], origins[node], waiting = total, node, waiting + 1
                 count = _enter(entries, bucket, count, node, total % ring)

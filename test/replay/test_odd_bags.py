@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from infomap_ros.errors import BagError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
 from infomap_ros.pipeline.range_estimator import DepthRangeEstimator, StereoRangeEstimator
 from infomap_ros.replay.bags import reader as reader_module
@@ -71,6 +74,12 @@ def test_a_true_pair_is_taken_before_a_depth_camera(tmp_path: Path) -> None:
         write_camera(writer, "/right/image_rect", "mono8", baseline=0.1)
         write_camera(writer, "/depth/image_rect", "16UC1")
     assert chosen(tmp_path / "bag") == (("/left/image_rect", "/right/image_rect"), [])
+
+
+def test_a_pipe_is_no_bag(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "bag.mcap")
+    with pytest.raises(BagError, match="is a pipe"):
+        BagReader(tmp_path / "bag.mcap")
 
 
 def test_a_short_type_name_is_the_long_one() -> None:

@@ -117,6 +117,8 @@ class BagReader:
     def _open(self) -> BagSource:
         if not self.path.exists():
             raise BagError(f"there is no bag at {self.path}")
+        if not (self.path.is_file() or self.path.is_dir()):
+            raise BagError(f"{self.path} is a pipe or device, no bag")
         if self.path.is_file() and self.path.suffix not in SALVAGERS:
             raise BagError(
                 f"{self.path.name} is not a bag: expected a rosbag2 folder or a file ending in "

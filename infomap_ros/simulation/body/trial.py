@@ -13,6 +13,7 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.collision.body import configurations
+from infomap_ros.motion.collision.collision_config import CollisionConfig
 from infomap_ros.motion.collision.link_pairs import movable_pairs
 from infomap_ros.motion.collision.pair_study import TrueShapes
 from infomap_ros.motion.robot.link_tree import LinkTree
@@ -234,7 +235,8 @@ def _joined(
     """Pairs of links that the collision checks of planning take to be joined, as they do.
 
     And those whose convex hulls, which are what MuJoCo lets collide, often meet where the links
-    themselves do not: a forearm that folds into the hollow of an upper arm would jam there.
+    themselves do not: a forearm that folds into the hollow of an upper arm would jam there. And
+    those whose meshes meet in most postures, which are too coarse to tell a touch.
     """
     robot = RobotModel.from_urdf(
         description, setup.left_camera_frame, setup.base_frame, mimics=setup.leaders
@@ -243,15 +245,15 @@ def _joined(
     positions = {joint.name: home.get(joint.name, 0.0) for joint in robot.joints}
     tree = LinkTree.of(robot, positions)
     movable = {(int(i), int(j)) for i, j in movable_pairs(robot, tree)}
-    colliding = movable - set(_only_hulls_meet(robot, tree, sorted(movable)))
+    colliding = movable - set(_seem_to_meet(robot, tree, sorted(movable)))
     pairs = combinations(range(len(links)), 2)
     return tuple((links[i], links[j]) for i, j in pairs if (i, j) not in colliding)
 
 
-def _only_hulls_meet(
+def _seem_to_meet(
     robot: RobotModel, tree: LinkTree, pairs: list[tuple[int, int]]
 ) -> Iterator[tuple[int, int]]:
-    """Pairs of links whose hulls meet in more than a few postures in which they do not."""
+    """Pairs of links whose hulls meet in most postures, or in some in which they do not."""
     qs = configurations(robot, _POSTURES)[1:]  # how it rests was looked at
     true, hulls = TrueShapes(robot, tree, qs), TrueShapes(robot, tree, qs, convex=True)
     links = robot.links_with_solids
@@ -260,5 +262,6 @@ def _only_hulls_meet(
         if hollow.isdisjoint((links[first], links[second])):
             continue
         met = [k for k in range(_POSTURES) if hulls.touch(first, second, k)]
-        if sum(not true.touch(first, second, k) for k in met) > _FEW:
+        is_usual = len(met) >= CollisionConfig.always_share * _POSTURES
+        if is_usual or sum(not true.touch(first, second, k) for k in met) > _FEW:
             yield first, second

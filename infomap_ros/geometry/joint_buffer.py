@@ -76,8 +76,9 @@ class JointBuffer:
                 series.stamps.clear()
                 series.positions.clear()
             self._insert(series, state.stamp, float(position))
-        for _ in range(len(self._series) - _MOST_JOINTS):
-            del self._series[min(self._series, key=lambda name: self._series[name].stamps[-1])]
+        if len(self._series) > _MOST_JOINTS:
+            by_age = sorted(self._series.items(), key=lambda item: item[1].stamps[-1])
+            self._series = dict(by_age[-_MOST_JOINTS:])
 
     def _insert(self, series: _Series, stamp: int, position: float) -> None:
         place = bisect_left(series.stamps, stamp)
@@ -130,8 +131,10 @@ class JointBuffer:
                 found[name] = self._position(name, stamp)
             except PoseUnavailableError as error:
                 missing[name] = error
+        newest = max((self._series[name].stamps[-1] for name in found), default=stamp)
         problems = [missing[name] for name in needed if name in missing]
-        problems += [missing[name] for name in missing if self._is_awaited(name, stamp, found)]
+        if newest <= stamp + self._max_gap:  # the next positions of others may still come too
+            problems += [missing[name] for name in missing if self._is_just_beyond(name, stamp)]
         if problems:
             raise min(problems, key=lambda problem: problem.may_arrive)
         if not found:
@@ -139,11 +142,9 @@ class JointBuffer:
         held = {name: self._held(name, stamp) for name in missing}
         return found | {name: at for name, at in held.items() if at is not None}
 
-    def _is_awaited(self, name: str, stamp: int, found: Collection[str]) -> bool:
-        """Whether the next position of a joint may still come, as those of others came."""
-        beyond = stamp - self._series[name].stamps[-1]
-        newest = max((self._series[other].stamps[-1] for other in found), default=stamp)
-        return 0 < beyond <= self._max_gap and newest <= stamp + self._max_gap
+    def _is_just_beyond(self, name: str, stamp: int) -> bool:
+        """Whether a time is so little after the last position of a joint that it may go on."""
+        return 0 < stamp - self._series[name].stamps[-1] <= self._max_gap
 
     def _held(self, name: str, stamp: int) -> float | None:
         """Where a joint stood that was silent then; None where it moved or was not heard of."""

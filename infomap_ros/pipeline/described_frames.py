@@ -30,9 +30,8 @@ def with_prefix(description: str, prefix: str) -> str:
 def links_of(description: str) -> frozenset[str]:
     """Names of the links of a URDF; none where it cannot be read."""
     root = _read(description)
-    return frozenset(
-        () if root is None else (link.get("name", "") for link in root.iterfind("link"))
-    )
+    links = () if root is None else root.iterfind("link")
+    return frozenset(link.get("name", "") for link in links)
 
 
 def fixed_chains(
@@ -48,24 +47,20 @@ def fixed_chains(
     return [edge for frame in wanted for edge in _chain(frame, edges, links)]
 
 
-def with_fixed_frames(
-    description: str, edges: Mapping[str, TransformRecord], wanted: Iterable[str]
-) -> str:
+def with_fixed_frames(description: str, chains: Iterable[TransformRecord]) -> str:
     """A URDF with links at frames that only tf tells, such as a camera's optical frame.
 
     Args:
         description: text of the URDF; returned as it is where it cannot be read or lacks nothing.
-        edges: fixed transforms, each by its child frame.
-        wanted: frames that are to be in it. Those that no fixed transforms lead to from one of
-            its links are left out.
+        chains: of `fixed_chains`.
     """
-    root = _read(description)
+    added = {edge.child_frame_id: edge for edge in chains}
+    root = _read(description) if added else None
     if root is None:
         return description
-    added = fixed_chains(edges, wanted, links_of(description))
-    for edge in {edge.child_frame_id: edge for edge in added}.values():
+    for edge in added.values():
         _attach(root, edge)
-    return ET.tostring(root, encoding="unicode") if added else description
+    return ET.tostring(root, encoding="unicode")
 
 
 def _read(description: str) -> ET.Element | None:

@@ -28,6 +28,7 @@ class StubNode:
 
     def __init__(self) -> None:
         self.receive: dict[str, Any] = {}
+        self.warnings: list[str] = []
         self.configs = (RobotTrackerConfig(), JointBufferConfig(), AssumedPoseConfig())
 
     def config(self, kind: type) -> Any:
@@ -37,7 +38,7 @@ class StubNode:
         self.receive[topic] = receive
 
     def get_logger(self) -> Any:
-        return SimpleNamespace(info=lambda *_: None, warning=lambda *_: None)
+        return SimpleNamespace(info=lambda *_: None, warning=self.warnings.append)
 
     def create_timer(self, *_arguments: Any, **_options: Any) -> None:
         """Nothing waits here."""
@@ -91,6 +92,17 @@ def test_a_camera_that_is_exchanged_is_taken() -> None:
     for frame in ("cam", "cam", "base_link", "base_link"):
         node.give("left/camera_info", info(frame))
     assert tracker.robot.camera_frame == "base_link"
+
+
+def test_a_mesh_that_is_missing_is_said() -> None:
+    node = StubNode()
+    tracker = RobotTracker(node, infos=("left/camera_info",))  # type: ignore[arg-type]
+    mesh = '<collision><geometry><mesh filename="package://gone/a.stl"/></geometry></collision>'
+    text = ROBOT.replace('<link name="cam"/>', f'<link name="cam">{mesh}</link>')
+    node.give("robot_description", String(data=text))
+    node.give("left/camera_info", info("cam"))
+    assert tracker.is_described
+    assert "package://gone/a.stl" in node.warnings[0]
 
 
 def test_frames_that_flood_tf_do_not_silence_the_others() -> None:

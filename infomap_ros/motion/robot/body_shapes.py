@@ -150,16 +150,16 @@ def _geometry(
         return _built(model, xml, tag, folders), []
     except (ValueError, RuntimeError) as error:
         root, missing = ElementTree.fromstring(xml), []
-        readable: dict[str, str] = {}
+        problems: dict[str, str] = {}  # by file, so that each is tried once
         for link in root.findall("link"):
             for part in link.findall(tag):
                 mesh = part.find("geometry/mesh")
                 file = "" if mesh is None else mesh.get("filename", "")
-                if file not in readable:
-                    readable[file] = _why_not(file, tag, folders) if file else ""
-                if readable[file]:
+                if file not in problems:
+                    problems[file] = _why_not(file, tag, folders) if file else ""
+                if problems[file]:
                     link.remove(part)
-                    missing.append(f"link '{link.get('name')}': {readable[file]}")
+                    missing.append(f"link '{link.get('name')}': {problems[file]}")
         if not missing:
             raise RobotModelError(f"{tag} shapes: {error}") from error
     text = ElementTree.tostring(root, encoding="unicode")

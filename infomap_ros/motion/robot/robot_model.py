@@ -38,7 +38,7 @@ class RobotModel:
         model: the Pinocchio model, not to be written to.
         missing: collision meshes that this computer does not have, in sentences: who plans motions
             needs them.
-        left_out: those, and collision shapes without a size.
+        empty: collision shapes without a size, in sentences.
     """
 
     def __init__(
@@ -50,13 +50,14 @@ class RobotModel:
         arm_joints: Sequence[str] = (),
         held: Mapping[str, float] | None = None,
         visible: Callable[[], Sequence[BodyShape]] = tuple,
+        missing: Sequence[str] = (),
+        empty: Sequence[str] = (),
     ) -> None:
         self.mechanism = mechanism
         self.model = model = mechanism.model
         self.name = str(model.name)
         self._shapes = tuple(shapes)
-        self.missing: tuple[str, ...] = ()
-        self.left_out: tuple[str, ...] = ()
+        self.missing, self.empty = tuple(missing), tuple(empty)
         self._frame_ids = {
             str(frame.name): index
             for index, frame in enumerate(model.frames)
@@ -102,8 +103,8 @@ class RobotModel:
 
         Raises:
             RobotModelError: the URDF is missing or malformed, holds a joint or collision shape of
-                an unknown type, a frame or joint is unknown, or a joint of the
-                arm does not move the camera; names the culprit.
+                an unknown type, a frame or joint is unknown, or a joint of the arm does not move
+                the camera; names the culprit.
         """
         description = read_urdf(path_or_xml, mimics)
         try:
@@ -117,9 +118,9 @@ class RobotModel:
         def visible() -> Sequence[BodyShape]:
             return visible_shapes(model, description, package_folders, shapes)
 
-        robot = cls(mechanism, shapes, base_frame, camera_frame, arm_joints, None, visible)
-        robot.missing, robot.left_out = missing, missing + empty
-        return robot
+        return cls(
+            mechanism, shapes, base_frame, camera_frame, arm_joints, None, visible, missing, empty
+        )
 
     @cached_property
     def arm(self) -> KinematicChain:
@@ -143,12 +144,10 @@ class RobotModel:
             return self
         others = set(self.mechanism.indices) - set(self.arm_joints)
         held = {name: joint_positions[name] for name in others if name in joint_positions}
-        other = RobotModel(
+        return RobotModel(
             self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held,
-            self._find_visible,
+            self._find_visible, self.missing, self.empty,
         )  # fmt: skip
-        other.missing, other.left_out = self.missing, self.left_out
-        return other
 
     def chain(
         self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None
@@ -178,6 +177,11 @@ class RobotModel:
     def shapes(self) -> tuple[BodyShape, ...]:
         """Collision shapes of all links, each in the frame of the joint that moves it."""
         return self._shapes
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Collision shapes that could not be had, and why, in sentences."""
+        return self.missing + self.empty
 
     @property
     def links_with_solids(self) -> tuple[str, ...]:

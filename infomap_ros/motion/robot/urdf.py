@@ -87,7 +87,7 @@ def read_urdf(path_or_xml: str | Path, mimics: Mapping[str, str] | None = None) 
 def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) -> RobotDescription:
     try:
         _check_number("bytes", len(xml.encode("utf-8")), MOST_BYTES)
-        xml = with_plain_names(xml)
+        xml = _with_plain_names(xml)
         parser = ElementTree.XMLParser(target=_BoundedTree())
         parser.feed(xml)
         root = parser.close()
@@ -105,7 +105,7 @@ def _checked(xml: str, folder: Path | None, mimics: Mapping[str, str] | None) ->
     return RobotDescription(xml, folder, shapes, read_followers(root, mimics))
 
 
-def with_plain_names(xml: str) -> str:
+def _with_plain_names(xml: str) -> str:
     """XML without the prefixes of names that nothing declares, which ROS's parser does not mind.
 
     Extensions of simulators have them: ``<sensor:camera>``.

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import String
 
 from infomap_ros.geometry import TransformRecord
 from infomap_ros.messages import decode_text
+from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.frame_listener import FrameListener
@@ -77,11 +79,16 @@ class DescriptionListener:
         """Tell the description, where it is another than was told last."""
         if self._text is None:
             return
-        wanted = sorted(self._wanted)
-        chain = fixed_chains(self._edges, wanted, self._links)
+        chain = fixed_chains(self._edges, sorted(self._wanted), self._links)
         if self._told is None or not _are_same(chain, self._told):
             self._told = chain
-            self._on_description(with_fixed_frames(self._text, self._edges, wanted))
+            self._on_description(with_fixed_frames(self._text, chain))
+
+
+def warn_of_left_out(log: RcutilsLogger, robot: RobotModel) -> None:
+    """Say which shapes of a robot are not known: what they hide or touch is not looked after."""
+    for sentence in robot.left_out:
+        log.warning(f"left out of the robot: {sentence}")
 
 
 def _are_same(first: list[TransformRecord], second: list[TransformRecord]) -> bool:

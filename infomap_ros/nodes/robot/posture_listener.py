@@ -16,7 +16,7 @@ from infomap_ros.messages import decode_joint_state
 from infomap_ros.motion import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.description_listener import DescriptionListener
+from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP, ClockGate
@@ -135,6 +135,7 @@ class PostureListener:
     def _on_description(self, text: str) -> None:
         self._robot = self._frames.robot.read(text, base_frame=self._frames.base_frame)
         self._log.info(f"robot '{self._robot.name}'")
+        warn_of_left_out(self._log, self._robot)
         self._begin()
 
     def _on_joints(self, message: JointState) -> None:

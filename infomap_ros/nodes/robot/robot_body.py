@@ -13,7 +13,7 @@ from infomap_ros.messages import decode_joint_state
 from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.description_listener import DescriptionListener
+from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out
 from infomap_ros.pipeline.robot_body import RobotBody
 
 _DISCOVERY = 3.0  # [s], in which publishers find each other
@@ -74,7 +74,9 @@ class BodyListener:
     def _on_description(self, text: str) -> None:
         self._since = time.monotonic()
         self._body.robot = robot = self._config.robot.read(text)
-        self._node.get_logger().info(f"removing the body of robot '{robot.name}' from clouds")
+        log = self._node.get_logger()
+        log.info(f"removing the body of robot '{robot.name}' from clouds")
+        warn_of_left_out(log, robot)
 
     def _on_joints(self, message: JointState) -> None:
         self._body.add(decode_joint_state(message))

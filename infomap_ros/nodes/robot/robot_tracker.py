@@ -26,7 +26,7 @@ from infomap_ros.motion.robot.description_config import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepTime
-from infomap_ros.nodes.robot.description_listener import DescriptionListener
+from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.pipeline.tracked_robot import TrackedRobot
 from infomap_ros.team.agents import hash_of_description
@@ -328,4 +328,5 @@ class RobotTracker:
         self._tracked.describe(robot, self._camera_frame)
         self._read = wanted
         self._log.info(f"robot '{robot.name}', camera in '{self._camera_frame}'")
+        warn_of_left_out(self._log, robot)
         self._news.notify_all()

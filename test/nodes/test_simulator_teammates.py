@@ -36,6 +36,7 @@ def test_two_robots_in_one_world(graph: Any) -> None:
     one, two = (nodes[name]._simulator for name in names)
     copy = two._body.data.body(f"{base}/one/base_link"[1:])
     graph.spin_until(lambda: copy.xpos[2] > -1.0, "one to be seen by two")
+    graph.spin_until(lambda: abs(one.time - two.time) < 0.5, "one time of both")
 
     drive = graph.publisher(Path, f"{base}/one/base_path")
     graph.connect(drive)

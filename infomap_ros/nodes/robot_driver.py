@@ -3,8 +3,8 @@
 Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
 of trajectories, or velocities. A newer command takes the place of the one before; an empty
 trajectory or a path of less than two poses stops, as do ~/stop and the end of this node; where it
-is killed, a watchdog stops the robot, but for an arm that is driven by topics. What became of each
-command is on motion_results, with the controller's own words.
+is killed or hangs, a watchdog stops the robot. What became of each command is on motion_results,
+with the controller's own words.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ConfigError
@@ -23,7 +24,7 @@ from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.driving.arm_driver import ArmDriver, action_of
+from infomap_ros.nodes.driving.arm_driver import ArmDriver, action_of, topic_of
 from infomap_ros.nodes.driving.base_driver import BaseDriver
 from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
 from infomap_ros.nodes.driving.motion_result import (
@@ -32,7 +33,7 @@ from infomap_ros.nodes.driving.motion_result import (
     Outcome,
     encode_motion_result,
 )
-from infomap_ros.nodes.driving.watchdog import Reach, Watchdog
+from infomap_ros.nodes.driving.watchdog import BEAT, Reach, Watchdog
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
 _LEAVING = 0.2  # [s] in which the last commands to stop leave this process
@@ -62,19 +63,26 @@ class RobotDriverNode(MonitoredNode):
         if config.base != "none":
             self._drivers.append(BaseDriver(self, self._report))
         self._watchdog = Watchdog(self._reach(config)) if is_watched else None
+        self.create_timer(BEAT, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
 
     def _reach(self, config: RobotDriverConfig) -> Reach:
-        """What must be stopped where this process is killed."""
-        actions = []
-        if config.arm == "follow_joint_trajectory":
-            actions += [action_of(name) for name in read_controllers(config.controllers)]
+        """What must be stopped where this process is killed, or hangs."""
+        actions, arms = [], {}
+        controllers = {} if config.arm == "none" else read_controllers(config.controllers)
+        for name, joints in controllers.items():
+            if config.arm == "follow_joint_trajectory":
+                actions.append(action_of(name))
+            else:
+                arms[self.resolve_topic_name(topic_of(name))] = tuple(joints)
         is_velocity = config.base.startswith("cmd_vel")
         if config.base != "none" and not is_velocity:
             actions.append(config.base)
         return Reach(
             tuple(map(self.resolve_service_name, actions)),
+            arms,
+            self.resolve_topic_name("joint_states"),
             (self.resolve_topic_name("cmd_vel"),) if is_velocity else (),
             config.base == "cmd_vel_stamped",
             self.get_namespace(),
@@ -91,6 +99,10 @@ class RobotDriverNode(MonitoredNode):
         else:
             self.get_logger().error(f"{result.topic}: failed: {result.reason}")
         self.health.note(f"last of {result.topic}", result.reason or "done")
+
+    def _beat(self) -> None:
+        if self._watchdog is not None:
+            self._watchdog.beat(any(driver.is_active for driver in self._drivers))
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         moving = [driver for driver in self._drivers if driver.is_active]

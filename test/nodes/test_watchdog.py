@@ -1,11 +1,13 @@
-"""robot_driver is killed while arm and base move: both stop, though nobody answers for it."""
+"""robot_driver is killed or hangs while arm and base move: both stop, and nobody answers for it."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections import ChainMap
 from typing import Any
 
 import numpy as np
@@ -28,17 +30,20 @@ TYPES = RclpyMessageTypes()
 class Moving:
     """A driver in a process of its own that moves the arm and a base that obeys its last order."""
 
-    def __init__(self, graph: Any) -> None:
+    def __init__(self, graph: Any, arm: str) -> None:
         self.graph, self.rover = graph, PaperRover(graph)
         self.rover.obeys = self.rover.moves_arm = False
         self.base = VelocityController(self.rover)
         self.base.patience = np.inf
-        self.arm = TrajectoryController(graph, "arm_controller", dict.fromkeys(ARM, 0.1), False)
+        joints = dict.fromkeys(ARM, 0.1)
+        self.arm = TrajectoryController(graph, "arm_controller", joints, False)
+        self.rover.joints = ChainMap(joints, self.rover.joints)
         self.paths = graph.publisher(Path, "base_path")
         self.trajectories = graph.publisher(JointTrajectory, "arm_trajectory")
         table = f"controllers:=['arm_controller: {', '.join(ARM)}']"
         command = [sys.executable, "-m", "infomap_ros.nodes.robot_driver", "--ros-args"]
         command += ["-r", f"__ns:={graph.namespace}", "-p", "base:=cmd_vel", "-p", table]
+        command += ["-p", f"arm:={arm}"]
         environment = os.environ | process_environment() | {"ROS_DOMAIN_ID": str(graph.domain)}
         self.process = subprocess.Popen(command, env=environment)
         self._sent = 0.0
@@ -62,20 +67,23 @@ class Moving:
 
 
 @NEEDS_ACTIONS
-@pytest.mark.parametrize("is_killed", [True, False])
-def test_the_robot_stops_when_its_driver_is_gone(graph: Any, is_killed: bool) -> None:
-    moving = Moving(graph)
+@pytest.mark.parametrize("arm", ["follow_joint_trajectory", "joint_trajectory"])
+@pytest.mark.parametrize(
+    ("fault", "limit"), [(signal.SIGKILL, 2.0), (signal.SIGTERM, 2.0), (signal.SIGSTOP, 3.0)]
+)
+def test_the_robot_stops_when_its_driver_is_gone(
+    graph: Any, fault: signal.Signals, limit: float, arm: str
+) -> None:
+    moving = Moving(graph, arm)
     try:
-        begin = time.monotonic()
-        if is_killed:
-            moving.process.kill()
-        else:
-            moving.process.terminate()
+        begin, before = time.monotonic(), moving.arm.joints[ARM[0]]
+        moving.process.send_signal(fault)
         graph.spin_until(
             lambda: not moving.arm.moves and moving.base.commands[-1] == (0.0, 0.0), "standstill"
         )
-        assert time.monotonic() - begin < 2.0
-        assert moving.arm.canceled == 1
+        assert time.monotonic() - begin < limit
+        assert moving.arm.canceled == (arm == "follow_joint_trajectory")
+        assert abs(moving.arm.joints[ARM[0]] - before) < 0.1  # of 0.9 rad that were left
     finally:
         moving.process.kill()
         moving.process.wait()

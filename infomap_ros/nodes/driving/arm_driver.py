@@ -97,6 +97,11 @@ def action_of(controller: str) -> str:
     return f"{controller}/follow_joint_trajectory"
 
 
+def topic_of(controller: str) -> str:
+    """Name of the topic of a controller."""
+    return f"{controller}/joint_trajectory"
+
+
 class _Actions:
     """The controllers' actions."""
 
@@ -142,7 +147,7 @@ class _Topics:
         self._clock, self._joints = node.motion_clock, joints
         self._controllers = controllers
         self._publishers = {
-            name: node.advertise(JointTrajectory, f"{name}/joint_trajectory", qos.stream())
+            name: node.advertise(JointTrajectory, topic_of(name), qos.stream())
             for name in controllers
         }
         self._order: Order | None = None

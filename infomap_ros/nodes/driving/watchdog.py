@@ -1,27 +1,41 @@
-"""Stops the robot when robot_driver is killed: a process that waits for the end of a pipe.
+"""Stops the robot when robot_driver is killed or hangs: a process that listens to a pipe.
 
 Goals of actions run on when their client is gone, and a base without a time-out of its own keeps
 its last velocity. What is heard of the driver is the pipe alone: when it ends without a farewell,
-all goals of the action servers are canceled, and zero is published as velocity.
+or nothing comes for a second while something moves, all goals of the action servers are canceled,
+zero is published as velocity, and arms that are driven by topics are told to slow down and stand.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
+import select
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 
+import numpy as np
 import rclpy
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
-_FAREWELL = "farewell"
+from infomap_ros.messages.motions import encode_arm_trajectory
+from infomap_ros.motion.arm.controller_trajectories import stopping_path
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+
+BEAT = 0.1  # [s] between two signs of life
+_RESTS, _MOVES, _FAREWELL = b"r", b"m", b"f"
+_PATIENCE = 1.0  # [s] without a sign of life in a motion: the driver hangs
 _STOPPING = 1.0  # [s] during which zero is published, and answers are waited for
 _PERIOD = 0.05  # [s] between two velocities
 
@@ -32,12 +46,16 @@ class Reach:
 
     Attributes:
         actions: names of action servers, with their namespaces.
+        arms: joints of each controller that is driven by a topic of trajectories, by topic.
+        joint_states: topic that tells of these joints.
         velocities: topics of velocities, with their namespaces.
         is_stamped: whether velocities have a stamp.
         namespace: of the driver.
     """
 
     actions: tuple[str, ...] = ()
+    arms: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    joint_states: str = "/joint_states"
     velocities: tuple[str, ...] = ()
     is_stamped: bool = False
     namespace: str = "/"
@@ -52,10 +70,16 @@ class Watchdog:
 
     def __init__(self, reach: Reach) -> None:
         command = [sys.executable, "-m", "infomap_ros.nodes.driving.watchdog"]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, text=True, start_new_session=True
-        )
-        self._say(json.dumps(asdict(reach)) + "\n")
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+        self._say(json.dumps(asdict(reach)).encode() + b"\n")
+
+    def beat(self, moves: bool) -> None:
+        """Give a sign of life, at least each `BEAT`.
+
+        Args:
+            moves: whether something moves: only then it matters that the next one comes.
+        """
+        self._say(_MOVES if moves else _RESTS)
 
     def part(self) -> None:
         """Let it go: the driver ends by itself, and has stopped the robot."""
@@ -64,10 +88,10 @@ class Watchdog:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
-    def _say(self, text: str) -> None:
+    def _say(self, words: bytes) -> None:
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):  # it has gone: there is nobody who watches
-                self._process.stdin.write(text)
+                self._process.stdin.write(words)
                 self._process.stdin.flush()
 
 
@@ -83,11 +107,26 @@ class _Brake(Node):
         self._velocities = [
             self.create_publisher(self._kind, topic, 1) for topic in reach.velocities
         ]
+        self._reach, self._types = reach, RclpyMessageTypes()
+        self._arms = {
+            topic: self.create_publisher(JointTrajectory, topic, 1) for topic in reach.arms
+        }
 
-    def stop(self) -> None:
-        """Cancel all goals, and publish zero for a while."""
-        self.get_logger().error("robot_driver is gone: stopping the robot")
-        asked = set()
+    def stop(self, why: str) -> None:
+        """Cancel all goals, have arms stand, and publish zero for a while."""
+        self.get_logger().error(f"robot_driver {why}: stopping the robot")
+        asked, standing = set(), set()
+
+        def halt(message: JointState) -> None:
+            for topic, joints in self._reach.arms.items():
+                if topic not in standing and set(joints) <= set(message.name):
+                    standing.add(topic)
+                    self._halt(topic, joints, message)
+
+        if self._arms:  # not before: hundreds of messages a second that nobody needs
+            heard = self.create_subscription(
+                JointState, self._reach.joint_states, halt, qos_profile_sensor_data
+            )
         end = time.monotonic() + _STOPPING
         while time.monotonic() < end:
             for number, client in enumerate(self._cancels):
@@ -97,6 +136,18 @@ class _Brake(Node):
             for publisher in self._velocities:
                 publisher.publish(self._zero())
             rclpy.spin_once(self, timeout_sec=_PERIOD)
+        if self._arms:
+            self.destroy_subscription(heard)
+
+    def _halt(self, topic: str, joints: tuple[str, ...], message: JointState) -> None:
+        """Let joints slow down from the velocity that they have, and stand."""
+        known = message.velocity if len(message.velocity) == len(message.name) else None
+        rows = [message.name.index(name) for name in joints]
+        speeds = np.nan_to_num([known[row] if known is not None else 0.0 for row in rows])
+        here = np.array([message.position[row] for row in rows])
+        path = stopping_path(joints, here, speeds)
+        still = np.zeros_like(path.positions)
+        self._arms[topic].publish(encode_arm_trajectory(self._types, 0, path, still))
 
     def _zero(self) -> Twist | TwistStamped:
         zero = self._kind()
@@ -105,15 +156,37 @@ class _Brake(Node):
         return zero
 
 
+def _watch(brake: _Brake) -> None:
+    """Stop the robot when the standard input is silent in a motion, or ends; until it ends."""
+    pipe, last = sys.stdin.fileno(), _RESTS
+    while True:
+        ready, _, _ = select.select([pipe], [], [], _PATIENCE if last == _MOVES else None)
+        if not ready:
+            brake.stop(f"has given no sign of life for {_PATIENCE:g} s")
+            last = _RESTS  # once, until it moves something again
+            continue
+        told = os.read(pipe, 4096)
+        if _FAREWELL in told:
+            return
+        if not told:
+            brake.stop("is gone")
+            return
+        last = told[-1:]
+
+
 def main() -> int:
-    """Wait for the end of the standard input."""
+    """Watch until the standard input ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends when the driver does
-    reach = Reach(**json.loads(sys.stdin.readline() or "{}"))
+    words = b""
+    while not words.endswith(b"\n"):  # byte by byte: nothing may stay in a buffer
+        byte = os.read(sys.stdin.fileno(), 1)
+        if not byte:
+            return 0
+        words += byte
+    reach = Reach(**json.loads(words))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    brake = _Brake(reach)
-    if _FAREWELL not in sys.stdin.read():
-        brake.stop()
+    _watch(_Brake(reach))
     rclpy.try_shutdown()
     return 0
 

@@ -15,6 +15,9 @@ from infomap_ros.mapping import VoxelMap
 
 GroundHeight = Callable[[FloatArray], FloatArray]
 """Height of the ground at places, (N, 2) [m, map] -> (N,) [m, map], NaN where unknown."""
+MOST_WEIGHT = 1e6
+"""Of a place of interest."""
+_FARTHEST = 1e6  # [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +58,22 @@ class Interest:
         weight: factor on the information of the voxels inside: 1 is neutral, 0 not wanted at all.
 
     Raises:
-        InvalidInputError: the weight is negative or not finite.
+        InvalidInputError: the weight is not from 0 to `MOST_WEIGHT`, or the place is not within
+            1000 km.
     """
 
     place: PlacedSolid
     weight: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.weight) and self.weight >= 0.0):
-            raise InvalidInputError("interest", f"has weight {self.weight}, expected at least 0")
+        if not 0.0 <= self.weight <= MOST_WEIGHT:
+            expected = f"expected 0 to {MOST_WEIGHT:g}"
+            raise InvalidInputError("interest", f"has weight {self.weight}, {expected}")
+        reach = np.abs(self.place.transform[:3, 3]).max() + self.place.solid.bounding_radius
+        if not reach < _FARTHEST:
+            raise InvalidInputError(
+                "interest", f"reaches {reach:g} m far, expected 1000 km at most"
+            )
 
 
 @dataclass(frozen=True, eq=False)

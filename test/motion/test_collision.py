@@ -235,6 +235,44 @@ def test_links_that_touch_may_part_and_not_close(body: CollisionBody) -> None:
     assert not is_free(space, np.array([0.0, 0.0, 0.0, 1.3]), places)
 
 
+def wall_from(x: int) -> DistanceField:
+    """A wall that begins at so many voxels."""
+    blocked = np.zeros((60, 60, 50), bool)
+    blocked[x - FIRST[0] :] = True
+    return field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True)
+
+
+def test_beside_a_wall_each_link_may_be_as_near_to_it_as_it_is(
+    body: CollisionBody, rng: np.random.Generator
+) -> None:
+    """A base that arrived 1 mm from a wall, within the margin, may move its arm, but no nearer."""
+    here = np.zeros(4)
+    qs = np.concatenate([here[None], rng.uniform(-0.5, 0.5, (400, 4))])
+    qs[:, 0] *= 0.0  # the turret stays, which stands by other rules
+
+    def clearances(q: np.ndarray) -> np.ndarray:
+        reach = (body.spheres(q, np.eye(4))[:, (0, 3)]).sum(axis=1)
+        return 0.2 - np.maximum.reduceat(reach, body.arrays.starts[:-1])[body.moving_links]
+
+    plain = CollisionChecker(body, wall_from(4))
+    standing = plain.standing(here, np.eye(4))
+    least = np.minimum(clearances(here), body.config.margin)
+    assert 0.0 < least.min() < 0.002
+    expected = np.array([(clearances(q) >= least - 1e-9).all() for q in qs])
+    apart = CollisionChecker(body, nothing()).are_free(qs, np.eye(4), base=False)
+    np.testing.assert_array_equal(standing.are_free(qs, np.eye(4), base=False), expected & apart)
+    assert not plain.check(here, np.eye(4), base=False).free
+    assert 20 < np.count_nonzero(expected) < 380
+
+
+def test_no_link_may_reach_into_what_the_map_shows_though_it_seems_to_be_there(
+    body: CollisionBody,
+) -> None:
+    here = np.zeros(4)
+    standing = CollisionChecker(body, wall_from(3)).standing(here, np.eye(4))
+    assert "with the map" in standing.check(here, np.eye(4), base=False).what
+
+
 def test_malformed_input_is_named(body: CollisionBody) -> None:
     checker = CollisionChecker(body, nothing())
     with pytest.raises(InvalidInputError, match="q"):

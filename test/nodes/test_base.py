@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from infomap_ros.errors import CalibrationError, ConfigError
@@ -95,6 +96,30 @@ def test_an_input_without_messages_is_named_in_diagnostics(graph: Any) -> None:
 
     graph.spin_until(lambda: f"{graph.namespace}/silence yet" in complaints(), "a complaint")
     assert node.health.missing() == [f"{graph.namespace}/words", f"{graph.namespace}/silence"]
+
+
+def test_two_sources_of_one_sensor_are_named_in_diagnostics(graph: Any) -> None:
+    """Two simulators, or a driver that was started twice: images of two worlds would mix."""
+
+    class Watcher(MonitoredNode):
+        def __init__(self, **node_arguments: Any) -> None:
+            super().__init__("watcher", **node_arguments)
+            self.listen(Image, "left/image_raw", lambda _: None, qos.sensor_data())
+            self.listen(String, "words", lambda _: None, qos.stream())
+
+    graph.add(Watcher)
+    arrays = graph.collect(DiagnosticArray, "/diagnostics")
+    for topic, kind in (("left/image_raw", Image), ("words", String)):
+        graph.publisher(kind, topic)
+        graph.publisher(kind, topic)
+    tester = graph.tester.get_fully_qualified_name()
+    said = f"{graph.namespace}/left/image_raw is published by {tester} and {tester}"
+
+    def complaints() -> str:
+        return " ".join(s.message for array in arrays for s in array.status)
+
+    graph.spin_until(lambda: said in complaints(), "a complaint")
+    assert "words is published" not in complaints()
 
 
 def test_an_impossible_parameter_keeps_the_node_from_starting(graph: Any) -> None:

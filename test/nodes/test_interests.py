@@ -84,6 +84,18 @@ def _no_place(made: Marker) -> None:
     made.pose.position.x = float("nan")
 
 
+def _boundless_weight(made: Marker) -> None:
+    made.text = "1e308"
+
+
+def _boundless_box(made: Marker) -> None:
+    made.scale.x = 1e308
+
+
+def _boundless_place(made: Marker) -> None:
+    made.pose.position.x = 1e300
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -94,6 +106,9 @@ def _no_place(made: Marker) -> None:
         _no_size,
         _no_rotation,
         _no_place,
+        _boundless_weight,
+        _boundless_box,
+        _boundless_place,
     ],
 )
 def test_a_message_counts_as_a_whole_or_not_at_all(
@@ -104,6 +119,13 @@ def test_a_message_counts_as_a_whole_or_not_at_all(
     spoil(bad)
     with pytest.raises(MalformedMessageError, match="site/9"):
         interests.update(MarkerArray(markers=[marker(8), bad]))
+    assert interests.current() == before
+
+
+def test_more_markers_than_anybody_sets_are_refused(interests: Interests) -> None:
+    before = interests.current()
+    with pytest.raises(MalformedMessageError, match="1001"):
+        interests.update(MarkerArray(markers=[marker(number) for number in range(1001)]))
     assert interests.current() == before
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -218,11 +219,16 @@ def test_only_the_team_moves_a_map_that_has_a_key() -> None:
 class MovedNode(MonitoredNode):
     """A node whose map is moved by the team."""
 
-    def __init__(self, key: TeamKey, **arguments: Any) -> None:
+    def __init__(self, key: TeamKey | None, **arguments: Any) -> None:
         super().__init__("moved", **arguments)
         self.moves: list[PoseRecord] = []
-        worker = self.start_worker(10)
-        listen_to_moves(self, "map", worker, self.moves.append, key=key, robot=2)
+        self.may_move = threading.Event()
+        self.may_move.set()
+        listen_to_moves(self, "map", self.start_worker(10), self._move, key=key, robot=2)
+
+    def _move(self, pose: PoseRecord) -> None:
+        self.may_move.wait(60.0)
+        self.moves.append(pose)
 
 
 def test_with_a_key_only_what_is_signed_is_heard(graph: Any) -> None:
@@ -236,6 +242,24 @@ def test_with_a_key_only_what_is_signed_is_heard(graph: Any) -> None:
     secret.publish(signed(key))
     graph.spin_until(lambda: node.moves, "the move")
     assert node.moves[0].frame_id == "map" and len(node.moves) == 1
+
+
+def test_of_a_flood_of_moves_a_few_wait_the_newest(graph: Any) -> None:
+    node = graph.add(partial(MovedNode, None))
+    publisher = graph.publisher(PoseWithCovarianceStamped, "map_alignment")
+    graph.connect(publisher)
+    node.may_move.clear()
+    for number in range(1, 61):
+        publisher.publish(alignment(number * SECOND))
+        graph.spin_until(partial(has_come, node, number), "the move to be heard")
+    node.may_move.set()
+    graph.spin_until(lambda: node.moves and node.moves[-1].stamp == 60 * SECOND, "the newest")
+    assert len(node.moves) <= 17
+    assert sum(node.health.drops().values()) == 60 - len(node.moves)
+
+
+def has_come(node: MovedNode, number: int) -> bool:
+    return int(node.health.values()[f"{node.get_namespace()}/map_alignment count"]) >= number
 
 
 def aligned(stage: Stage, stamp: int = 0) -> None:

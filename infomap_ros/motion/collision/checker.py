@@ -171,20 +171,23 @@ class CollisionChecker:
         return space._replace(radii=space.radii + depths, gaps=gaps - _SLACK)
 
     def standing(self, q: ArrayLike, T_map_base: ArrayLike) -> CollisionChecker:
-        """The same where the robot stands: the foot of its arm may be as near to things as it is.
+        """The same where the robot stands: each link may be as near to things as it is now.
 
-        The links that the first joint turns in place are where they are in every posture. What the
-        map shows where they are was seen wrongly, or does not touch them: they may come nearer to
-        it by half a voxel, as the map tells no better. All else keeps its margin.
+        A base that came to stand closer to a wall than planned could not fold its arm else. What a
+        link keeps to things may be less than the margin, but no link may reach into what the map
+        shows, except those that the first joint turns in place: they are where they are in every
+        posture. What the map shows there was seen wrongly, or does not touch them, and they may
+        come nearer to it by half a voxel, as the map tells no better.
 
         Args:
             q: where the arm is, shape (n,).
             T_map_base: where the base is, shape (4, 4).
         """
-        depths = self._depths(self.space(T_map_base), self.body.chain.check(q))
-        depths = np.where(
-            self.body.foot & (depths < 0.0), depths - 0.5 * self.field.voxel_size, 0.0
-        )
+        body = self.body
+        depths = self._depths(self.space(T_map_base), body.chain.check(q))
+        kept = np.array([body.protrusions[link] for link in body.links]) + body.config.margin
+        touching = np.where(depths < 0.0, depths - 0.5 * self.field.voxel_size, 0.0)
+        depths = np.where(body.foot, touching, np.maximum(depths, -kept - self._wider))
         other = CollisionChecker(self.body, self.field, wider=self._wider)
         other._shrunk = np.repeat(depths, np.diff(self.body.arrays.starts))
         return other

@@ -62,6 +62,12 @@ _REASONS: dict[type[InfomapError], str] = {
     RobotModelError: "robot description",
     MapFileError: "map file",
 }
+_OF_ONE_SOURCE = {
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/CameraInfo",
+    "nav_msgs/msg/Odometry",
+}
 
 
 class MonitoredNode(Node):
@@ -320,7 +326,7 @@ class MonitoredNode(Node):
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
             self.health.note(name, str(publisher.get_subscription_count()))
-        complaints = self.health.complaints()
+        complaints = self.health.complaints() + self._mixed_sources()
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name()}: data",
@@ -331,6 +337,16 @@ class MonitoredNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _mixed_sources(self) -> list[str]:
+        """Streams of one sensor that more than one node publishes, in words."""
+        found = []
+        for topic, (type_name, _) in self._listened.items():
+            if type_name in _OF_ONE_SOURCE and self.count_publishers(topic) > 1:
+                publishers = self.get_publishers_info_by_topic(topic)
+                names = sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
+                found.append(f"{topic} is published by {' and '.join(names)}")
+        return found
 
     def _warn_of_missing_inputs(self) -> None:
         """Say every few seconds what never came, with what is known of it, and what has stopped."""

@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.errors import FrameError
+from infomap_ros.errors import FrameError, MalformedMessageError
 from infomap_ros.geometry import transform_from_quaternion
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -15,6 +15,7 @@ Item = TypeVar("Item")
 
 MARKER = "visualization_msgs/msg/Marker"
 """Type of the messages, for errors."""
+MOST_ITEMS = 1000
 
 
 class MarkerSet(Generic[Item]):
@@ -38,7 +39,8 @@ class MarkerSet(Generic[Item]):
         """Take a message; it counts as a whole or not at all.
 
         Raises:
-            MalformedMessageError: a marker is of another type or its numbers are impossible.
+            MalformedMessageError: a marker is of another type or its numbers are impossible, or
+                there would be more than `MOST_ITEMS`.
             FrameError: a marker is in another frame than the map's.
         """
         items = dict(self._items)
@@ -50,6 +52,8 @@ class MarkerSet(Generic[Item]):
             else:
                 check_frame(marker.header.frame_id, self._map_frame, self._what)
                 items[marker.ns, marker.id] = self._read(marker)
+        if len(items) > MOST_ITEMS:
+            raise MalformedMessageError(MARKER, f"{len(items)} of {self._what}, not {MOST_ITEMS}")
         self._items = items
 
 

@@ -25,11 +25,12 @@ from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.messages.types import MessageTypes
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.common.worker import MOST_WAITING, Worker
 from infomap_ros.team.alignment_rows import decode_alignment, encode_alignment
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 
 MAP_ALIGNMENT, MAP_ALIGNMENT_SIGNED = "map_alignment", "map_alignment_signed"
+_SIZE = MOST_WAITING // 16  # as which a move of the map counts: a few may wait
 
 
 def advertise_alignment(node: MonitoredNode, namespace: str, key: TeamKey | None) -> Publisher:
@@ -100,7 +101,7 @@ def listen_to_moves(
     def pass_on(alignment: PoseRecord) -> None:
         if alignment.frame_id != frame:
             raise FrameError(f"{topic} in frame '{alignment.frame_id}', the map is '{frame}'")
-        worker.submit_always(lambda: node.guard_peer(topic, lambda: move(alignment)))
+        worker.submit_from(topic, _SIZE, lambda: node.guard_peer(topic, lambda: move(alignment)))
 
     def receive(message: PoseWithCovarianceStamped) -> None:
         if key is not None:

@@ -240,12 +240,14 @@ class ExplorationRun:
             **self._touched(),
         }
 
-    def _touched(self) -> dict[str, str]:
-        """Which links touched what they should not, with counts; nothing where none did."""
-        touched = Reasons()
-        for event in self.simulator.contact_events:
+    def _touched(self) -> dict[str, object]:
+        """What touched what it should not, and when, where and how deep; nothing where none did."""
+        touched, events = Reasons(), self.simulator.contact_events
+        for event in events:
             touched.add(f"{event.link} with {event.other}")
-        return {"touched": touched.text} if touched.text else {}
+        if not events:
+            return {}
+        return {"touched": touched.text, "touches": [dataclasses.asdict(each) for each in events]}
 
     @functools.cached_property
     def truth(self) -> RunTruth:

@@ -43,7 +43,7 @@ class StereoConfig:
         "Variant of semi-global matching: 3 paths, 5 paths, or 8 paths over the whole image.",
         choices=("sgbm_3way", "sgbm", "sgbm_hh"),
     )
-    block_size: int = parameter(5, "Side of the matching window, odd.", unit="px", low=1, high=21)
+    block_size: int = setting(5, "Side of the matching window, odd.", unit="px", low=1, high=21)
     smoothness_small: ClassVar[int] = 8
     """Penalty of a disparity step of 1 px, per pixel of the block (P1)."""
     smoothness_large: int = setting(

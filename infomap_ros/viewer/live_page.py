@@ -33,6 +33,10 @@ class PageConfig:
         0, "Port of the page; 0: any that is free, which the log tells.", low=0, high=65535
     )
 
+    read_only: bool = parameter(
+        False, "Whoever opens the page may look, not steer: it has no buttons and no interest."
+    )
+
     def __post_init__(self) -> None:
         check_config(self)
         if not self.host.isprintable() or " " in self.host:
@@ -46,9 +50,9 @@ class LivePage:
         title: of the run.
         config: where it is served.
         orders: buttons that steer the run, by their labels; an order returns its answer, or raises
-            an error of the library.
-        on_interest: given a box that the user has placed, None where it is taken away; without it
-            the page has no such control.
+            an error of the library. A page that is read only has none.
+        on_interest: given a box that the user has placed, None where it is taken away; without it,
+            or where it is read only, the page has no such control.
         has_plans: whether views are chosen in this run; else nothing is said of them.
 
     Attributes:
@@ -73,12 +77,12 @@ class LivePage:
         viser = self._server.viser
         viser.gui.configure_theme(show_logo=False, show_share_button=False)
         viser.scene.add_frame("/map_frame", axes_length=0.5, axes_radius=0.01)
-        self.panel = RunPanel(viser, orders or {})
+        self.panel = RunPanel(viser, {} if settings.read_only else orders or {})
         with viser.gui.add_folder("Map"):
             self.map = MapLayer(viser)
         with viser.gui.add_folder("Why this view", visible=has_plans):
             self.views = ViewsLayer(viser)
-        if on_interest is not None:
+        if on_interest is not None and not settings.read_only:
             with viser.gui.add_folder("Place of interest", expand_by_default=False):
                 InterestControls(viser, on_interest, lambda: self.map.middle)
         with viser.gui.add_folder("Log"):

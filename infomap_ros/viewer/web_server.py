@@ -1,7 +1,8 @@
 """The web server of a page: viser's, open to those alone who know its address in full.
 
 The address holds a token. A browser shows it to the server when it asks for the data, so neither
-another user of the machine nor a foreign web page, which may ask any address, gets in.
+another user of the machine nor a foreign web page, which may ask any address, gets in; a foreign
+page that has got hold of the token is refused by its origin.
 """
 
 from __future__ import annotations
@@ -63,10 +64,13 @@ class WebServer:
         self.viser.stop()
 
     async def _admit(self, client: Any) -> None:
-        """Close a connection that does not show the token."""
+        """Close a connection that does not show the token, or that another page has opened."""
         connection = self._connections._live_connections[client.client_id]
-        shown = parse_qs(urlsplit(connection.request.path).query).get("token", [""])[0]
-        if not hmac.compare_digest(shown.encode(), self._token.encode()):
+        headers, query = connection.request.headers, urlsplit(connection.request.path).query
+        shown = parse_qs(query).get("token", [""])[0]
+        origin = headers.get("Origin")  # browsers say it, other programs need not
+        is_own = origin is None or urlsplit(origin).netloc == headers.get("Host")
+        if not (is_own and hmac.compare_digest(shown.encode(), self._token.encode())):
             await connection.close(_NOT_ALLOWED, "open the whole address, with its token")
 
 

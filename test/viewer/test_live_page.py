@@ -18,7 +18,7 @@ from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
-from infomap_ros.viewer import LivePage
+from infomap_ros.viewer import LivePage, PageConfig
 from infomap_ros.viewer.interest_box import InterestBox
 from infomap_ros.viewer.log_display import LogDisplay
 
@@ -67,11 +67,11 @@ DECISION = {
 class Run:
     """A page with what its buttons have done."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: PageConfig | None = None) -> None:
         self.given: list[str] = []
         self.boxes: list[InterestBox | None] = []
         orders = {"Start": lambda: self._note("Start"), "Stop": self._refuse}
-        self.page = LivePage("a run", orders=orders, on_interest=self.boxes.append)
+        self.page = LivePage("a run", config, orders, self.boxes.append)
 
     def _note(self, name: str) -> str:
         self.given.append(name)
@@ -182,6 +182,18 @@ def test_a_button_steers_and_the_answer_is_told(run: Run, shown: Any) -> None:
     shown.wait("document.body.innerText.includes('nothing runs')")
 
     assert run.given == ["Start", "Stop"]
+
+
+def test_a_page_that_is_read_only_has_nothing_that_steers(window: Any) -> None:
+    running = Run(PageConfig(read_only=True))
+    try:
+        window.send("Page.navigate", url=running.page.address)
+        wait_for(lambda: running.page.is_watched)
+        window.wait("document.body.innerText.includes('Why this view')")
+        text = window.evaluate("document.body.innerText")
+        assert not any(word in text for word in ("Start", "Stop", "Place of interest"))
+    finally:
+        running.page.close()
 
 
 def test_a_box_is_handed_on_and_taken_away(run: Run, shown: Any) -> None:

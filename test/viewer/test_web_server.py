@@ -11,7 +11,7 @@ import pytest
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 from infomap_ros.errors import ConfigError, MissingExtraError
 from infomap_ros.viewer import LivePage, PageConfig
@@ -28,9 +28,10 @@ def server() -> Iterator[WebServer]:
     running.close()
 
 
-def messages(address: str, count: int = 1) -> list[bytes]:
+def messages(address: str, count: int = 1, origin: str | None = None) -> list[bytes]:
     """The first things that the server tells a browser that asks at an address."""
-    with connect(address, subprotocols=PROTOCOL, max_size=None) as socket_:
+    page = None if origin is None else Origin(origin)
+    with connect(address, subprotocols=PROTOCOL, max_size=None, origin=page) as socket_:
         return [bytes(socket_.recv(timeout=10.0)) for _ in range(count)]
 
 
@@ -55,6 +56,15 @@ def test_others_are_told_nothing(server: WebServer, more: str) -> None:
     assert refusal.value.rcvd is not None
     assert refusal.value.rcvd.code == 4403
     assert not server.is_watched
+
+
+def test_a_foreign_page_gets_nothing_though_it_has_the_token(server: WebServer) -> None:
+    page, _, data = server.address.partition("/?websocket=")
+    assert messages(data, origin=page)
+    with pytest.raises(ConnectionClosed) as refusal:
+        messages(data, origin="http://elsewhere.example")
+    assert refusal.value.rcvd is not None
+    assert refusal.value.rcvd.code == 4403
 
 
 def test_two_pages_have_two_tokens(server: WebServer) -> None:

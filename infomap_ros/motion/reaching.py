@@ -112,9 +112,8 @@ class WholeBodyReach:
         self._start, self._obstacles = start, obstacles
         past = ArmTrail.at(self._base, self._q) if previous is None else previous.trail
         trail = past.after(self._base, self._q, sent)
-        self._routes = RoutePlanner(self._whole, self.near, self.config, trail)
-        self._whole = self._routes.foldable()
-        self._routes = replace(self._routes, whole=self._whole)
+        self._routes = RoutePlanner(self._whole, self.near, self.config, trail).foldable()
+        self._whole = self._routes.whole
         poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
         self._standing = np.concatenate([self._base[None], poses])
         self._planner_before = None if previous is None else previous._last_planner
@@ -179,12 +178,11 @@ class WholeBodyReach:
         """
         views = float_array(poses, "poses").reshape(-1, 4, 4)
         possible = self._arm_may_reach(views)
-        stuck = "" if possible.all() else self._routes.why_not_folded
-        if not (stuck or possible.all()):
+        if not possible.all():
             possible[~possible] = self._base_may_reach(views[~possible])
         if possible.all():
             return [""] * len(views)
-        stuck = stuck or self._why_stuck
+        stuck = self._why_stuck
         reason = f"the base cannot drive: {stuck}" if stuck else _NO_PLACE
         return [
             "" if ok else self._closed_below(view) + reason
@@ -206,8 +204,6 @@ class WholeBodyReach:
         if here is not None:
             return here
         finder = StanceFinder(self._whole, self.planner, self.near, self.config, self._xyyaw)
-        if self._routes.why_not_folded:
-            return ReachResult(f"{self._routes.why_not_folded}; the arm alone: {why_not}")
         stances = finder.find(view)
         if len(stances.places):
             return self._with_base(view, stances)
@@ -317,8 +313,6 @@ class WholeBodyReach:
         self, view: FloatArray, places: FloatArray, reason: str, path: BasePath | None = None
     ) -> ReachResult:
         """The farthest safe approach to places, with the camera as near to the view as can be."""
-        if self._routes.why_not_folded:
-            return ReachResult(reason)
         if path is None and len(places):
             path = self.planner.plan(self._xyyaw, places)
         if path is None or len(path.poses) < 2 or not self._comes_nearer(view, path):

@@ -34,7 +34,7 @@ _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
 @dataclass(frozen=True, eq=False)
 class RoutePlanner:
-    """Puts routes together for one state of map and robot.
+    """Puts routes together for one state of map and robot. The base drives after `foldable`.
 
     Attributes:
         whole: the robot.
@@ -152,8 +152,6 @@ class RoutePlanner:
         """
         if len(path.poses) < 2 and not path.complete:
             return ReachResult(f"base path: {path.reason}")
-        if self.why_not_folded:
-            return ReachResult(self.why_not_folded)
         end = path.T_map_base[-1]
         after = self.arm(self.whole.driving, q, end)
         if not after.converged and path.complete:
@@ -219,25 +217,24 @@ class RoutePlanner:
         limits = self.config.trajectory
         return plan_arm_path(self.near.checker_at(base), self.q, goal, base, QUICK_SEARCH, limits)
 
-    def foldable(self) -> WholeBody:
-        """The robot with a posture to drive in that is free here, the usual one if it is."""
+    def foldable(self) -> RoutePlanner:
+        """The same with a posture to drive in to which there is a way here.
+
+        The usual one where that can be, else another that is compact, else the one in which the
+        base came to where it stands: it is the farthest back on the trail.
+        """
         base, whole = self.trail.T_map_base, self.whole
+        if self._folding.converged:
+            return self
         checker = self.near.checker_at(base)
-        if checker.check(whole.driving, base, base=False).free:
-            return whole
         for row in np.flatnonzero(checker.are_free(whole.compact, base, base=False))[:_BRANCHES]:
             if self._quick_arm(whole.compact[row]).converged:
-                return whole.driving_in(whole.compact[row])
-        return whole
-
-    @property
-    def why_not_folded(self) -> str:
-        """Why the arm cannot be brought to the driving posture, or empty."""
-        folding = self._folding
-        return "" if folding.converged else f"folding the arm to drive: {folding.reason}"
+                return replace(self, whole=whole.driving_in(whole.compact[row]))
+        return replace(self, whole=whole.driving_in(self.trail.back()[-1]))
 
     @cached_property
     def _folding(self) -> ArmPath:
+        """To the posture to drive in."""
         return self.arm_from_here(self.whole.driving)
 
     def _back_and_on(self, goal: FloatArray, direct: ArmPath) -> ArmPath:

@@ -205,6 +205,38 @@ def test_spinning_on_the_spot_is_being_stuck(flat: World, description: str) -> N
     assert planar(robot.odometry().transform)[0] > planar(robot.true_pose())[0] + 0.1
 
 
+def test_wheels_with_rollers_move_the_base_as_they_are_told(flat: World, description: str) -> None:
+    """Two turns on the spot, then ahead: a skidding rover leaves the spot by more."""
+    away = []
+    for rollers in (True, False):
+        config = dataclasses.replace(CONFIG, robot=RobotSetupConfig(rollers=rollers))
+        robot = Simulator(flat, description, config)
+        assert robot.skids is not rollers
+        for _ in range(120):
+            robot.command_velocity(0.0, 0.5)
+            robot.step(0.2)
+        away.append(float(np.hypot(*planar(robot.true_pose())[:2])))
+        start = robot.true_pose()
+        for _ in range(20):
+            robot.command_velocity(0.2, 0.0)
+            robot.step(0.2)
+        driven = planar(np.linalg.inv(start) @ robot.true_pose())
+        assert driven[0] == pytest.approx(0.2 * 4.0, abs=0.1)
+        assert abs(driven[1]) < 0.1
+    assert away[0] < 0.01 < away[1]
+
+
+def test_rollers_push_no_harder_than_they_grip(description: str) -> None:
+    wall = ("wall", (0.1, 2.0, 1.0), make_transform(np.eye(3), (0.6, 0.0, 0.5)))
+    config = dataclasses.replace(CONFIG, robot=RobotSetupConfig(rollers=True))
+    robot = Simulator(flat_world(wall), description, config)
+    robot.follow_base_path([(0.0, 0.0, 0.0), (1.5, 0.0, 0.0)])
+    finish(robot)
+    assert "the base" in robot.problem
+    assert robot.true_pose()[0, 3] < 0.6
+    assert robot.true_pose()[2, 2] > 0.8
+
+
 def test_a_low_step_is_no_contact(description: str) -> None:
     step = ("step", (0.3, 2.0, 0.1), make_transform(np.eye(3), (0.6, 0.0, -0.02)))
     robot = Simulator(flat_world(step), description, CONFIG)

@@ -25,7 +25,8 @@ class DriveTrainConfig:
     turn_gain: float = setting(
         0.0,
         "How much faster the wheels turn in a curve than they would without slipping sideways. "
-        "0: 1 for two driven wheels, 1 + 1.4 (wheelbase / track)^2 for more, which skid.",
+        "0: 1 for two driven wheels, 1 + 1.4 (wheelbase / track)^2 for more, which skid, and "
+        "1 + wheelbase / track for wheels with rollers.",
         low=0.0,
         high=5.0,
     )
@@ -57,17 +58,20 @@ class DriveTrain:
         wheels = body.trial.wheels
         self.radius = float(np.mean([wheel.radius for wheel in wheels]))
         self._sides = np.array([wheel.place[1] for wheel in wheels])
-        self.skids = bool(np.ptp([wheel.place[0] for wheel in wheels]) > self.radius)
+        in_rows = bool(np.ptp([wheel.place[0] for wheel in wheels]) > self.radius)
+        self.skids = in_rows and not body.setup.rollers
         base = body.frame(body.setup.base_frame)[:3, :3]
         axes = [base.T @ body.frame(w.body)[:3, :3] @ w.axis for w in wheels]
         self._signs = np.array([np.sign(axis[1]) for axis in axes])
-        self.gain = config.turn_gain or _gain_by_geometry(np.array([w.place for w in wheels]))
+        places = np.array([wheel.place for wheel in wheels])
+        self.gain = config.turn_gain or _gain_by_geometry(places, body.setup.rollers)
         self._turned = self._told = 0.0  # sums of squares and products of turn rates
         self._way_turned = 0.0
         self.restart()
 
     def restart(self) -> None:
         """Stand with the wheels as they are."""
+        self._body.command_rollers(0.0, 0.0)
         self._targets = self._last = self._before = self._body.wheel_angles
         self._speed = self._turn_rate = self._correction = 0.0
 
@@ -96,6 +100,8 @@ class DriveTrain:
         lag = np.clip(self._targets + rates * period - angles, -_WINDUP, _WINDUP)
         self._targets = angles + lag
         body.command_wheels(self._targets)
+        if body.setup.rollers:
+            body.command_rollers(self._speed, self._turn_rate)
 
     def _correct(self, period: float) -> None:
         if self._turn_rate == 0.0:
@@ -142,10 +148,11 @@ class DriveTrain:
         return float(0.5 * (turned[left].mean() + turned[~left].mean()) * self.radius)
 
 
-def _gain_by_geometry(places: FloatArray) -> float:
+def _gain_by_geometry(places: FloatArray, rollers: bool) -> float:
     """Gain of wheels at places in the base frame, shape (W, 3) [m]; see `DriveTrainConfig`."""
     wheelbase, track = np.ptp(places, axis=0)[:2]
-    return round(1.0 + _SKID * float(wheelbase / track) ** 2, 3)
+    ratio = float(wheelbase / track)
+    return round(1.0 + (ratio if rollers else _SKID * ratio**2), 3)
 
 
 def _towards(value: float, wanted: float, change: float) -> float:

@@ -21,6 +21,7 @@ import mujoco  # isort: skip  # after the backend has been chosen
 
 _WHEEL_DAMPING = 0.02  # [Nm s/rad]
 _NO_EFFORT_LIMIT = 1e4  # [N or Nm]
+_ON_ROLLERS = 0.02  # friction of wheels whose rollers are not simulated one by one
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def _shape_wheel(spec: mujoco.MjSpec, prefix: str, wheel: Wheel, setup: RobotSet
         pos=wheel.center,
         quat=turn,
         group=COLLISION_GROUP,
-        friction=(setup.wheel_friction, 0.005, 0.0001),
+        friction=(_ON_ROLLERS if setup.rollers else setup.wheel_friction, 0.005, 0.0001),
         priority=1,
         mass=0.0,
     )

@@ -30,6 +30,10 @@ Without them the friction of MuJoCo yields: 30 motions of the arm shift a rover 
 cave by 51 mm and 3.5 degrees, with them by 2 mm and 0.1."""
 _STAYS = 1e-9  # [rad]
 
+_ROLLING_FRICTION = 0.6  # of rollers on the ground, along their axes
+_GRIP = 0.1  # [s] in which rollers bring the base to the velocity of the wheels
+_MOST_BEHIND = 0.05  # [m, rad] that the base may be behind its wheels before they slip
+
 
 class RobotBody:
     """A robot with springs and servos in a copy of a world.
@@ -89,11 +93,16 @@ class RobotBody:
         self._base_q = int(self.model.joint(f"{PREFIX}base").qposadr[0])
         self._base_v = int(self.model.joint(f"{PREFIX}base").dofadr[0])
         self._base = self._body(setup.base_frame)
+        self._wanted, self._behind = np.zeros(3), np.zeros(3)
         self.teammates = {
             prefix[:-1]: TeammateBody(self.model, self.data, text, prefix, setup.base_frame)
             for prefix, text in others.items()
         }
         self._place(world)
+        inertia = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, inertia)
+        along = self._base_v + np.array([0, 1, 5])
+        self._inertia = inertia[along, along]  # against the wheels: twice [kg], and [kg m^2]
 
     def _addresses(self, joints: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         found = [self.model.joint(PREFIX + name) for name in joints]
@@ -147,6 +156,8 @@ class RobotBody:
     def advance(self) -> None:
         """Simulate one control period; the weight of the arm is held by its servos."""
         self.data.qfrc_applied[self._v] = self.data.qfrc_bias[self._v]
+        if self.setup.rollers:
+            self._roll()
         mujoco.mj_step(self.model, self.data, self.config.steps)
 
     def appearance(self) -> FloatArray:
@@ -163,6 +174,31 @@ class RobotBody:
         stay = np.abs(angles - self.data.ctrl[self._wheel_inputs]).max(initial=0.0) < _STAYS
         self.model.opt.noslip_iterations = _NO_SLIP if stay else 0
         self.data.ctrl[self._wheel_inputs] = angles
+
+    def command_rollers(self, speed: float, turn_rate: float) -> None:
+        """Set how fast wheels with rollers move the base ahead [m/s] and turn it [rad/s]."""
+        self._wanted[[0, 2]] = speed, turn_rate
+
+    def _roll(self) -> None:
+        """Push the base as its rollers do together.
+
+        The rollers of four mecanum wheels touch the ground in two directions, so that their forces
+        add up to any push along the ground and about the vertical. Their contacts are not simulated
+        one by one: the wheels slide, and the base feels the sum, up to what friction allows.
+        """
+        data, base = self.data, self._base_v
+        axes = data.xmat[self._base].reshape(3, 3)
+        now = np.append(axes[:, :2].T @ data.qvel[base : base + 3], data.qvel[base + 5])
+        lag, period = self._wanted - now, self.config.control_period
+        self._behind = np.clip(self._behind + lag * period, -_MOST_BEHIND, _MOST_BEHIND)
+        mass = float(self._inertia[0])
+        wanted = (lag + self._behind / (4.0 * _GRIP)) / _GRIP  # critically damped
+        push = self._inertia * wanted
+        most = _ROLLING_FRICTION * mass * float(np.linalg.norm(self.model.opt.gravity))
+        push[:2] *= min(1.0, most / max(float(np.hypot(*push[:2])), 1e-9))
+        arm = float(np.hypot(*np.array([wheel.place for wheel in self.trial.wheels])[0, :2]))
+        data.qfrc_applied[base : base + 3] = axes[:, :2] @ push[:2]
+        data.qfrc_applied[base + 5] = float(np.clip(push[2], -most * arm, most * arm))
 
     @property
     def targets(self) -> FloatArray:

@@ -87,6 +87,11 @@ class RobotSetupConfig:
     wheel_friction: float = setting(
         1.0, "Friction coefficient of the wheels on the ground.", low=0.05, high=3.0
     )
+    rollers: bool = setting(
+        False,
+        "The wheels have rollers, as mecanum wheels: they move the base as they are told, and "
+        "resist a push to any side.",
+    )
     wheel_effort: ClassVar[float] = 8.0
     """Largest torque of a wheel whose joint has no effort limit [Nm]."""
 

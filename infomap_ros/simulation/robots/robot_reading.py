@@ -50,7 +50,6 @@ _CART = (0.55, 0.45, 0.3)  # length, width, height [m] under an arm
 _LOW = 0.3  # what is below is the robot's base [m]
 _VISIBLE = re.compile(r"wheel|caster|footprint", re.IGNORECASE)  # of robots with a base
 _CAMERA = re.compile(r"cam", re.IGNORECASE)
-_ROLLERS = 0.3  # friction that stands for the rollers of mecanum wheels
 _GAIN_DIFFERS = 1.3  # by this factor a measured gain is written down
 
 
@@ -341,12 +340,12 @@ class _Reading:
         """Take the gain and the friction by which it turns, and warn of what goes wrong."""
         trial = try_drive(self._text, self._setup)
         if not trial.problem and not trial.turns:
-            slippery = replace(self._setup, wheel_friction=_ROLLERS)
-            again = try_drive(self._text, slippery)
+            rolling = replace(self._setup, rollers=True)
+            again = try_drive(self._text, rolling)
             if again.turns:
-                self._setup, trial = slippery, again
+                self._setup, trial = rolling, again
                 text = "its motors cannot turn it while the wheels grip, as if they were mecanum"
-                self._guess("robot.wheel_friction", f"{_ROLLERS}: {text}", "mecanum wheels?")
+                self._guess("robot.rollers", f"true: {text}", "mecanum wheels?")
         turned = trial.fitting_gain
         if turned > 0.0 and not 1.0 / _GAIN_DIFFERS < turned / trial.gain < _GAIN_DIFFERS:
             self._gain = float(round(min(max(turned, 0.5), 5.0), 2))

@@ -13,6 +13,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping.distance_field import field_of_blocked
 from infomap_ros.motion.arm.arm_path import plan_arm_path
+from infomap_ros.motion.arm.driving_posture import compact_postures, driving_posture
 from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker, CollisionConfig
 from infomap_ros.motion.collision.kernels import is_free
 from infomap_ros.motion.robot.robot_model import RobotModel
@@ -65,6 +66,15 @@ def test_what_is_free_touches_nothing_that_is_compared(name, rng):
     contact = np.array([bool(touching(robot, q) & compared) for q in qs])
     assert not (free & contact).any()
     assert free.sum() >= 0.6 * (~contact).sum()
+
+
+@pytest.mark.parametrize("name", ["ur5", "stretch"])
+def test_the_posture_to_drive_in_truly_touches_nothing(name):
+    """Which is the least of thousands, and so the likeliest to be just what spheres do not tell."""
+    body = checker_of(name).body
+    compared = {frozenset(pair) for pair in body.compared_pairs}
+    for q in (driving_posture(body), *compact_postures(body, 3)):
+        assert not touching(body.robot, q) & compared
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "tiago"])

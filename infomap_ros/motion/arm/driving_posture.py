@@ -12,6 +12,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.distance_field import field_of_blocked
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.checker import CollisionChecker
+from infomap_ros.motion.collision.pair_study import TrueShapes
 
 _POSTURES = 4000
 _ROUNDS = 12
@@ -23,6 +24,8 @@ _SPARE = 0.02  # share of a joint's range that is kept from its limits
 _STAYS = 0.01  # [m]; what the arm moves to the side by less than this, over all its postures, stays
 _UNLIKE = 0.5  # [rad or m] by which some joint of two postures differs
 _COMPARED = 50  # postures in which that is seen
+_APART = 0.002  # [m]; a servo follows no better
+_TRIED = 20  # postures of a round whose true shapes are looked at
 
 
 def driving_posture(body: CollisionBody) -> FloatArray:
@@ -53,7 +56,8 @@ def compact_postures(body: CollisionBody, count: int) -> FloatArray:
     for row in np.argsort([cost(q) for q in qs]):
         if len(kept) == count:
             break
-        if not kept or np.abs(np.array(kept) - qs[row]).max(axis=1).min() > _UNLIKE:
+        is_new = not kept or np.abs(np.array(kept) - qs[row]).max(axis=1).min() > _UNLIKE
+        if is_new and _is_clear(body, qs[row]):
             kept.append(qs[row])
     return np.array(kept).reshape(-1, len(body.chain))
 
@@ -69,7 +73,9 @@ def _cost_of(body: CollisionBody) -> Callable[[FloatArray], float]:
 def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> FloatArray:
     """Find the posture of least cost that touches nothing of the robot, always the same.
 
-    First of random ones, then of ever nearer neighbors of the best one.
+    First of random ones, then of ever nearer neighbors of the best one. What is least is often what
+    nearly touches, and the spheres tell that badly where they were adapted (`pair_study`): so the
+    true shapes are looked at too.
 
     Args:
         body: of the robot.
@@ -90,13 +96,23 @@ def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> F
     rng = np.random.default_rng(2)
     best, least = qs[0], np.inf
     for round_number in range(_ROUNDS + 1):
-        costs = [cost(q) for q in qs]
-        if len(costs) and min(costs) < least:
-            best, least = qs[int(np.argmin(costs))], min(costs)
+        costs = np.array([cost(q) for q in qs])
+        for row in np.argsort(costs)[:_TRIED]:
+            if costs[row] >= least:
+                break
+            if _is_clear(body, qs[row]):
+                best, least = qs[row], costs[row]
+                break
         spread = 0.2 * 0.7**round_number * (high_q - low_q)
         near = np.clip(best + spread * rng.normal(size=(_ROUND, len(best))), low_q, high_q)
         qs = near[_free_of_itself(body, near)]
     return np.asarray(best)
+
+
+def _is_clear(body: CollisionBody, q: FloatArray) -> bool:
+    """Whether the true shapes of all links that are compared are apart."""
+    shapes = TrueShapes(body.robot, body.tree, q[None])
+    return all(shapes.distance(a, b, 0) > _APART for a, b in body.arrays.pairs)
 
 
 def posture_box(body: CollisionBody) -> tuple[FloatArray, FloatArray]:

@@ -38,6 +38,7 @@ from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
+_BLOCKING = 5.0  # weight of space that blocks the base because it was never seen
 _SAME = 0.02  # [m] between a view that was taken and where the camera still is
 
 
@@ -310,7 +311,7 @@ class ViewPlanner:
             state.T_map_camera,
             state.pose_covariance,
             RegionOfTask(low, high),
-            around.interests,
+            (*around.interests, *(Interest(each, _BLOCKING) for each in reach.unseen_ahead)),
             around.teammates,
             views_so_far=len(self._past),
             past_views=np.array(self._past),

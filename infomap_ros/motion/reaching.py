@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
-from infomap_ros.geometry import PinholeCamera, check_transform, float_array
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
@@ -37,6 +37,7 @@ from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
+from infomap_ros.motion.traversability import unseen_above
 from infomap_ros.motion.whole_body import WholeBody
 from infomap_ros.motion.wide_body import widest_vehicle
 
@@ -164,6 +165,13 @@ class WholeBodyReach:
     def terrain(self) -> Terrain:
         """The ground, with that on which the robot stands."""
         return self.planner.terrain
+
+    @property
+    def unseen_ahead(self) -> list[PlacedSolid]:
+        """Space near by that the base could drive through, had it been seen; boxes [map]."""
+        body = float(self.planner.vehicle.arrays.columns[:, 3].max())
+        area = self.planner.reachable_area(self._xyyaw)
+        return unseen_above(self.terrain, area, body + self._whole.origin_height)
 
     @property
     def trail(self) -> ArmTrail:

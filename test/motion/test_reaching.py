@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, RobotModelError
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import make_transform, points_inside
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
 from infomap_ros.motion.robot.robot_model import RobotModel
@@ -251,6 +251,23 @@ def test_robot_that_has_only_looked_ahead_can_leave_its_place(
     reach = WholeBodyReach(robot, ahead, BASE, joints, start=ClearStart(BASE, 0.9))
     result = reach.way_to((x, 0.0, 0.0), {})
     assert result.reason == "" and result.travel == pytest.approx(abs(x), abs=0.01)
+
+
+def test_space_that_blocks_the_base_for_it_was_never_seen_is_named(
+    robot: RobotModel, joints: dict[str, float]
+) -> None:
+    """Beyond 1 m the camera has seen the ground and little above it: no place for the body."""
+    low = map_where(ground, lambda x, y, z: (np.hypot(x, y) < 1.0) | (z < 0.2))
+    reach = WholeBodyReach(robot, low, BASE, joints)
+    assert reach.way_to((1.5, 0.0, 0.0), {}).reason != ""
+    boxes = reach.unseen_ahead
+    assert boxes
+    for place in ((1.2, 0.0, 0.25), (-1.0, 0.7, 0.3), (0.0, -1.3, 0.3)):
+        assert points_inside([place], boxes).all()
+    assert not points_inside([(0.0, 0.0, 0.3), (1.2, 0.0, 0.0), (1.2, 0.0, 2.0)], boxes).any()
+    seen = WholeBodyReach(robot, map_where(ground, everything), BASE, joints)
+    assert seen.unseen_ahead == []
+    assert seen.way_to((1.5, 0.0, 0.0), {}).reason == ""
 
 
 def test_another_compact_posture_drives_where_the_usual_one_is_blocked(

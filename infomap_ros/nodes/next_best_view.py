@@ -15,6 +15,8 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from std_msgs.msg import Empty
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import ExplorationError, InfomapError
@@ -45,7 +47,7 @@ from infomap_ros.nodes.planning.interests import Interests
 from infomap_ros.nodes.planning.keep_out_listener import KeepOutListener
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
-from infomap_ros.nodes.planning.route_status import RouteStatusPublisher
+from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusPublisher
 from infomap_ros.nodes.planning.search_plans import SearchPlans
 from infomap_ros.nodes.planning.traversability_map import TraversabilityMap
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
@@ -111,7 +113,16 @@ class NextBestViewNode(MonitoredNode):
         offer_order(self, "~/plan_home", self._worker, lambda: self._plan_way(self._news.home))
         offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
         offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
+        self._working = self.advertise(Empty, f"~/{WORKING}", qos.stream())
+        self.create_timer(
+            1.0, self._say_that_it_works, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
+
+    def _say_that_it_works(self) -> None:
+        """A plan may take longer than its asker would wait for one that is gone."""
+        if self._worker.waiting:
+            self._working.publish(Empty())
 
     def judge_config(self, config: object) -> None:
         """Refuse a strategy or a metric that there is not."""

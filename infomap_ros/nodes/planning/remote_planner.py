@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rclpy.client import Client
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError, TeammatesBusyError
@@ -17,8 +18,9 @@ from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotS
 from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.planning.route_status import RouteStatusListener
+from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusListener
 
 _RETRY = 1.0  # [s]
 
@@ -34,8 +36,8 @@ class RemotePlannerConfig:
     planner: str = setting("next_best_view", "Name of the node that chooses the views.")
     planner_timeout: float = setting(
         120.0,
-        "When next_best_view has given no plan for so long, the exploration has failed. It may "
-        "be restarted meanwhile.",
+        "When next_best_view has given no plan for so long, nor said that it works on one, the "
+        "exploration has failed. It may be restarted meanwhile.",
         unit="s",
         low=1.0,
         high=3600.0,
@@ -71,6 +73,16 @@ class RemotePlanner:
         self._arm = node.create_client(Trigger, f"{planner}/plan_arm")
         self._route_status = RouteStatusListener(node)
         self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
+        self._heard_of_it = -float("inf")  # last sign that it works on a plan
+        node.listen(Empty, f"{planner}/{WORKING}", self._on_working, qos.stream(), required=False)
+
+    def _on_working(self, _: Empty) -> None:
+        self._heard_of_it = time.monotonic()
+
+    def _is_late(self, begin: float) -> bool:
+        """Whether what was asked at a time [s] has been waited for too long."""
+        since = max(begin, self._heard_of_it)
+        return time.monotonic() > since + self._config.planner_timeout
 
     @property
     def is_there(self) -> bool:
@@ -124,20 +136,20 @@ class RemotePlanner:
         return choice
 
     def _ask(self, client: Client) -> Choice:
-        end, problem = time.monotonic() + self._config.planner_timeout, "it does not answer"
-        while time.monotonic() < end and not self._stopped():
+        begin, problem = time.monotonic(), "nobody offers it"
+        while not (self._is_late(begin) or self._stopped()):
             if client.wait_for_service(timeout_sec=_RETRY):
-                answer = self._call(client, end)
+                answer = self._call(client, begin)
                 if answer is not None and answer.success:
                     return choice_from_text(answer.message)
-                problem = problem if answer is None else answer.message
+                problem = "it does not answer" if answer is None else answer.message
                 if problem.startswith(WAITING):
                     raise TeammatesBusyError(problem)
                 self._log.info(f"no plan yet: {problem}", throttle_duration_sec=5.0)
                 time.sleep(_RETRY)
         raise ExplorationError(f"no plan from {client.srv_name}: {problem}")
 
-    def _call(self, client: Client, end: float) -> Trigger.Response | None:
+    def _call(self, client: Client, begin: float) -> Trigger.Response | None:
         """One call; None where the node went away meanwhile or did not answer in time.
 
         A node that was killed counts as there for some time, and what it was asked is lost. When
@@ -148,7 +160,7 @@ class RemotePlanner:
         future.add_done_callback(lambda _: answered.set())
         while not answered.wait(_RETRY):
             restarted = self._servers(client) > servers
-            given_up = self._stopped() or time.monotonic() > end
+            given_up = self._stopped() or self._is_late(begin)
             if restarted or given_up or not client.service_is_ready():
                 client.remove_pending_request(future)
                 return None

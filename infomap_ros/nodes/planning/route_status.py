@@ -13,6 +13,8 @@ from infomap_ros.motion.route import Route
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 
+WORKING = "working"
+"""Topic below the name of next_best_view on which it says, each second, that it works on a plan."""
 ROUTE_STATUS = "route_status"
 _FREE = "free"
 

@@ -59,10 +59,13 @@ class RoutePlanner:
         direct = self.arm(self.q, goal, base)
         return direct if direct.converged else self._back_and_on(goal, direct)
 
-    def arm(self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray) -> ArmPath:
+    def arm(
+        self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray, quick: bool = False
+    ) -> ArmPath:
         """A way of the arm through free space where the base stands at a place, shape (4, 4)."""
-        checker, config = self.near.checker_at(T_map_base), self.config
-        return plan_arm_path(checker, start, goal, T_map_base, config.arm_path, config.trajectory)
+        checker, limits = self.near.checker_at(T_map_base), self.config.trajectory
+        effort = QUICK_SEARCH if quick else self.config.arm_path
+        return plan_arm_path(checker, start, goal, T_map_base, effort, limits)
 
     def arm_to_view(
         self, view: FloatArray, ik: IkConfig, planned: FloatArray | None = None
@@ -153,7 +156,7 @@ class RoutePlanner:
         if len(path.poses) < 2 and not path.complete:
             return ReachResult(f"base path: {path.reason}")
         end = path.T_map_base[-1]
-        after = self.arm(self.whole.driving, q, end)
+        after = self.arm(self.whole.driving, q, end, quick=not path.complete)
         if not after.converged and path.complete:
             return ReachResult(f"arm at the end of the base path: {after.reason}")
         if not after.converged:
@@ -213,9 +216,7 @@ class RoutePlanner:
 
     def _quick_arm(self, goal: FloatArray) -> ArmPath:
         """A way of the arm from where it is, sought with less effort."""
-        base = self.trail.T_map_base
-        limits = self.config.trajectory
-        return plan_arm_path(self.near.checker_at(base), self.q, goal, base, QUICK_SEARCH, limits)
+        return self.arm(self.q, goal, self.trail.T_map_base, quick=True)
 
     def foldable(self) -> RoutePlanner:
         """The same with a posture to drive in to which there is a way here.

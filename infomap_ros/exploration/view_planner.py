@@ -38,6 +38,7 @@ from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
+_POOR = 0.1  # rating below which it matters more what keeps the robot from better views
 _BLOCKING = 5.0  # weight of space that blocks the base because it was never seen
 _SAME = 0.02  # [m] between a view that was taken and where the camera still is
 
@@ -180,6 +181,7 @@ class ViewPlanner:
         """Choose among candidates, more thoroughly while the task is not met.
 
         Where a doubtful pose asks for so much room that no view is left, for as much as a sure one.
+        Where no good view is left, space that keeps the base from going on counts more.
         """
         robot = self._motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
@@ -194,7 +196,15 @@ class ViewPlanner:
             if decision.chosen is not None:
                 return decision
             robot = self._motion.reach(voxel_map, state, around.obstacles, widen=False)
-        return self._choice.select(situation, robot, self._rng, **ask)
+        decision = self._choice.select(situation, robot, self._rng, **ask)
+        if decision.chosen is not None and decision.chosen.rating > _POOR:
+            return decision
+        blocking = [Interest(each, _BLOCKING) for each in robot.unseen_ahead]
+        if not blocking:
+            return decision
+        situation = replace(situation, interests=(*situation.interests, *blocking))
+        onward = self._choice.select(situation, robot, self._rng, **ask)
+        return onward if onward.chosen is not None else decision
 
     def _without_unproductive_looks(self, situation: Situation, entropy: float) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
@@ -311,7 +321,7 @@ class ViewPlanner:
             state.T_map_camera,
             state.pose_covariance,
             RegionOfTask(low, high),
-            (*around.interests, *(Interest(each, _BLOCKING) for each in reach.unseen_ahead)),
+            around.interests,
             around.teammates,
             views_so_far=len(self._past),
             past_views=np.array(self._past),

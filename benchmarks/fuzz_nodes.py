@@ -215,7 +215,10 @@ class OddMessages:
             now = stamp.sec * 10**9 + stamp.nanosec + int(self._rng.choice(ODD_STAMPS))
             stamp.sec, stamp.nanosec = divmod(min(max(now, 0), (2**31 - 1) * 10**9), 10**9)
             return
-        name = str(self._rng.choice(list(message.get_fields_and_field_types())))
+        names = list(message.get_fields_and_field_types())
+        if not names:
+            return  # nothing in it can be odd
+        name = str(self._rng.choice(names))
         value = getattr(message, name)
         if hasattr(value, "get_fields_and_field_types"):
             self._spoil(value)

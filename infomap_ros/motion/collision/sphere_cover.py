@@ -22,8 +22,7 @@ from infomap_ros.geometry import PlacedSolid, Solid, Sphere
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.solid_extent import solid_extent
 
-_CELLS = 16000
-_LARGEST = 4000  # spheres of which as few as can be are chosen; smaller ones hold what is left
+_CELLS = 4000
 _GROWTH = 1.25
 _SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its center
 _SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
@@ -51,7 +50,7 @@ def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
     while True:
         cut = _cut(solid, extent, tolerance)
         if cut is not None:
-            return _cover(*cut)
+            return np.asarray(_chosen(*cut))
         tolerance *= _GROWTH
 
 
@@ -85,18 +84,6 @@ def _cut(
     return np.concatenate(cells), np.concatenate(candidates), np.concatenate(radii)
 
 
-def _cover(cells: FloatArray, centers: FloatArray, radii: FloatArray) -> FloatArray:
-    """Spheres, shape (K, 4), that hold all cells, (N, 4); each cell's own is among those given."""
-    largest = np.argsort(-radii, kind="stable")[:_LARGEST]
-    chosen, held = _chosen(cells, centers[largest], radii[largest])
-    left = cells[~held]
-    if not len(left):
-        return np.asarray(chosen)
-    own = left[:, 3] / _SHARE  # at most what is allowed about its center
-    rest, _ = _chosen(left, left[:, :3].copy(), own)
-    return np.concatenate([chosen, rest])
-
-
 def _halved(centers: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Cut boxes in half along their long axes; new centers, shape (N, 3), and edges, (3,)."""
     long = edges > 0.6 * edges.max()
@@ -110,7 +97,7 @@ def _halved(centers: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatAr
 def _chosen(cells: Any, centers: Any, radii: Any) -> Any:
     """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,); shape (K, 4).
 
-    Of spheres that hold equally many cells, the smallest is taken. Also which cells are held, (N,).
+    Of spheres that hold equally many cells, the smallest is taken.
     """
     count, left = len(cells), len(cells)
     held, gains = np.zeros(count, np.bool_), np.zeros(len(radii), np.int64)
@@ -124,8 +111,6 @@ def _chosen(cells: Any, centers: Any, radii: Any) -> Any:
         for m in range(1, len(radii)):
             if gains[m] > gains[best] or (gains[m] == gains[best] and radii[m] < radii[best]):
                 best = m
-        if gains[best] == 0:
-            break
         spheres[chosen, :3], spheres[chosen, 3] = centers[best], 0.0
         for n in range(count):
             needed = _radius_to_hold(centers[best], cells[n])
@@ -137,7 +122,7 @@ def _chosen(cells: Any, centers: Any, radii: Any) -> Any:
             for m in range(len(radii)):
                 gains[m] -= _radius_to_hold(centers[m], cells[n]) <= radii[m] + _SLACK
         chosen += 1
-    return spheres[:chosen].copy(), held
+    return spheres[:chosen].copy()
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -2,10 +2,11 @@
 
 The nodes run in one process; each message goes straight to the callbacks of their subscriptions, as
 the middleware would hand it over, so that an hour of messages takes a minute. A rover that moves
-tells its state at 10 Hz; between that come messages of any topic of any node of which one field is
-odd (not finite, huge, negative, empty, too long), old ones, and stamps of another time. Each
-episode ends with good messages for 5 s. Then every node must have the state that is true, and have
-used the last images, clouds and odometry. An exception that leaves a callback is a defect.
+tells its state at 10 Hz; between that come messages of any topic of the seven nodes of a robot of
+which one field is odd (not finite, huge, negative, empty, too long), old ones, and stamps of
+another time. Each episode ends with good messages for 5 s. Then every node must have the state that
+is true, and have used the last images, clouds and odometry. An exception that
+leaves a callback is a defect.
 
 Prints one JSON line of figures; exits with 1 at the first episode that ends wrongly, with its seed.
 

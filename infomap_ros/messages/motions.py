@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.types import MessageTypes, make_header, make_pose
+from infomap_ros.motion.arm.controller_trajectories import stopping_path
 from infomap_ros.motion.route import ArmPath
 
 _NANOSECONDS = 1_000_000_000
@@ -77,6 +79,26 @@ def encode_arm_trajectory(
             for positions, speeds, time in zip(path.positions, rows, path.times, strict=True)
         ],
     )
+
+
+def encode_arm_stop(
+    types: MessageTypes,
+    joint_names: Sequence[str],
+    positions: Mapping[str, float],
+    velocities: Mapping[str, float],
+) -> Any:
+    """Build the ``trajectory_msgs/JointTrajectory`` by which joints slow down and stand.
+
+    Args:
+        types: who makes the message.
+        joint_names: which joints.
+        positions: of these at least, by name [rad or m].
+        velocities: by name [rad/s or m/s]; a joint that is not there stands.
+    """
+    here = np.array([positions[name] for name in joint_names])
+    speeds = np.array([velocities.get(name, 0.0) for name in joint_names])
+    path = stopping_path(tuple(joint_names), here, speeds)
+    return encode_arm_trajectory(types, 0, path, np.zeros_like(path.positions))
 
 
 def encode_duration(types: MessageTypes, seconds: float) -> Any:

@@ -52,12 +52,12 @@ def compact_postures(body: CollisionBody, count: int) -> FloatArray:
     Where the map blocks the best one, one that is unlike it may be free.
     """
     qs, cost = sample_postures(body, _POSTURES), _cost_of(body)
-    kept: list[FloatArray] = []
+    shapes, kept = TrueShapes(body.robot, body.tree, qs), list[FloatArray]()
     for row in np.argsort([cost(q) for q in qs]):
         if len(kept) == count:
             break
         is_new = not kept or np.abs(np.array(kept) - qs[row]).max(axis=1).min() > _UNLIKE
-        if is_new and _is_clear(body, qs[row]):
+        if is_new and _is_clear(body, shapes, row):
             kept.append(qs[row])
     return np.array(kept).reshape(-1, len(body.chain))
 
@@ -97,10 +97,11 @@ def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> F
     best, least = qs[0], np.inf
     for round_number in range(_ROUNDS + 1):
         costs = np.array([cost(q) for q in qs])
+        shapes = TrueShapes(body.robot, body.tree, qs)
         for row in np.argsort(costs)[:_TRIED]:
             if costs[row] >= least:
                 break
-            if _is_clear(body, qs[row]):
+            if _is_clear(body, shapes, row):
                 best, least = qs[row], costs[row]
                 break
         spread = 0.2 * 0.7**round_number * (high_q - low_q)
@@ -109,10 +110,9 @@ def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> F
     return np.asarray(best)
 
 
-def _is_clear(body: CollisionBody, q: FloatArray) -> bool:
-    """Whether the true shapes of all links that are compared are apart."""
-    shapes = TrueShapes(body.robot, body.tree, q[None])
-    return all(shapes.distance(a, b, 0) > _APART for a, b in body.arrays.pairs)
+def _is_clear(body: CollisionBody, shapes: TrueShapes, row: int) -> bool:
+    """Whether the true shapes of all links that are compared are apart in a posture, by number."""
+    return all(shapes.distance(a, b, row) > _APART for a, b in body.arrays.pairs)
 
 
 def posture_box(body: CollisionBody) -> tuple[FloatArray, FloatArray]:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-import numpy as np
 from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.messages.commands import decode_arm_trajectory
-from infomap_ros.messages.motions import encode_arm_trajectory, encode_duration
+from infomap_ros.messages.motions import encode_arm_stop, encode_arm_trajectory, encode_duration
 from infomap_ros.motion.arm.controller_trajectories import (
     ControllerTrajectory,
     read_controllers,
     split_trajectory,
-    stopping_path,
 )
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
@@ -190,12 +188,8 @@ class _Topics:
         """Let controllers, by name, slow down their joints and stand."""
         joints = self._joints
         for controller, names in controllers.items():
-            here = np.array([joints.positions[name] for name in names])
-            speeds = np.array([joints.velocities.get(name, 0.0) for name in names])
-            stop = stopping_path(tuple(names), here, speeds)
-            still = np.zeros_like(stop.positions)
-            message = encode_arm_trajectory(self._types, 0, stop, still)
-            self._publishers[controller].publish(message)
+            stop = encode_arm_stop(self._types, names, joints.positions, joints.velocities)
+            self._publishers[controller].publish(stop)
 
     def _look(self) -> None:
         """See whether the joints have arrived."""

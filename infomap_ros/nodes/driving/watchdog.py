@@ -19,7 +19,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-import numpy as np
 import rclpy
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist, TwistStamped
@@ -29,8 +28,9 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.messages.motions import encode_arm_trajectory
-from infomap_ros.motion.arm.controller_trajectories import stopping_path
+from infomap_ros.errors import MalformedMessageError
+from infomap_ros.messages.motions import encode_arm_stop
+from infomap_ros.messages.poses import decode_joint_state
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 
 BEAT = 0.1  # [s] between two signs of life
@@ -118,10 +118,16 @@ class _Brake(Node):
         asked, standing = set(), set()
 
         def halt(message: JointState) -> None:
-            for topic, joints in self._reach.arms.items():
-                if topic not in standing and set(joints) <= set(message.name):
-                    standing.add(topic)
-                    self._halt(topic, joints, message)
+            with contextlib.suppress(MalformedMessageError):  # the next one will be read
+                record = decode_joint_state(message)
+                positions = dict(zip(record.names, record.positions, strict=True))
+                told = record.velocities
+                speeds = {} if told is None else dict(zip(record.names, told, strict=True))
+                for topic, joints in self._reach.arms.items():
+                    if topic not in standing and positions.keys() >= set(joints):
+                        standing.add(topic)
+                        stop = encode_arm_stop(self._types, joints, positions, speeds)
+                        self._arms[topic].publish(stop)
 
         if self._arms:  # not before: hundreds of messages a second that nobody needs
             heard = self.create_subscription(
@@ -138,16 +144,6 @@ class _Brake(Node):
             rclpy.spin_once(self, timeout_sec=_PERIOD)
         if self._arms:
             self.destroy_subscription(heard)
-
-    def _halt(self, topic: str, joints: tuple[str, ...], message: JointState) -> None:
-        """Let joints slow down from the velocity that they have, and stand."""
-        known = message.velocity if len(message.velocity) == len(message.name) else None
-        rows = [message.name.index(name) for name in joints]
-        speeds = np.nan_to_num([known[row] if known is not None else 0.0 for row in rows])
-        here = np.array([message.position[row] for row in rows])
-        path = stopping_path(joints, here, speeds)
-        still = np.zeros_like(path.positions)
-        self._arms[topic].publish(encode_arm_trajectory(self._types, 0, path, still))
 
     def _zero(self) -> Twist | TwistStamped:
         zero = self._kind()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from visualization_msgs.msg import Marker
@@ -31,11 +30,8 @@ def _place(marker: Any) -> Interest:
     sides = (marker.scale.x, marker.scale.y, marker.scale.z)
     try:
         solid = _solid(marker.type, sides)
-        weight = float(marker.text)
-        if not math.isfinite(weight):
-            raise ValueError(f"weight {weight}")
-        name = f"{marker.ns}/{marker.id}"
-        return Interest(PlacedSolid(solid, pose_of(marker), name), weight)
+        placed = PlacedSolid(solid, pose_of(marker), f"{marker.ns}/{marker.id}")
+        return Interest(placed, float(marker.text))
     except (InvalidInputError, ValueError) as error:
         raise MalformedMessageError(MARKER, f"{marker.ns}/{marker.id}: {error}") from error
 

@@ -100,8 +100,7 @@ class DriveTrain:
         lag = np.clip(self._targets + rates * period - angles, -_WINDUP, _WINDUP)
         self._targets = angles + lag
         body.command_wheels(self._targets)
-        if body.setup.rollers:
-            body.command_rollers(self._speed, self._turn_rate)
+        body.command_rollers(self._speed, self._turn_rate)
 
     def _correct(self, period: float) -> None:
         if self._turn_rate == 0.0:

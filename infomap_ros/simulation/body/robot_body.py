@@ -103,6 +103,9 @@ class RobotBody:
         mujoco.mj_fullM(self.model, self.data, inertia)
         along = self._base_v + np.array([0, 1, 5])
         self._inertia = inertia[along, along]  # against the wheels: twice [kg], and [kg m^2]
+        weight = float(self._inertia[0] * np.linalg.norm(self.model.opt.gravity))
+        self._grip = _ROLLING_FRICTION * weight  # [N], of all rollers
+        self._lever = float(np.hypot(*self.trial.wheels[0].place[:2]))  # [m]
 
     def _addresses(self, joints: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         found = [self.model.joint(PREFIX + name) for name in joints]
@@ -151,6 +154,7 @@ class RobotBody:
             raise SimulationError("the saved state is that of another robot or world")
         self.data.qpos[:], self.data.ctrl[:] = positions, targets
         self.data.qvel[:] = 0.0
+        self._wanted, self._behind = np.zeros(3), np.zeros(3)
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self) -> None:
@@ -191,14 +195,12 @@ class RobotBody:
         now = np.append(axes[:, :2].T @ data.qvel[base : base + 3], data.qvel[base + 5])
         lag, period = self._wanted - now, self.config.control_period
         self._behind = np.clip(self._behind + lag * period, -_MOST_BEHIND, _MOST_BEHIND)
-        mass = float(self._inertia[0])
         wanted = (lag + self._behind / (4.0 * _GRIP)) / _GRIP  # critically damped
         push = self._inertia * wanted
-        most = _ROLLING_FRICTION * mass * float(np.linalg.norm(self.model.opt.gravity))
-        push[:2] *= min(1.0, most / max(float(np.hypot(*push[:2])), 1e-9))
-        arm = float(np.hypot(*np.array([wheel.place for wheel in self.trial.wheels])[0, :2]))
+        push[:2] *= min(1.0, self._grip / max(float(np.hypot(*push[:2])), 1e-9))
+        most = self._grip * self._lever
         data.qfrc_applied[base : base + 3] = axes[:, :2] @ push[:2]
-        data.qfrc_applied[base + 5] = float(np.clip(push[2], -most * arm, most * arm))
+        data.qfrc_applied[base + 5] = float(np.clip(push[2], -most, most))
 
     @property
     def targets(self) -> FloatArray:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from infomap_ros.localization import FiducialFilter, FiducialFilterConfig
-from infomap_ros.studies.fiducial_room import CAMERA, Room, circle, odometry
+from infomap_ros.studies.pose_consistency import CAMERA, Room, circle, odometry
 
 FIDUCIALS = 800  # in the room
 MEASURED = 60

@@ -27,6 +27,8 @@ from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.base.confined_base import why_confined
 from infomap_ros.motion.base.pose_margin import widenings_for
+from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
@@ -39,7 +41,6 @@ from infomap_ros.motion.route_planner import RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.traversability import unseen_above
 from infomap_ros.motion.whole_body import WholeBody
-from infomap_ros.motion.wide_body import widest_vehicle
 
 _NO_PLACE = "no place to stand from which the arm reaches it"
 _UNEVEN = (-0.2, -0.1, 0.0, 0.1, 0.2)  # [m]; heights of the ground against the nearest
@@ -335,3 +336,33 @@ class WholeBodyReach:
     def _comes_nearer(self, view: FloatArray, path: BasePath) -> bool:
         away = np.linalg.norm(path.poses[[0, -1], :2] - view[:2, 3], axis=1)
         return bool(away[1] < away[0] - self.config.min_approach)
+
+
+def widest_vehicle(
+    whole: WholeBody,
+    config: ReachingConfig,
+    terrain: Terrain,
+    T_map_base: FloatArray,
+    sigma: float,
+) -> Vehicle:
+    """The vehicle to plan with where its position is known within a standard deviation.
+
+    What is nearer to the robot already than the margin cannot be kept farther off: the body is
+    taken for as wide as it may be where the robot stands.
+
+    Args:
+        whole: the robot.
+        config: how it reaches.
+        terrain: the ground.
+        T_map_base: where the robot stands, shape (4, 4).
+        sigma: of its position, from `base_sigma` [m].
+    """
+    wanted = widenings_for(config.vehicle, sigma)
+    if len(wanted) == 1:
+        return whole.vehicle
+    reach = config.base.standing_reach
+    ground = with_standing_ground(terrain, whole.vehicle, T_map_base, reach)
+    x, y = float(T_map_base[0, 3]), float(T_map_base[1, 3])
+    yaw = math.atan2(T_map_base[1, 0], T_map_base[0, 0])
+    vehicles = (whole.wider_vehicle(by) for by in wanted)
+    return next((each for each in vehicles if each.stance(ground, x, y, yaw).ok), whole.vehicle)

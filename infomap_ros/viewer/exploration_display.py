@@ -5,11 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+import numpy as np
+
+from infomap_ros.exploration.records.log_parsing import parse_record
+from infomap_ros.exploration.records.log_records import (
+    Candidate,
+    Decision,
+    End,
+    Message,
+    Motion,
+    Progress,
+    Start,
+)
+from infomap_ros.exploration.records.rating_text import rating_text
+from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLOR_MAPS
 from infomap_ros.exploration.robot import RobotState
+from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion import RobotModel
+from infomap_ros.viewer.colors import REJECTED, colored
 from infomap_ros.viewer.live_page import LivePage
-from infomap_ros.viewer.log_display import LogDisplay
+from infomap_ros.viewer.run_panel import map_figures
+from infomap_ros.viewer.views_layer import ConsideredView
 
 
 class ShownRobot(Protocol):
@@ -50,3 +67,71 @@ class ExplorationDisplay:
         if known and known != self._drawn and (self._page.is_watched or is_last):
             self._page.map.show(self._map)
             self._drawn = known
+
+
+class LogDisplay:
+    """Feeds a page from a run log.
+
+    Args:
+        page: to be fed.
+
+    Attributes:
+        camera: of the run; None before its log has told it.
+    """
+
+    def __init__(self, page: LivePage) -> None:
+        self._page = page
+        self.camera: PinholeCamera | None = None
+
+    def show(self, entry: Mapping[str, Any]) -> None:
+        """Show an entry.
+
+        Raises:
+            RunLogError: it lacks a field or holds what does not belong there.
+        """
+        page, record = self._page, parse_record(entry)
+        if isinstance(record, Start):
+            self.camera = record.camera
+        elif isinstance(record, Progress):
+            page.panel.show_state(record.state or "running", figures_of(record))
+            page.panel.add_point(record.known_fraction, record.precise_fraction)
+        elif isinstance(record, Decision):
+            page.views.show(considered_views(record.candidates))
+            page.views.show_chosen(record.pose, self.camera, record.reason)
+            page.panel.say(record.reason)
+        elif isinstance(record, Motion):
+            if record.action in BASE_ACTIONS:
+                page.views.show_way(record.path)
+            if record.outcome:
+                page.panel.say(f"{record.action}: {record.outcome}", "warning")
+        elif isinstance(record, Message):
+            page.panel.say(record.text, record.level)
+        elif isinstance(record, End):
+            page.panel.say(f"ended: {record.reason}, {record.detail}".rstrip(", "))
+
+
+def figures_of(progress: Progress) -> dict[str, str]:
+    """How far a run is, as a page tells it."""
+    figures = {"views": str(progress.views), "way": f"{progress.distance:.1f} m"}
+    figures |= map_figures(progress.known_fraction, progress.precise_fraction, progress.mean_sigma)
+    figures["surface"] = f"{progress.surface_voxels:,} voxels"
+    figures["left to know"] = f"{progress.entropy_bits:,.0f} bits"
+    return figures
+
+
+def considered_views(candidates: tuple[Candidate, ...]) -> list[ConsideredView]:
+    """Candidates of a decision as a page shows them, colored by their rating."""
+    ratings = np.array([candidate.rating for candidate in candidates], dtype=np.float64)
+    known = ratings[np.isfinite(ratings)]
+    ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    colors = colored(np.nan_to_num(ratings, nan=ends[0]), *ends, COLOR_MAPS["rating"])
+    return [
+        ConsideredView(
+            candidate.position,
+            candidate.direction,
+            REJECTED if candidate.rejection else (int(color[0]), int(color[1]), int(color[2])),
+            candidate.rejection or rating_text(candidate.rating, candidate.terms),
+            bool(candidate.rejection),
+        )
+        for candidate, color in zip(candidates, colors, strict=True)
+    ]

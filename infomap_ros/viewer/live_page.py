@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+import errno
+import hmac
+import importlib
+import io
+import secrets
+import socket
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
-from infomap_ros.errors import ConfigError
+import numpy as np
+
+from infomap_ros.errors import ConfigError, InfomapError, MissingExtraError
+from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion import RobotModel
+from infomap_ros.team.agents import Agent
+from infomap_ros.viewer.colors import CAMERA_WAY, ROBOT, TEAM
 from infomap_ros.viewer.interest_box import InterestBox, InterestControls
 from infomap_ros.viewer.map_layer import MapLayer
-from infomap_ros.viewer.robot_layer import RobotLayer
 from infomap_ros.viewer.run_panel import RunPanel
-from infomap_ros.viewer.team_layer import TeamLayer
+from infomap_ros.viewer.shapes import draw_solid, draw_way, frustum, place
 from infomap_ros.viewer.views_layer import ViewsLayer
-from infomap_ros.viewer.web_server import WebServer
 
 
 @dataclass(frozen=True)
@@ -102,3 +116,187 @@ class LivePage:
     def close(self) -> None:
         """End the page."""
         self._server.close()
+
+
+_ABOVE = 0.2  # the body, of what it does in words [m]
+
+
+class TeamLayer:
+    """Draws the other robots of a team.
+
+    Args:
+        viser: the server.
+    """
+
+    def __init__(self, viser: Any) -> None:
+        self._scene = viser.scene
+        self._shown: set[int] = set()
+
+    def show(self, mates: Sequence[Agent]) -> None:
+        """Show those that are known now, and no others."""
+        for robot in self._shown - {mate.robot for mate in mates}:
+            self._scene.remove_by_name(f"/team/{robot}")
+        self._shown = {mate.robot for mate in mates}
+        for mate in mates:
+            self._draw(mate)
+
+    def _draw(self, mate: Agent) -> None:
+        name, color = f"/team/{mate.robot}", TEAM[mate.robot % len(TEAM)]
+        place: FloatArray = mate.T_map_base[:3, 3]
+        middle = place + np.array([0.0, 0.0, 0.5 * (mate.bottom + mate.top)])
+        height = max(mate.top - mate.bottom, 0.01)
+        scene = self._scene
+        scene.add_frame(name, show_axes=False)
+        scene.add_cylinder(
+            f"{name}/body", max(mate.radius, 0.01), height, color=color, opacity=0.4,
+            position=tuple(middle),
+        )  # fmt: skip
+        above = place + np.array([0.0, 0.0, mate.top + _ABOVE])
+        scene.add_label(f"{name}/state", f"{mate.robot}: {mate.state}", position=tuple(above))
+        ground = np.column_stack([mate.way[:, :2], np.full(len(mate.way), place[2])])
+        draw_way(scene, f"{name}/way", ground, color)
+
+
+_LEAST_STEP = 0.02  # of the camera's way: points closer than this are left out [m]
+_LONGEST_WAY = 4000  # points of the camera's way that are kept
+
+
+class RobotLayer:
+    """Draws the robot, its camera, and the way that this has come.
+
+    Args:
+        viser: the server.
+    """
+
+    def __init__(self, viser: Any) -> None:
+        self._scene = viser.scene
+        self._robot: RobotModel | None = None
+        self._parts: list[Any] = []
+        self._camera: Any = None
+        self._way: list[FloatArray] = []
+
+    def show(self, robot: RobotModel, T_map_base: FloatArray, joints: Mapping[str, float]) -> None:
+        """Place the robot.
+
+        Args:
+            robot: that it is.
+            T_map_base: pose of its base, shape (4, 4).
+            joints: positions by name [rad or m].
+        """
+        if robot is not self._robot:
+            self._make(robot)
+        try:
+            solids = robot.solids_in(robot.base_frame, joints)
+        except InfomapError:  # a joint has not been heard of yet
+            return
+        for part, solid in zip(self._parts, solids, strict=True):
+            place(part, T_map_base @ solid.transform)
+
+    def show_camera(self, T_map_camera: FloatArray, camera: PinholeCamera | None) -> None:
+        """Place the camera: a pyramid along its optical axis, and the way that it has come.
+
+        Args:
+            T_map_camera: of its optical frame, shape (4, 4).
+            camera: tells how far the pyramid opens; None where that is not known.
+        """
+        if self._camera is None:
+            self._camera = frustum(self._scene, "/camera", camera, CAMERA_WAY)
+        place(self._camera, T_map_camera)
+        here = T_map_camera[:3, 3].copy()
+        if self._way and np.linalg.norm(here - self._way[-1]) < _LEAST_STEP:
+            return
+        self._way.append(here)
+        if len(self._way) > _LONGEST_WAY:
+            self._way = [*self._way[: _LONGEST_WAY // 2 : 2], *self._way[_LONGEST_WAY // 2 :]]
+        draw_way(self._scene, "/camera_way", self._way, CAMERA_WAY)
+
+    def _make(self, robot: RobotModel) -> None:
+        """Make the parts of the robot, all at the origin."""
+        for part in self._parts:
+            part.remove()
+        self._robot, self._parts = robot, []
+        for number, shape in enumerate(robot.shapes):
+            self._parts.append(draw_solid(self._scene, f"/robot/{number}", shape, ROBOT))
+
+
+# The address holds a token. A browser shows it to the server when it asks for the data, so
+# neither another user of the machine nor a foreign web page, which may ask any address, gets in;
+# a foreign page that has got hold of the token is refused by its origin.
+
+_NOT_ALLOWED = 4403  # status of a closed WebSocket: an application's own numbers begin at 4000
+_EVERYWHERE = ("", "0.0.0.0", "::")
+
+
+class WebServer:
+    """Serves a viser scene.
+
+    Args:
+        title: above the controls.
+        host: address to listen at; 127.0.0.1 for this machine alone.
+        port: to listen at; 0 for any that is free.
+
+    Attributes:
+        viser: the server, with its ``scene`` and ``gui``.
+        address: to open in a browser, with the token.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        ConfigError: host or port cannot be listened at.
+    """
+
+    def __init__(self, title: str, host: str, port: int) -> None:
+        viser = _viser()
+        _check_free(host, port)
+        self._token = secrets.token_urlsafe(16)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.viser = viser.ViserServer(host, port, label=title, verbose=False)
+        # viser has no access control: what it asks before it tells anything to a browser.
+        self._connections = self.viser._websock_server
+        self._connections.on_client_connect(self._admit)
+        self._connections.disconnect_all_clients()  # who came before that
+        name = socket.gethostname() if host in _EVERYWHERE else host
+        place = f"{name}:{self.viser.get_port()}"
+        self.address = f"http://{place}/?websocket=ws://{place}/?token={self._token}"
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a browser shows the page."""
+        return bool(self.viser.get_clients())
+
+    def close(self) -> None:
+        """End it."""
+        self.viser.stop()
+
+    async def _admit(self, client: Any) -> None:
+        """Close a connection that does not show the token, or that another page has opened."""
+        connection = self._connections._live_connections[client.client_id]
+        headers, query = connection.request.headers, urlsplit(connection.request.path).query
+        shown = parse_qs(query).get("token", [""])[0]
+        origin = headers.get("Origin")  # browsers say it, other programs need not
+        is_own = origin is None or urlsplit(origin).netloc == headers.get("Host")
+        if not (is_own and hmac.compare_digest(shown.encode(), self._token.encode())):
+            await connection.close(_NOT_ALLOWED, "open the whole address, with its token")
+
+
+def _viser() -> Any:
+    try:
+        found = importlib.import_module("viser")
+    except ImportError as error:
+        raise MissingExtraError("viewer", "viser") from error
+    importlib.import_module("rich").get_console().quiet = True  # where viser alone prints
+    return found
+
+
+def _check_free(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened at; viser would take another port."""
+    try:
+        family, *_, place = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(place)
+    except OSError as error:
+        taken = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        expected = f"a place to serve the page at ({error.strerror or error})"
+        if taken:
+            raise ConfigError("port", port, expected) from error
+        raise ConfigError("host", host, expected) from error

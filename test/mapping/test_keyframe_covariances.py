@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, invert_transform, perturb_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.mapping.correction.keyframe_covariances import KeyframeCovariances
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap, KeyframeCovariances
 
 POSES = np.stack([perturb_transform(np.eye(4), 0.3 * i * np.ones(6)) for i in range(3)])
 STAMPS = np.array([10, 20, 30])

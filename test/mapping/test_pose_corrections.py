@@ -8,8 +8,7 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, perturb_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.mapping.correction.pose_corrections import PoseCorrections
+from infomap_ros.mapping.correction.correctable_map import CorrectableMap, PoseCorrections
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig, integrate_record
 from test.mapping.scenes import Scene, look_at
 from test.mapping.voxels import voxels_of

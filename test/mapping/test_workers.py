@@ -8,7 +8,7 @@ import pytest
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.scans.association import Sensor
-from infomap_ros.mapping.scans.image_parts import rows_of_parts
+from infomap_ros.mapping.scans.image_gathering import rows_of_parts
 from infomap_ros.mapping.scans.organized import OrganizedScan
 from infomap_ros.mapping.scans.workers import Workers
 

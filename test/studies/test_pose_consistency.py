@@ -7,12 +7,16 @@ import pytest
 from scipy import stats
 
 from infomap_ros.geometry import invert_transform, perturb_transform, transform_points
-from infomap_ros.studies.fiducial_room import CAMERA, Room, circle, odometry, pose_error
 from infomap_ros.studies.pose_consistency import (
+    CAMERA,
     SCENARIOS,
     PoseConsistencyConfig,
+    Room,
     ScenarioResult,
+    circle,
     mean_band,
+    odometry,
+    pose_error,
     pose_summary,
     pose_table,
     run_pose_consistency,

@@ -19,8 +19,8 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.viewer import LivePage, PageConfig
+from infomap_ros.viewer.exploration_display import LogDisplay
 from infomap_ros.viewer.interest_box import InterestBox
-from infomap_ros.viewer.log_display import LogDisplay
 
 ROVER = RobotModel.from_urdf(find_share("config/rover.urdf").read_text("utf-8"))
 PROGRESS = {

@@ -15,7 +15,7 @@ from websockets.typing import Origin, Subprotocol
 
 from infomap_ros.errors import ConfigError, MissingExtraError
 from infomap_ros.viewer import LivePage, PageConfig
-from infomap_ros.viewer.web_server import WebServer
+from infomap_ros.viewer.live_page import WebServer
 
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # with which a compressed block begins
 PROTOCOL = [Subprotocol(f"viser-v{version('viser')}")]

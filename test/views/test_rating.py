@@ -13,8 +13,7 @@ from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localization_error import OdometryDrift, OdometryDriftConfig
 from infomap_ros.views.ranking.options import Options
-from infomap_ros.views.ranking.pose_information import pose_information_loss
-from infomap_ros.views.ranking.rating import Rating, RatingConfig
+from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
 from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.sampling.candidates import find_candidates
 from infomap_ros.views.sampling.survey import survey

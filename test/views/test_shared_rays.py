@@ -11,7 +11,7 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views import InformationConfig, expected_information, information_of_views
-from infomap_ros.views.information.sphere import (
+from infomap_ros.views.information.shared_rays import (
     cell_direction,
     cell_middles,
     cell_of,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import degrees
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,6 @@ from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base import stance as kernels
 from infomap_ros.motion.base.body_columns import body_columns, off_the_ground
 from infomap_ros.motion.base.stance import TerrainArrays, VehicleArrays
-from infomap_ros.motion.base.stance_reasons import outcome_in_words
 from infomap_ros.motion.base.undercarriage import Undercarriage, footprint_of, wheels_of
 from infomap_ros.motion.base.vehicle_config import VehicleConfig
 from infomap_ros.motion.robot.mass import mass_of
@@ -298,3 +298,48 @@ def _inside_polygon(points: FloatArray, corners: FloatArray) -> NDArray[np.bool_
         edge, offset = following - here, points - here
         inside &= edge[0] * offset[:, 1] - edge[1] * offset[:, 0] >= 0.0
     return inside
+
+
+def outcome_in_words(
+    outcome: int, measures: FloatArray, limits: FloatArray, wheels: tuple[str, ...],
+    link: str = "the body", place: str = "",
+) -> str:  # fmt: skip
+    """A short sentence with the figures that decided; empty for a good stance.
+
+    Args:
+        outcome: as in `infomap_ros.motion.base.stance`.
+        measures: of the stance, shape (MEASURES,).
+        limits: as of `VehicleArrays`.
+        wheels: names of the wheels.
+        link: of the body, where the stance is refused because of what is there.
+        place: where in the map that is, in words.
+    """
+    if outcome == kernels.STANDS:
+        return ""
+    if outcome in (kernels.UNKNOWN_WHEEL, kernels.OFF_GROUND):
+        return _of_wheel(outcome, measures, limits, wheels[int(measures[kernels.CULPRIT])])
+    slope, tip = degrees(measures[kernels.SLOPE]), degrees(measures[kernels.TIP])
+    step, rough = measures[kernels.STEP], measures[kernels.ROUGHNESS]
+    return {
+        kernels.OUTSIDE: "outside the mapped terrain",
+        kernels.UNKNOWN_BODY: f"unknown ground under the body ({link}){place}",
+        kernels.STEEP: f"slope of {slope:.0f} deg, limit {degrees(limits[1]):.0f} deg",
+        kernels.STEPPED: f"step of {step:.3f} m under a wheel, limit {limits[2]:.3f} m",
+        kernels.ROUGH: f"roughness of {rough:.3f} m under a wheel, limit {limits[3]:.3f} m",
+        kernels.TIPS: f"tip-over margin of {tip:.0f} deg, at least "
+        f"{degrees(limits[4]):.0f} deg needed",
+        kernels.TOUCHES_GROUND: f"{link} touches the ground or an obstacle on it{place} "
+        f"({-measures[kernels.CLEARANCE]:.3f} m too low)",
+        kernels.TOUCHES_OBSTACLE: f"{link} touches an obstacle{place}",
+        kernels.UNSEEN: f"{link} enters space that was never seen{place}",
+    }[outcome]
+
+
+def _of_wheel(outcome: int, measures: FloatArray, limits: FloatArray, wheel: str) -> str:
+    if outcome == kernels.UNKNOWN_WHEEL:
+        return f"unknown ground under {wheel}"
+    misfit = measures[kernels.MISFIT]
+    travel = limits[0]
+    return (
+        f"{wheel} is {misfit:.3f} m off the plane of the wheels, suspension allows {travel:.3f} m"
+    )

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from infomap_ros.studies.common.bands import CONFIDENCE, Band, band
-from infomap_ros.studies.common.figure_style import band_note
+from infomap_ros.studies.common.figure_style import band_note, save, style_of
 from infomap_ros.studies.common.tables import markdown, write_lines
 from infomap_ros.studies.planar.figures import Axis, draw_curves, draw_ways
 from infomap_ros.studies.planar.planar_study import (
@@ -21,9 +23,9 @@ from infomap_ros.studies.planar.planar_study import (
     kinds_in,
     least_ways,
     row_of,
+    savings_of,
     values_of,
 )
-from infomap_ros.studies.planar.savings_figure import draw_savings
 from infomap_ros.studies.planar.tasks import Record, label_of
 
 
@@ -196,3 +198,46 @@ def draw_team_figures(records: Sequence[Record], scans: int, out: Path) -> None:
 
 def _percent(found: Band) -> str:
     return found.text(100.0, 1)
+
+
+_MARKERS = {"exact": "o", "at least": "^", "at most": "v"}
+_SPREAD = 0.5  # width over which the kinds of worlds lie apart
+
+
+def draw_savings(
+    rows: Sequence[Row], own: str, others: Sequence[str], share: float, path: Path
+) -> None:
+    """Draw one point per world and other strategy, means with their bands; PNG and SVG.
+
+    Args:
+        rows: of all strategies and worlds.
+        own: strategy that is compared with
+        others: these.
+        share: of the world, to which ways are compared.
+        path: without suffix.
+    """
+    figure = Figure(figsize=(1.9 * len(others) + 2.2, 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes, kinds = figure.subplots(), kinds_in(rows)
+    styles, bounds = style_of(["mean", *kinds]), set[str]()
+    for place, other in enumerate(others):
+        for kind, shift in zip(kinds, np.linspace(-0.5, 0.5, len(kinds)) * _SPREAD, strict=True):
+            for saved in savings_of(rows, own, other, kind):
+                marker, color = _MARKERS.get(saved.kind), styles[kind]["color"]
+                bounds.add(saved.kind)
+                if marker:
+                    axes.plot(place + shift, 100.0 * saved.share, marker, color=color, ms=5)
+        known = [one.share for one in savings_of(rows, own, other) if one.kind in _MARKERS]
+        mean = band(100.0 * np.array(known))
+        axes.errorbar(place + 0.4, mean.mean, np.nan_to_num(mean.half), fmt="ks", capsize=4)
+    for kind in kinds:
+        axes.plot([], [], "o", color=styles[kind]["color"], label=kind)
+    for name in sorted(bounds & {"at least", "at most"}):
+        axes.plot([], [], _MARKERS[name], color="#777777", label=name)
+    axes.plot([], [], "ks", label=f"mean, {100 * CONFIDENCE:.0f} % band")
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_xticks(range(len(others)), others)
+    axes.set_ylabel(f"way saved by {own}\nuntil {100 * share:g} % are mapped [%]")
+    axes.grid(axis="y", alpha=0.3)
+    figure.legend(loc="outside right upper", fontsize=8)
+    save(figure, path)

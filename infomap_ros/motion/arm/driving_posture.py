@@ -12,7 +12,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.distance_field import field_of_blocked
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.checker import CollisionChecker
-from infomap_ros.motion.collision.pair_study import TrueShapes
+from infomap_ros.motion.collision.pair_study import TrueShapes, near_pairs
 
 _POSTURES = 4000
 _ROUNDS = 12
@@ -24,7 +24,8 @@ _SPARE = 0.02  # share of a joint's range that is kept from its limits
 _STAYS = 0.01  # [m]; what the arm moves to the side by less than this, over all its postures, stays
 _UNLIKE = 0.5  # [rad or m] by which some joint of two postures differs
 _COMPARED = 50  # postures in which that is seen
-_APART = 0.002  # [m]; a servo follows no better
+_APART = 0.002  # [m] between the true shapes of links, at least
+_WELL_APART = 0.02  # [m] between them where that is possible: a servo follows no better
 _TRIED = 20  # postures of a round whose true shapes are looked at
 
 
@@ -52,12 +53,12 @@ def compact_postures(body: CollisionBody, count: int) -> FloatArray:
     Where the map blocks the best one, one that is unlike it may be free.
     """
     qs, cost = sample_postures(body, _POSTURES), _cost_of(body)
-    shapes, kept = TrueShapes(body.robot, body.tree, qs), list[FloatArray]()
+    gaps, kept = _Gaps(body, qs), list[FloatArray]()
     for row in np.argsort([cost(q) for q in qs]):
         if len(kept) == count:
             break
         is_new = not kept or np.abs(np.array(kept) - qs[row]).max(axis=1).min() > _UNLIKE
-        if is_new and _is_clear(body, shapes, row):
+        if is_new and np.isfinite(gaps.lacking(row)):
             kept.append(qs[row])
     return np.array(kept).reshape(-1, len(body.chain))
 
@@ -75,7 +76,8 @@ def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> F
 
     First of random ones, then of ever nearer neighbors of the best one. What is least is often what
     nearly touches, and the spheres tell that badly where they were adapted (`pair_study`): so the
-    true shapes are looked at too.
+    true shapes are looked at too, and each millimeter that two of them lack of being well apart
+    counts as much as one that the arm is too low.
 
     Args:
         body: of the robot.
@@ -97,22 +99,35 @@ def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> F
     best, least = qs[0], np.inf
     for round_number in range(_ROUNDS + 1):
         costs = np.array([cost(q) for q in qs])
-        shapes = TrueShapes(body.robot, body.tree, qs)
+        gaps = _Gaps(body, qs)
         for row in np.argsort(costs)[:_TRIED]:
             if costs[row] >= least:
                 break
-            if _is_clear(body, shapes, row):
-                best, least = qs[row], costs[row]
-                break
+            total = costs[row] + _LOW_COST * gaps.lacking(row)
+            if total < least:
+                best, least = qs[row], total
         spread = 0.2 * 0.7**round_number * (high_q - low_q)
         near = np.clip(best + spread * rng.normal(size=(_ROUND, len(best))), low_q, high_q)
         qs = near[_free_of_itself(body, near)]
     return np.asarray(best)
 
 
-def _is_clear(body: CollisionBody, shapes: TrueShapes, row: int) -> bool:
-    """Whether the true shapes of all links that are compared are apart in a posture, by number."""
-    return all(shapes.distance(a, b, row) > _APART for a, b in body.arrays.pairs)
+class _Gaps:
+    """Between the true shapes of the links that are compared, in postures of shape (N, n)."""
+
+    def __init__(self, body: CollisionBody, qs: FloatArray) -> None:
+        self._shapes, self._pairs = TrueShapes(body.robot, body.tree, qs), body.arrays.pairs
+        self._near = near_pairs(body.tree, body.arrays, qs, _WELL_APART)
+
+    def lacking(self, row: int) -> float:
+        """What they lack of being well apart, together [m]; infinite where any two touch.
+
+        Links that are near each other by design lack it in every posture alike.
+        """
+        pairs = self._pairs[self._near[row]]
+        gaps = np.array([self._shapes.distance(a, b, row) for a, b in pairs])
+        touching = (gaps <= _APART).any()
+        return np.inf if touching else float(np.maximum(_WELL_APART - gaps, 0.0).sum())
 
 
 def posture_box(body: CollisionBody) -> tuple[FloatArray, FloatArray]:

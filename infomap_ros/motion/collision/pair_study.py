@@ -165,6 +165,25 @@ def _harmless_gap(distances: FloatArray, touches: NDArray[np.bool_]) -> float:
     return float(distances.min()) - _SLACK
 
 
+def near_pairs(
+    tree: LinkTree, arrays: BodyArrays, qs: FloatArray, distance: float
+) -> NDArray[np.bool_]:
+    """Which pairs of links may be nearer than a distance [m], by their spheres.
+
+    Args:
+        tree: kinematics.
+        arrays: spheres and pairs.
+        qs: configurations, shape (N, n).
+        distance: between the links [m].
+
+    Returns:
+        Shape (N, P); where it is False the true shapes are farther apart.
+    """
+    found = np.empty((len(qs), len(arrays.pairs)))
+    _sampled_gaps(tree.arrays, arrays, qs, np.full(len(arrays.pairs), distance), found)
+    return found < distance
+
+
 @njit(cache=True, nogil=True)
 def _sampled_gaps(tree: Any, body: Any, qs: Any, limits: Any, found: Any) -> None:
     """`pair_gap` of all pairs, each with its limit, in configurations (N, n): shape (N, P) [m]."""

@@ -12,6 +12,7 @@ from infomap_ros.motion.arm.own_view import MOST_COVERED, OwnView
 from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
 
 from .bodies import rover
+from .known_robots import tiago
 from .scenes import field_where
 
 
@@ -104,3 +105,12 @@ def test_postures_in_which_the_camera_sees_mostly_the_robot_are_left_out(
     kept = ArmPostures.of(body, 3000, view)
     assert 0.7 * len(postures.q) < len(kept.q) < len(postures.q)
     assert view.covered(kept.q).max() <= MOST_COVERED == kept.most_covered
+
+
+def test_the_camera_looks_ahead_while_a_robot_drives() -> None:
+    """By the kinematics of Pinocchio: the compactest posture of TIAGo looks at the floor below."""
+    robot = tiago()
+    q = driving_posture(CollisionBody.from_robot(robot))
+    resting = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in robot.joints}
+    pose = robot.forward_kinematics(resting | robot.arm.by_name(q), robot.camera_frame)
+    assert abs(pose[2, 2]) < 0.4

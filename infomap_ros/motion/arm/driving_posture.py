@@ -1,4 +1,4 @@
-"""A posture of the arm to drive in: over the base, low, and touching nothing."""
+"""A posture of the arm to drive in: over the base, low, touching nothing, the camera ahead."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import RobotModelError
+from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.distance_field import field_of_blocked
+from infomap_ros.motion.arm.own_view import OwnView
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.pair_study import TrueShapes, near_pairs
@@ -19,6 +21,10 @@ _ROUNDS = 12
 _ROUND = 200
 _OVERHANG_COST = 3.0
 _LOW_COST = 10.0
+_TILT_COST = 1.0  # [m]
+_LEVEL = 0.3  # of the optical axis' vertical part, up to which the camera looks ahead
+_COVERED_COST = 1.0  # [m]
+_CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5)  # as many have
 _CLEARANCE = 0.1  # [m]
 _SPARE = 0.02  # share of a joint's range that is kept from its limits
 _STAYS = 0.01  # [m]; what the arm moves to the side by less than this, over all its postures, stays
@@ -34,9 +40,10 @@ def driving_posture(body: CollisionBody) -> FloatArray:
 
     Least are the height of the arm's highest point and of its middle, above the base's origin,
     three times its overhang beyond the base's outline seen from above, and ten times what it lacks
-    of a clearance over the base's lowest point, together: first of random postures without contact,
-    then of ever nearer neighbors of the best one. What the arm's joints only lift, as a second arm
-    on the same torso, overhangs in every posture alike, and its overhang does not count.
+    of a clearance over the base's lowest point, together, and what keeps the camera from seeing
+    where it is: looking up or down, and the body before it. First of random postures without
+    contact, then of ever nearer neighbors of the best one. What the arm's joints only lift, as a
+    second arm on the same torso, overhangs in every posture alike, and its overhang does not count.
 
     Returns:
         Positions of the arm, shape (n,) [rad or m].
@@ -68,7 +75,15 @@ def _cost_of(body: CollisionBody) -> Callable[[FloatArray], float]:
     still, moving = _standing(body)
     low, high = _outline(body, still)
     swings = _swinging(body)[moving]
-    return lambda q: _cost(body.spheres(q, np.eye(4))[moving], swings, low, high)
+    own_view = OwnView.of(body, _CAMERA)
+
+    def cost(q: FloatArray) -> float:
+        up = abs(float(body.chain.camera_pose(q[None])[0, 2, 2]))
+        blind = _COVERED_COST * float(own_view.covered(q[None])[0])
+        blind += _TILT_COST * max(up - _LEVEL, 0.0)
+        return blind + _cost(body.spheres(q, np.eye(4))[moving], swings, low, high)
+
+    return cost
 
 
 def least_posture(body: CollisionBody, cost: Callable[[FloatArray], float]) -> FloatArray:

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry.transforms import FloatArray
 
+LONGEST_BASELINE = 5.0
+"""Of a pair on a robot or car; more means another unit than meters [m]."""
+
 
 @dataclass(frozen=True)
 class PinholeCamera:
@@ -246,8 +249,9 @@ def rig_from_calibrations(left: CameraCalibration, right: CameraCalibration) -> 
     """Build the rectified rig from the two camera infos (baseline from the right P).
 
     Raises:
-        CalibrationError: sizes differ, a camera is not calibrated, the baseline is zero or
-            negative (cameras swapped), or the rectified cameras do not fit each other.
+        CalibrationError: sizes differ, a camera is not calibrated, the baseline is zero, negative
+            (cameras swapped) or longer than `LONGEST_BASELINE` (not in meters), or the rectified
+            cameras do not fit each other.
     """
     if (left.width, left.height) != (right.width, right.height):
         raise CalibrationError(
@@ -256,9 +260,11 @@ def rig_from_calibrations(left: CameraCalibration, right: CameraCalibration) -> 
         )
     right_camera = right.rectified_camera()
     baseline = (left.projection[0, 3] - right.projection[0, 3]) / right_camera.fx
-    if baseline <= 0.0:
+    if not 0.0 < baseline < LONGEST_BASELINE:
         raise CalibrationError(
-            f"stereo baseline from the camera infos is {baseline:.6g} m: P[0, 3] must be "
-            "-fx * baseline on the right camera (are left and right swapped?)"
+            f"stereo baseline from the camera infos is {baseline:.6g} m, with P[0, 3] = "
+            f"{left.projection[0, 3]:.6g} on the left camera and {right.projection[0, 3]:.6g} on "
+            "the right one, where it must be -fx * baseline (are left and right swapped, or is it "
+            "not in meters?)"
         )
     return StereoRig(left.rectified_camera(), right_camera, float(baseline))

@@ -151,6 +151,7 @@ def test_rig_agrees_with_opencv_rectification():
         (calibration(CAMERA), calibration(CAMERA.scaled(0.5), 0.1), "320x240"),
         (calibration(CAMERA), calibration(CAMERA), "baseline"),
         (calibration(CAMERA, 0.1), calibration(CAMERA), "swapped"),
+        (calibration(CAMERA), calibration(CAMERA, 75.0), "75 m.*not in meters"),
         (calibration(CAMERA), CameraCalibration(640, 480), "not calibrated"),
     ],
 )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CalibrationError, InfomapError
 from infomap_ros.geometry import CameraCalibration, check_transform, invert_transform
+from infomap_ros.geometry.camera import LONGEST_BASELINE
 from infomap_ros.geometry.transforms import FloatArray, make_transform
 from infomap_ros.stereo.rectification import rectify_calibrations
 
@@ -47,8 +48,6 @@ _UNREADABLE = (
     cv2.error,
 )
 """What the readers raise where a file is not what it seems."""
-
-_LONGEST_BASELINE = 5.0  # of a pair on a robot or car; more means another unit than meters [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +86,7 @@ class Calibration:
             focal = float(left.intrinsics[0, 0]) if fisheye else None
             left, right = rectify_calibrations(left, right, self.T_second_first, focal)
         baseline = (left.projection[0, 3] - right.projection[0, 3]) / right.projection[0, 0]
-        if not 0.0 < baseline < _LONGEST_BASELINE:
+        if not 0.0 < baseline < LONGEST_BASELINE:
             raise CalibrationError(
                 f"{names} has a baseline of {baseline:g} m: is it in meters, and left before right?"
             )

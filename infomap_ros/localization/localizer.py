@@ -219,7 +219,8 @@ class Localizer(KnownMap):
             if sighting is None:
                 return LocalizedCamera(view.stamp, "searching", None, None, self._watch.reason)
             pose, covariance = sighting.camera_pose()
-        self._filter.start(pose, covariance)
+        calibration = self.config.calibration.sigmas(view.disparity_unit)
+        self._filter.start(pose, covariance, calibration)
         self._scene.clear()
         self._scene.replenish(view, self.config.wanted_fiducials, chosen)
         self._state, self._fixed = "tracking", view.stamp
@@ -302,7 +303,7 @@ class Localizer(KnownMap):
             in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
             believed = in_time and self._contradicted < self.config.max_contradicted_views
             self._state = "coasting"
-            if not (believed and is_certain(self._filter.pose[1], self.config)):
+            if not (believed and is_certain(self._filter.covariance_by_calibration, self.config)):
                 self._lose()
 
     def _lose(self) -> None:

@@ -5,13 +5,51 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
+
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.free_motion import FreeMotionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How exact the calibration of the camera is: standard deviations of what all views share.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    disparity_offset: float = parameter(
+        0.3,
+        "Standard deviation of an offset of all disparities, by rectification and matching.",
+        unit="px",
+        low=0.0,
+        high=100.0,
+    )
+    range_scale: float = setting(
+        0.003, "Of a relative error of all ranges, as of the baseline.", low=0.0, high=1.0
+    )
+    focal_length: float = setting(
+        0.003, "Of a relative error of the focal length.", low=0.0, high=1.0
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+    def sigmas(self, disparity_unit: float) -> FloatArray:
+        """As the filter wants them, shape (3,); see `InvariantState`.
+
+        Args:
+            disparity_unit: of `RangeView`.
+        """
+        offset = self.disparity_offset * disparity_unit
+        return np.array([offset, self.range_scale, self.focal_length])
 
 
 @dataclass(frozen=True)
@@ -22,7 +60,7 @@ class LocalizerConfig:
         ConfigError: a value is out of its range.
     """
 
-    wanted_fiducials: int = parameter(
+    wanted_fiducials: int = setting(
         70, "Fiducials that are followed at the same time.", low=8, high=1000
     )
     fewest_fiducials: int = setting(
@@ -80,6 +118,7 @@ class LocalizerConfig:
         low=1,
         high=1000,
     )
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     selection: FiducialSelectionConfig = field(default_factory=FiducialSelectionConfig)
     tracker: FiducialTrackerConfig = field(default_factory=FiducialTrackerConfig)
     filter: FiducialFilterConfig = field(default_factory=FiducialFilterConfig)

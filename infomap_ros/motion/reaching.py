@@ -172,7 +172,8 @@ class WholeBodyReach:
         """Space near by that the base could drive through, had it been seen; boxes [map]."""
         body = float(self.planner.vehicle.arrays.columns[:, 3].max())
         area = self.planner.reachable_area(self._xyyaw)
-        return unseen_above(self.terrain, area, body + self._whole.origin_height)
+        height = min(body + self._whole.origin_height, self._whole.vehicle.config.seen_height)
+        return unseen_above(self.terrain, area, height)
 
     @property
     def trail(self) -> ArmTrail:

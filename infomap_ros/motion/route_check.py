@@ -86,7 +86,7 @@ class RouteCheck:
         self._known_free, self._keep_out = known_free, keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
         # The plan kept a margin; what uses it up, as noise of the ground does, breaks nothing off.
-        self._vehicle = whole.vehicle.without_margin()
+        self._vehicle = whole.vehicle.under_way()
         self._base, self._joints = T_map_base, dict(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
         self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)

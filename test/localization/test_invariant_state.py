@@ -50,9 +50,9 @@ def test_removal_leaves_the_covariances_of_the_others() -> None:
     state.remove_kept(np.isin(state.stamps, [10]))
     after = everything(state)
     assert len(after) == len(before) - 4
-    assert len(state.P) == 6 + 3 * 6 + 6 * 3
-    new = np.concatenate([np.arange(6), *(after[key] for key in after)])
-    old = np.concatenate([np.arange(6), *(before[key] for key in after)])
+    assert len(state.P) == 9 + 3 * 6 + 6 * 3
+    new = np.concatenate([np.arange(9), *(after[key] for key in after)])
+    old = np.concatenate([np.arange(9), *(before[key] for key in after)])
     np.testing.assert_array_equal(state.P[np.ix_(new, new)], P[np.ix_(old, old)])
 
 

@@ -206,10 +206,14 @@ def test_it_drives_under_what_is_higher_than_it_is(vehicle):
     assert " touches an obstacle at (" in stance.reason
 
 
-def test_unseen_space_is_entered_only_if_allowed():
+def test_space_must_have_been_seen_as_high_as_the_user_says():
     terrain = ground(plane(0, 0), seen=lambda x, y: 0.2 + 0.0 * x)
     assert " enters space that was never seen at (" in rover().stance(terrain, 0, 0, 0).reason
-    assert rover(unseen_is_free=True).stance(terrain, 0, 0, 0).ok
+    assert "never seen" in rover(seen_height=0.21).stance(terrain, 0, 0, 0).reason
+    assert rover(seen_height=0.19).stance(terrain, 0, 0, 0).ok
+    assert rover(seen_height=0.0).stance(terrain, 0, 0, 0).ok
+    low = ground(plane(0, 0), seen=lambda x, y: 0.2 + 0.0 * x, overhead=lambda x, y: 0.2 + 0.0 * x)
+    assert " touches an obstacle at (" in rover(seen_height=0.19).stance(low, 0, 0, 0).reason
 
 
 def test_the_link_that_touches_and_the_place_are_named(vehicle):
@@ -384,3 +388,16 @@ def test_wheel_climbs_three_quarters_of_its_radius():
         kerb = ground(lambda x, y, height=height: np.where(x > 0.16, height, 0.0))
         config = {"max_roughness": 1.0, "suspension_travel": 1.0}
         assert rover(**config).stance(kerb, 0.0, 0.0, 0.0).ok is good
+
+
+def test_ground_that_seems_a_little_worse_under_way_breaks_nothing_off() -> None:
+    """Noise of the ground is no obstacle; a box is."""
+    config = VehicleConfig(footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), max_step=0.04)
+    robot = Vehicle.from_robot(RobotModel.from_urdf(SKIRT), config)
+
+    def reasons(height):
+        edge = ground(lambda x, y: np.where(x > 0.15, height, 0.0))
+        return [one.stance(edge, 0.0, 0.0, 0.0).reason for one in (robot, robot.under_way())]
+
+    assert "step" in reasons(0.05)[0] and reasons(0.05)[1] == ""
+    assert all(reasons(0.1))

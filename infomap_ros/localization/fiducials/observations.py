@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,6 +87,22 @@ class FiducialObservations:
             self.pixel_sigmas[chosen],
             self.inverse_depths[chosen],
             self.inverse_depth_sigmas[chosen],
+        )
+
+    def corrected(self, camera: PinholeCamera, calibration: FloatArray) -> FiducialObservations:
+        """What would have been measured with an exact calibration.
+
+        Args:
+            camera: that measured them.
+            calibration: (o, s, e), shape (3,): inverse depths are measured as ``(1 + s)/z + o``,
+                and the focal lengths are (1 + e) times the camera's.
+        """
+        offset, scale, focal = calibration.tolist()
+        center = np.array([camera.cx, camera.cy])
+        return replace(
+            self,
+            pixels=center + (self.pixels - center) / (1.0 + focal),
+            inverse_depths=(self.inverse_depths - offset) / (1.0 + scale),
         )
 
     def points(self, camera: PinholeCamera) -> FloatArray:

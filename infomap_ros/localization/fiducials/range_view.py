@@ -25,6 +25,8 @@ class RangeView(Protocol):
         camera: of the rectified left image; points are in its optical frame.
         image: rectified left image, gray, shape (H, W), uint8.
         has_cloud: whether `cloud` is at hand without further work.
+        disparity_unit: inverse depth that one pixel of disparity is worth [1/(m px)]; 0 where range
+            does not come from disparities.
     """
 
     @property
@@ -41,6 +43,10 @@ class RangeView(Protocol):
 
     @property
     def has_cloud(self) -> bool:
+        """See the class."""
+
+    @property
+    def disparity_unit(self) -> float:
         """See the class."""
 
     def inverse_depths(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -103,6 +109,11 @@ class StereoView:
         """Whether the dense cloud was asked for before."""
         return self._cloud is not None
 
+    @property
+    def disparity_unit(self) -> float:
+        """Of the rig."""
+        return 1.0 / (self._sensor.rig.left.fx * self._sensor.rig.baseline)
+
     def inverse_depths(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """See `RangeView.inverse_depths`; searches from infinity to the sensor's nearest depth."""
         rig = self._sensor.rig
@@ -114,8 +125,8 @@ class StereoView:
             search,
             self._sparse,
         )
-        focal_baseline = rig.left.fx * rig.baseline
-        return (disparities + rig.principal_offset) / focal_baseline, sigmas / focal_baseline
+        unit = self.disparity_unit
+        return (disparities + rig.principal_offset) * unit, sigmas * unit
 
     def cloud(self) -> RangeCloud:
         """The cloud of the whole matcher, in the frame of the left camera."""
@@ -151,6 +162,11 @@ class DepthView:
     def has_cloud(self) -> bool:
         """True."""
         return True
+
+    @property
+    def disparity_unit(self) -> float:
+        """0: what its ranges come from is not known."""
+        return 0.0
 
     def inverse_depths(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """See `RangeView.inverse_depths`; a plane through the neighbors."""

@@ -23,7 +23,11 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.history import FiducialHistory
 from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
-from infomap_ros.localization.filter.invariant_state import InvariantState
+from infomap_ros.localization.filter.invariant_state import (
+    CALIBRATION,
+    FIXED_BLOCKS,
+    InvariantState,
+)
 from infomap_ros.localization.filter.known_values import known_fiducials, known_poses
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.moved_state import move_state
@@ -60,12 +64,18 @@ class FiducialFilter:
         self._shared = SharedErrors(InvariantState(np.eye(4), np.zeros((6, 6)), self._capacity))
         self.start(np.eye(4), np.zeros((6, 6)))
 
-    def start(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> None:
+    def start(
+        self,
+        T_map_camera: ArrayLike,
+        covariance: ArrayLike,
+        calibration_sigmas: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
         """Begin anew, with no fiducials and no kept poses.
 
         Args:
             T_map_camera: pose, shape (4, 4).
             covariance: in the map frame, shape (6, 6); zero where the pose defines the map.
+            calibration_sigmas: of the camera, as `InvariantState` has them, shape (3,).
 
         Raises:
             InvalidInputError: not a rigid transform, or not a covariance.
@@ -73,14 +83,16 @@ class FiducialFilter:
         pose = check_transform(T_map_camera, "T_map_camera")
         over = invariant_from_pose(pose[None])[0]
         errors = over @ check_covariance(covariance, 6) @ over.T
-        self._state = InvariantState(pose, errors, self._capacity)
+        self._state = InvariantState(pose, errors, self._capacity, calibration_sigmas)
         self._shared = self._shared.following(self._state)
         self._motion = _REST
         self._history = FiducialHistory(self.config.drift_memory, self.config.drift_gate)
 
     @property
     def _capacity(self) -> int:
-        return self.config.max_fiducials + 2 * (1 + self.config.max_kept_poses + 1 + CLONES)
+        return (
+            FIXED_BLOCKS + self.config.max_fiducials + 2 * (self.config.max_kept_poses + 1 + CLONES)
+        )
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that it knows, as arrays that can be written to a file."""
@@ -112,6 +124,21 @@ class FiducialFilter:
         P = self._state.P[:6, :6] + pending
         return pose, pose_covariances(pose[None], P[None])[0]
 
+    @property
+    def covariance_by_calibration(self) -> FloatArray:
+        """Covariance of the pose in the map frame if the calibration were exact, shape (6, 6).
+
+        What remains is how well the camera is known among the things that it sees.
+        """
+        pose, pending = self._state.expected(self._motion)
+        P = self._state.P
+        shared, own = P[:6, CALIBRATION], P[CALIBRATION, CALIBRATION]
+        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        inverse = np.linalg.pinv(own / np.outer(scale, scale), rcond=1e-9, hermitian=True)
+        shared = shared / scale
+        known = P[:6, :6] - shared @ inverse @ shared.T + pending
+        return pose_covariances(pose[None], known[None])[0]
+
     def divide_covariance(self, *, is_keyframe: bool) -> PoseUncertainty:
         """The parts of the present pose's covariance; once for each image.
 
@@ -138,7 +165,8 @@ class FiducialFilter:
         """
         motion = self._motion if more is None else self._motion.then(more)
         indices, is_known = self._look_up(observations.ids)
-        known, unknown = observations.select(is_known), observations.ids[~is_known]
+        known = observations.select(is_known).corrected(self.camera, self._state.calibration)
+        unknown = observations.ids[~is_known]
         measured = Measured.of(self.camera, known)
         image = Image(known.ids, indices, measured)
         chosen, reason, overruled = explain(self._state, motion, image, self._history, self.config)
@@ -173,6 +201,7 @@ class FiducialFilter:
             certainty = observations.inverse_depths / observations.inverse_depth_sigmas
             certain = certainty >= self.config.range_certainty
         new = observations.select(np.flatnonzero(~is_known & certain)[: self.config.max_fiducials])
+        new = new.corrected(self.camera, self._state.calibration)
         self._take_motion()
         self._make_room(len(new))
         points, covariances = new.points(self.camera), new.covariances(self.camera)
@@ -208,8 +237,7 @@ class FiducialFilter:
         if float(pull @ pull) > self._pose_limit:
             return False
         white = solve_triangular(factor, P[:6], lower=True)
-        state.add_to_covariance(-white.T, white)
-        state.correct(white.T @ pull)
+        state.learn(white.T @ pull, -white.T, white)
         self._shared.is_corrected = True
         return True
 
@@ -290,17 +318,17 @@ class FiducialFilter:
     def _apply(self, chosen: Hypothesis, indices: NDArray[np.int64]) -> None:
         """Correct the state by the members of a hypothesis, eq. (18)."""
         state, expectation = self._state, chosen.expectation
-        rows = state.fiducial_rows(indices[chosen.members]).ravel()
-        camera = np.tile(np.arange(3), len(rows) // 3)
-        noise = expectation.noise[rows] - expectation.noise[camera]
-        seen = state.P[rows] - state.P[camera]
+        members = indices[chosen.members]
+        rows, every = state.fiducial_rows(members).ravel(), np.arange(len(state.P))
+        noise = expectation.noise[rows] - np.tile(expectation.noise[:3], (len(members), 1))
+        seen = state.apparent_errors(members, expectation.T_map_camera, every)
         seen += noise @ expectation.motion_covariance @ expectation.noise.T
         white = chosen.correction.whitened(seen)
         pull = solve_triangular(
             chosen.correction.factor, chosen.correction.innovation, lower=True, check_finite=False
         )
         root = expectation.noise @ square_root(expectation.motion_covariance)
-        state.add_to_covariance(np.hstack([root, -white.T]), np.vstack([root.T, white]))
         state.T_map_camera = expectation.T_map_camera
-        state.correct(expectation.noise @ expectation.shift + white.T @ pull)
+        error = expectation.noise @ expectation.shift + white.T @ pull
+        state.learn(error, np.hstack([root, -white.T]), np.vstack([root.T, white]))
         self._motion, self._shared.is_corrected = _REST, True

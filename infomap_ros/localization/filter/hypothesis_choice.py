@@ -272,8 +272,6 @@ def overruled_prior(
 
 def _relative_covariances(state: InvariantState, indices: NDArray[np.int64]) -> FloatArray:
     """Of fiducials relative to the camera before the motion, in the map's axes, (M, 3, 3)."""
-    rows = state.fiducial_rows(indices)
-    P = state.P
-    own = P[rows[:, :, None], rows[:, None, :]]
-    cross = P[rows[:, :, None], np.arange(3)[None, None, :]]
-    return np.asarray(own + P[:3, :3] - cross - cross.transpose(0, 2, 1))
+    count, each = len(indices), np.arange(len(indices))
+    covariance, _ = state.apparent_covariance(indices, state.T_map_camera)
+    return np.asarray(covariance.reshape(count, 3, count, 3)[each, :, each])

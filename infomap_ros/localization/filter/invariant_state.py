@@ -11,6 +11,11 @@ whatever the estimate: that makes it consistent where the usual filter becomes t
 A kept pose has its own theta and xi. A clone is the error of an earlier pose without its value, so
 that what later errors have in common with it can be read from the covariance.
 
+The calibration is off by three small numbers c = (o, s, e) that all measurements share: an inverse
+depth 1/z is measured as (1 + s)/z + o, and a focal length f works as (1 + e) f. A point y in the
+camera frame was then taken for another, so its error is also ``D(y) c`` (`calibration_shifts`).
+Such a point seen from the same place again shows nothing of that, from elsewhere it does.
+
 A. Barrau, S. Bonnabel, "An EKF-SLAM algorithm with consistency properties", arXiv:1510.06263;
 T. Zhang et al., IEEE RA-L 2(2), 2017, doi:10.1109/LRA.2017.2651376.
 """
@@ -21,7 +26,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
@@ -32,6 +37,12 @@ IntArray = NDArray[np.int64]
 
 CAMERA_XI = 0
 CAMERA_THETA = 1
+FIXED_BLOCKS = 3
+"""Blocks of the camera and the calibration."""
+CALIBRATION = slice(6, 9)
+"""Rows of the calibration's error."""
+_OFFSET, _CONSIDERED = 6, slice(7, 9)  # rows of the calibration
+_LEAST_SHARE = 0.1  # of the prior's sigma, below which the offset is not believed
 _BLOCK = 3  # rows of one error vector
 _TILE = 160  # rows of the covariance that are updated at a time: they stay in the cache
 
@@ -39,17 +50,25 @@ _TILE = 160  # rows of the covariance that are updated at a time: they stay in t
 class InvariantState:
     """The state of the filter: values, and the covariance of their invariant errors.
 
-    The covariance consists of blocks of three: camera xi and theta first, then the fiducials' xi
-    and the kept poses' and clones' xi and theta in any order.
+    The covariance consists of blocks of three: camera xi and theta and the calibration first, then
+    the fiducials' xi and the kept poses' and clones' xi and theta in any order.
 
     Args:
         T_map_camera: shape (4, 4).
         covariance: of the error (xi, theta), shape (6, 6).
-        capacity: most blocks of three that will be needed, the camera's two included.
+        capacity: most blocks of three that will be needed, `FIXED_BLOCKS` included.
+        calibration_sigmas: of (o, s, e), shape (3,) [1/m, 1, 1]; 0 where it is exact.
     """
 
-    def __init__(self, T_map_camera: FloatArray, covariance: FloatArray, capacity: int) -> None:
+    def __init__(
+        self,
+        T_map_camera: FloatArray,
+        covariance: FloatArray,
+        capacity: int,
+        calibration_sigmas: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
         self.T_map_camera = T_map_camera.copy()
+        self.calibration: FloatArray = np.zeros(3)
         self.ids: IntArray = np.zeros(0, np.int64)
         self.positions: FloatArray = np.zeros((0, 3))
         self.stamps: IntArray = np.zeros(0, np.int64)
@@ -58,8 +77,10 @@ class InvariantState:
         self._kept_blocks: IntArray = np.zeros((0, 2), np.int64)
         self._clone_blocks: IntArray = np.zeros((0, 2), np.int64)
         self._buffer = np.zeros((_BLOCK * capacity, _BLOCK * capacity))
-        self._blocks = 2
-        self.P[:] = covariance
+        self._blocks = FIXED_BLOCKS
+        self.P[:6, :6] = covariance
+        self.P[CALIBRATION, CALIBRATION] = np.diag(np.square(calibration_sigmas))
+        self._least_offset = float(_LEAST_SHARE**2 * self.P[_OFFSET, _OFFSET])
 
     @property
     def P(self) -> FloatArray:
@@ -95,6 +116,48 @@ class InvariantState:
         )
         return noise
 
+    def apparent_errors(
+        self, indices: NDArray[np.int64], T_map_camera: FloatArray, others: NDArray[np.int64]
+    ) -> FloatArray:
+        """Covariance of where fiducials seem to be from the camera with errors, shape (3M, K).
+
+        Measured with a wrong calibration a fiducial seems to be elsewhere, so its error as seen is
+        ``xi_f - xi_p - R D(y) c``.
+
+        Args:
+            indices: of M fiducials.
+            T_map_camera: from where they are seen, shape (4, 4).
+            others: rows of the other errors, shape (K,).
+        """
+        rows, camera = self.fiducial_rows(indices).ravel(), np.tile(np.arange(3), len(indices))
+        P = self.P[:, others]
+        shifts = self._shifts_as_seen(indices, T_map_camera)
+        return np.asarray(P[rows] - P[camera] - shifts.reshape(-1, 3) @ P[CALIBRATION])
+
+    def apparent_covariance(
+        self, indices: NDArray[np.int64], T_map_camera: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Of where fiducials seem to be from the camera, shape (3M, 3M), and with theta, (3, 3M).
+
+        Args:
+            indices: of M fiducials.
+            T_map_camera: from where they are seen, shape (4, 4).
+        """
+        count, rows = len(indices), self.fiducial_rows(indices).ravel()
+        fixed = _BLOCK * FIXED_BLOCKS
+        others = np.concatenate([np.arange(fixed), rows])
+        errors = self.apparent_errors(indices, T_map_camera, others)
+        shifts = self._shifts_as_seen(indices, T_map_camera).reshape(-1, 3)
+        covariance = errors[:, fixed:] - np.tile(errors[:, :3], count)
+        covariance -= errors[:, CALIBRATION] @ shifts.T
+        return covariance, errors[:, 3:6].T
+
+    def _shifts_as_seen(self, indices: NDArray[np.int64], T_map_camera: FloatArray) -> FloatArray:
+        rotation, position = T_map_camera[:3, :3], T_map_camera[:3, 3]
+        return np.asarray(
+            rotation @ calibration_shifts((self.positions[indices] - position) @ rotation)
+        )
+
     def expected(self, motion: MotionPrior) -> tuple[FloatArray, FloatArray]:
         """The pose after a motion, shape (4, 4), and what that adds to its error, shape (6, 6)."""
         pose = self.T_map_camera @ motion.T_before_after
@@ -111,6 +174,28 @@ class InvariantState:
             diagonal = P[begin:end, begin:end]
             diagonal[:] = 0.5 * (diagonal + diagonal.T)
 
+    def learn(self, error: FloatArray, left: FloatArray, right: FloatArray) -> None:
+        """Take an error out of the values, and add what was learned of it to the covariance.
+
+        Scale and focal length are consider parameters (S. F. Schmidt, Advances in Control Systems
+        3, 1966): their errors count, but are not estimated. Nothing that is seen tells the scale,
+        but linearized about other points at each view it would seem to; and all that warps images
+        would be taken for the focal length. The offset shows where things come nearer. It is never
+        held to be known beyond a share of its prior, for errors of matching are no white noise.
+
+        Args:
+            error: shape (n,).
+            left: as of `add_to_covariance`.
+            right: likewise.
+        """
+        considered = self.P[_CONSIDERED, _CONSIDERED].copy()
+        self.add_to_covariance(left, right)
+        self.P[_CONSIDERED, _CONSIDERED] = considered
+        self.P[_OFFSET, _OFFSET] = max(self.P[_OFFSET, _OFFSET], self._least_offset)
+        estimated = error.copy()
+        estimated[_CONSIDERED] = 0.0
+        self.correct(estimated)
+
     def correct(self, error: FloatArray) -> None:
         """Take an error, shape (n,), out of the values."""
         theta, xi = error[3:6], error[:3]
@@ -119,6 +204,7 @@ class InvariantState:
         moved[:3, :3] = turn @ moved[:3, :3]
         moved[:3, 3] = turn @ moved[:3, 3] + jacobian @ xi
         self.T_map_camera = renormalized(moved)
+        self.calibration = self.calibration + error[CALIBRATION]
         fiducials = error[self.fiducial_rows(slice(None))]
         self.positions = self.positions @ turn.T + fiducials @ jacobian.T
         rows = self.kept_rows()
@@ -131,14 +217,17 @@ class InvariantState:
 
         Args:
             ids: shape (M,), none of them there yet.
-            points: in the camera frame, shape (M, 3) [m].
-            covariances: of the points, shape (M, 3, 3) [m^2].
+            points: in the camera frame, by the calibration as it is known, shape (M, 3) [m].
+            covariances: of the points beside that of the calibration, shape (M, 3, 3) [m^2].
         """
         rotation = self.T_map_camera[:3, :3]
         first = self._blocks
         blocks = np.arange(first, first + len(ids), dtype=np.int64)
         self._copy_blocks(np.full(len(ids), CAMERA_XI))
-        rows = _rows(blocks)
+        rows, P = _rows(blocks), self.P
+        shifts, added = (rotation @ calibration_shifts(points)).reshape(-1, 3), rows.ravel()
+        P[added] += shifts @ P[CALIBRATION]
+        P[:, added] += P[:, CALIBRATION] @ shifts.T
         self._buffer[rows[:, :, None], rows[:, None, :]] += rotation @ covariances @ rotation.T
         self.ids = np.concatenate([self.ids, ids])
         self.positions = np.vstack([self.positions, points @ rotation.T + self.T_map_camera[:3, 3]])
@@ -181,6 +270,8 @@ class InvariantState:
         """Copies of everything, for `resume`."""
         return {
             "T_map_camera": self.T_map_camera.copy(),
+            "calibration": self.calibration.copy(),
+            "least_offset": np.array(self._least_offset),
             "ids": self.ids.copy(),
             "positions": self.positions.copy(),
             "stamps": self.stamps.copy(),
@@ -202,6 +293,8 @@ class InvariantState:
         if blocks > capacity:
             raise InvalidInputError("covariance", f"{blocks} errors, at most {capacity} fit")
         state = cls(arrays["T_map_camera"], np.zeros((6, 6)), capacity)
+        state.calibration = arrays["calibration"].copy()
+        state._least_offset = float(arrays["least_offset"])
         state.ids, state.positions = arrays["ids"].copy(), arrays["positions"].copy()
         state.stamps, state.kept = arrays["stamps"].copy(), arrays["kept"].copy()
         state._fiducial_blocks = arrays["fiducial_blocks"].copy()
@@ -236,6 +329,17 @@ class InvariantState:
             is_moved = np.isin(table, tail)
             table[is_moved] = inside[moved[is_moved]]
         self._blocks = remaining
+
+
+def calibration_shifts(points: FloatArray) -> FloatArray:
+    """Derivatives of points by the calibration with which they were measured, shape (M, 3, 3).
+
+    Args:
+        points: in the camera frame, shape (M, 3) [m].
+    """
+    shifts = np.stack([points[:, 2:] * points, points, -points], axis=2)
+    shifts[:, 2, 2] = 0.0
+    return np.asarray(shifts)
 
 
 def _rows(blocks: IntArray) -> IntArray:

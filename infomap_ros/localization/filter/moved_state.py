@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.filter.invariant_state import InvariantState
+from infomap_ros.localization.filter.invariant_state import CALIBRATION, InvariantState
 from infomap_ros.localization.filter.lie import renormalized, skews
 from infomap_ros.localization.filter.pose_errors import invariant_from_pose
 
@@ -42,6 +42,7 @@ def _moved_errors(state: InvariantState, T_new_old: FloatArray, errors: FloatArr
     turn, lever = T_new_old[:3, :3], skews(T_new_old[:3, 3])
     blocks = errors.reshape(-1, 3, errors.shape[1])
     moved = np.asarray((turn @ blocks).reshape(errors.shape))
+    moved[CALIBRATION] = errors[CALIBRATION]
     theta = moved[3:6].copy()
     moved[:3] += lever @ theta
     for rows in state.fiducial_rows(slice(None)):

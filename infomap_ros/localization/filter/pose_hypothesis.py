@@ -60,13 +60,9 @@ class Expectation:
     def sight(self, state: InvariantState, indices: NDArray[np.int64], measured: Measured) -> Sight:
         """What is known of the fiducials of these indices before the image."""
         rows = state.fiducial_rows(indices).ravel()
-        P, count = state.P, len(indices)
-        camera = np.tile(np.arange(3), count)
-        cross = P[np.ix_(rows, camera)]
-        noise = self.noise[rows] - self.noise[camera]
-        covariance = P[np.ix_(rows, rows)] + P[np.ix_(camera, camera)] - cross - cross.T
+        noise = self.noise[rows] - np.tile(self.noise[:3], (len(indices), 1))
+        covariance, theta_d = state.apparent_covariance(indices, self.T_map_camera)
         covariance += noise @ self.motion_covariance @ noise.T
-        theta_d = P[3:6, rows] - P[3:6, camera]
         theta_d = theta_d + self.noise[3:6] @ self.motion_covariance @ noise.T
         rotation, position = self.T_map_camera[:3, :3], self.T_map_camera[:3, 3]
         return Sight(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PoseUncertainty, check_transform
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import VoxelMapConfig
 from infomap_ros.mapping.correction.body_removal import forget_body, without_body
@@ -38,7 +38,7 @@ class ScanStoreConfig:
         ConfigError: a value is out of its range.
     """
 
-    memory: float = parameter(
+    memory: float = setting(
         1.0,
         "Memory for scans that can be moved when poses are corrected; those beyond it stay where "
         "they are. 0 keeps none.",

@@ -24,6 +24,7 @@ from infomap_ros.motion.robot.mass import mass_of
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _STEP = 2  # of VehicleConfig.limits_for
+_NOISE = 1.5  # by which the ground may seem worse than it was when the route was planned
 _ABOVE = (kernels.TOUCHES_OBSTACLE, kernels.UNSEEN)  # for which the upper end of a column decides
 _OF_BODY = (*_ABOVE, kernels.TOUCHES_GROUND, kernels.UNKNOWN_BODY)
 
@@ -161,9 +162,27 @@ class Vehicle:
         """The same vehicle, its body no larger than it is."""
         return self._bare
 
+    def under_way(self) -> Vehicle:
+        """The same vehicle as the check of a route takes it: what was planned stays good enough.
+
+        Its body is no larger than it is, and ground may be rougher by what noise makes of it.
+        """
+        return self._under_way
+
     @cached_property
     def _bare(self) -> Vehicle:
         config = replace(self.config, margin=0.0)
+        return Vehicle.from_robot(self.robot, config, self.joint_positions)
+
+    @cached_property
+    def _under_way(self) -> Vehicle:
+        config = replace(
+            self.config,
+            margin=0.0,
+            max_step=_NOISE * float(self.arrays.limits[_STEP]),
+            max_roughness=_NOISE * self.config.max_roughness,
+            min_tip_margin=self.config.min_tip_margin / _NOISE,
+        )
         return Vehicle.from_robot(self.robot, config, self.joint_positions)
 
     def stance(
@@ -256,7 +275,8 @@ def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
     )
     sure = heights - SURE * terrain.sigma  # else the noise of level ground stops a low body
     bottom = np.where(np.isnan(sure), np.inf, sure).astype(np.float32)
-    top = overhead if config.unseen_is_free else np.minimum(overhead, seen)
+    seen = np.where(seen >= heights + config.seen_height, np.float32(np.inf), seen)
+    top = np.minimum(overhead, seen)
     x, y = terrain.origin
     return TerrainArrays(
         heights, roughness, step, floor, overhead, seen, bottom, top, x, y, terrain.resolution

@@ -75,8 +75,15 @@ class VehicleConfig:
     max_margin: float = setting(
         0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
     )
-    unseen_is_free: bool = setting(
-        False, "Whether space over known ground that was never seen may be entered."
+    seen_height: float = parameter(
+        0.8,
+        "Space over known ground must have been seen up to this height, if the body is so high, "
+        "before the base enters it. What is higher, as about the head of a tall robot, need not: "
+        "hardly anything is there where the floor is free up to the height of a table, and the "
+        "camera looks ahead while the base drives. 0: nothing must have been seen.",
+        unit="m",
+        low=0.0,
+        high=10.0,
     )
     column_spacing: ClassVar[float] = 0.05
     """Edge of the squares into which the body is divided [m]."""
@@ -99,6 +106,6 @@ class VehicleConfig:
                 self.max_step or _STEP_SHARE * radius,
                 self.max_roughness,
                 self.min_tip_margin,
-                float(self.unseen_is_free),
+                float(self.seen_height == 0.0),
             ]
         )

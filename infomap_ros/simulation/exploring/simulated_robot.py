@@ -30,7 +30,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.filter.records import Fiducials
-from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.localizer_config import CalibrationConfig, LocalizerConfig
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detector import TagTargetConfig
@@ -110,8 +110,11 @@ than a millimeter off: there the defaults are right.
 
 
 def _with_kinematics() -> LocalizerConfig:
-    """Odometry and joints tell the way well enough to look at the sky for a while."""
-    return LocalizerConfig(max_coasting=60.0)
+    """Odometry and joints tell the way well enough to look at the sky for a while.
+
+    The simulated camera is exactly as its calibration says.
+    """
+    return LocalizerConfig(max_coasting=60.0, calibration=CalibrationConfig(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from odometry_baselines import BASELINES, follow
 from stereo_bag import write_stereo_bag
-from trajectory_errors import TrajectoryErrors, trajectory_errors, truth_at
+from trajectory_errors import TrajectoryErrors, pose_nees, trajectory_errors, truth_at
 
 from infomap_ros.cli.settings import with_settings
 from infomap_ros.geometry import PoseRecord
@@ -51,6 +51,7 @@ class Sequence:
         delta: length of the pieces over which relative errors are taken [m].
         settings: other than the defaults.
         options: of the conversion.
+        truth_sigmas: how exact the truth is, position and rotation [m, rad].
     """
 
     form: str
@@ -59,8 +60,15 @@ class Sequence:
     delta: float
     settings: tuple[str, ...] = ()
     options: SequenceOptions = field(default_factory=SequenceOptions)
+    truth_sigmas: tuple[float, float] = (0.0, 0.0)
 
 
+OXTS = (0.02, 0.0017)
+"""Of KITTI's truth, by the data sheet of its OXTS RT 3003: 2 cm, 0.1 degrees of heading."""
+MOCAP = (0.0005, 0.003)
+"""Of the motion capture of TUM-VI, and of the calibration between markers and camera."""
+FUSION = (0.02, 0.023)
+"""Of the truth of 7-Scenes, by KinectFusion: pairs of its own frames differ by so much."""
 KITCHEN = SequenceOptions(
     calibration=(Path(__file__).parent / "calibrations" / "rgbd_kitchen.yaml",),
     rate=30.0,
@@ -72,10 +80,12 @@ SEQUENCES = {
         "bag", "bags/rover_rocks", "/ground_truth/camera_pose", 0.5, ("input.motion=none",)
     ),
     "room loop": Sequence("loop", "room_loop", "/camera_pose", 0.5),
-    "tumvi_room1": Sequence("euroc", "tumvi_room1", "/camera_pose", 0.03),
-    "stereo_kitti_03": Sequence("kitti", "stereo_kitti_03", "/camera_pose", 1.0),
-    "stereo_kitti_curve": Sequence("kitti", "stereo_kitti_curve", "/camera_pose", 10.0),
-    "rgbd_kitchen": Sequence("rgbd", "rgbd_kitchen", "/camera_pose", 0.5, (), KITCHEN),
+    "tumvi_room1": Sequence("euroc", "tumvi_room1", "/camera_pose", 0.03, truth_sigmas=MOCAP),
+    "stereo_kitti_03": Sequence("kitti", "stereo_kitti_03", "/camera_pose", 1.0, truth_sigmas=OXTS),
+    "stereo_kitti_curve": Sequence(
+        "kitti", "stereo_kitti_curve", "/camera_pose", 10.0, truth_sigmas=OXTS
+    ),
+    "rgbd_kitchen": Sequence("rgbd", "rgbd_kitchen", "/camera_pose", 0.5, (), KITCHEN, FUSION),
 }
 
 
@@ -121,6 +131,11 @@ def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, d
         errors = errors_of(truth, trajectory.stamps.tolist(), trajectory.transforms, sequence.delta)
         located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}
         results[name] = asdict(errors) | located
+    located = run.log.trajectory
+    known, reference = truth_at(truth, located.stamps.tolist())
+    poses, covariances = located.transforms[known], located.covariances[known]
+    nees = pose_nees(reference, poses, covariances, sequence.truth_sigmas)
+    results["localization"] |= {"nees_median": np.median(nees), "nees_mean": np.mean(nees)}
     for name in baselines:
         start = time.perf_counter()
         with BagReader(path) as bag:

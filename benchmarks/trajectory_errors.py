@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from evo.core import lie_algebra, metrics
 from evo.core.trajectory import PoseTrajectory3D
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import PoseBuffer, PoseBufferConfig, PoseRecord
@@ -77,6 +78,42 @@ def trajectory_errors(
         rpe_degrees=_relative(reference, guess, rotation, delta),
         frame_rpe=_of_frames(reference, guess),
         delta=delta,
+    )
+
+
+def pose_nees(
+    truth: np.ndarray,
+    estimate: np.ndarray,
+    covariances: np.ndarray,
+    truth_sigmas: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
+    """Squared errors of poses by their covariances, / 6: 1 on average where these are true.
+
+    The map begins at the first pose: the others are compared with the truth relative to it, whose
+    own error counts twice, and by how far the camera has come where the first pose is turned.
+
+    Args:
+        truth: T_map_camera, shape (N, 4, 4).
+        estimate: the same, in a map of its own.
+        covariances: of the estimates, shape (N, 6, 6).
+        truth_sigmas: standard deviations of the truth's position and rotation [m, rad].
+
+    Returns:
+        Of all but the first, shape (N - 1,).
+    """
+    expected = (estimate[0] @ np.linalg.inv(truth[0])) @ truth
+    turned = expected[1:, :3, :3] @ estimate[1:, :3, :3].transpose(0, 2, 1)
+    errors = np.hstack(
+        [expected[1:, :3, 3] - estimate[1:, :3, 3], Rotation.from_matrix(turned).as_rotvec()]
+    )
+    far = np.linalg.norm(estimate[1:, :3, 3] - estimate[0, :3, 3], axis=1)
+    position, rotation = truth_sigmas
+    noise = np.zeros((len(errors), 6))
+    noise[:, :3] = (2.0 * position**2 + np.square(rotation * far))[:, None]
+    noise[:, 3:] = 2.0 * rotation**2
+    total = covariances[1:] + np.einsum("ni,ij->nij", noise, np.eye(6))
+    return np.asarray(
+        np.einsum("ni,ni->n", errors, np.linalg.solve(total, errors[..., None])[..., 0]) / 6.0
     )
 
 

@@ -33,10 +33,10 @@ class CalibrationConfig:
         high=100.0,
     )
     range_scale: float = setting(
-        0.003, "Of a relative error of all ranges, as of the baseline.", low=0.0, high=1.0
+        0.005, "Of a relative error of all ranges, as of the baseline.", low=0.0, high=1.0
     )
     focal_length: float = setting(
-        0.003, "Of a relative error of the focal length.", low=0.0, high=1.0
+        0.005, "Of a relative error of the focal length.", low=0.0, high=1.0
     )
 
     def __post_init__(self) -> None:

@@ -23,11 +23,7 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.history import FiducialHistory
 from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
-from infomap_ros.localization.filter.invariant_state import (
-    CALIBRATION,
-    FIXED_BLOCKS,
-    InvariantState,
-)
+from infomap_ros.localization.filter.invariant_state import FIXED_BLOCKS, InvariantState
 from infomap_ros.localization.filter.known_values import known_fiducials, known_poses
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.moved_state import move_state
@@ -121,23 +117,18 @@ class FiducialFilter:
     def pose(self) -> tuple[FloatArray, FloatArray]:
         """``T_map_camera``, shape (4, 4), and its covariance in the map frame, shape (6, 6)."""
         pose, pending = self._state.expected(self._motion)
-        P = self._state.P[:6, :6] + pending
+        rows = np.arange(6)
+        P = self._state.covariance(rows[:, None], rows) + pending
         return pose, pose_covariances(pose[None], P[None])[0]
 
     @property
     def covariance_by_calibration(self) -> FloatArray:
-        """Covariance of the pose in the map frame if the calibration were exact, shape (6, 6).
+        """Covariance of the pose in the map frame if the calibration were right, shape (6, 6).
 
-        What remains is how well the camera is known among the things that it sees.
+        It tells how well the camera is known among the things that it sees.
         """
         pose, pending = self._state.expected(self._motion)
-        P = self._state.P
-        shared, own = P[:6, CALIBRATION], P[CALIBRATION, CALIBRATION]
-        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        inverse = np.linalg.pinv(own / np.outer(scale, scale), rcond=1e-9, hermitian=True)
-        shared = shared / scale
-        known = P[:6, :6] - shared @ inverse @ shared.T + pending
-        return pose_covariances(pose[None], known[None])[0]
+        return pose_covariances(pose[None], (self._state.P[:6, :6] + pending)[None])[0]
 
     def divide_covariance(self, *, is_keyframe: bool) -> PoseUncertainty:
         """The parts of the present pose's covariance; once for each image.
@@ -237,7 +228,8 @@ class FiducialFilter:
         if float(pull @ pull) > self._pose_limit:
             return False
         white = solve_triangular(factor, P[:6], lower=True)
-        state.learn(white.T @ pull, -white.T, white)
+        considered = solve_triangular(factor, state.considered[:6], lower=True)
+        state.learn(white.T @ pull, white, considered)
         self._shared.is_corrected = True
         return True
 
@@ -324,11 +316,14 @@ class FiducialFilter:
         seen = state.apparent_errors(members, expectation.T_map_camera, every)
         seen += noise @ expectation.motion_covariance @ expectation.noise.T
         white = chosen.correction.whitened(seen)
+        considered = state.apparent_considered(members, expectation.T_map_camera)
+        considered = chosen.correction.whitened(considered)
         pull = solve_triangular(
             chosen.correction.factor, chosen.correction.innovation, lower=True, check_finite=False
         )
         root = expectation.noise @ square_root(expectation.motion_covariance)
         state.T_map_camera = expectation.T_map_camera
         error = expectation.noise @ expectation.shift + white.T @ pull
-        state.learn(error, np.hstack([root, -white.T]), np.vstack([root.T, white]))
+        state.add_to_covariance(root, root.T)
+        state.learn(error, white, considered)
         self._motion, self._shared.is_corrected = _REST, True

@@ -14,7 +14,11 @@ that what later errors have in common with it can be read from the covariance.
 The calibration is off by three small numbers c = (o, s, e) that all measurements share: an inverse
 depth 1/z is measured as (1 + s)/z + o, and a focal length f works as (1 + e) f. A point y in the
 camera frame was then taken for another, so its error is also ``D(y) c`` (`calibration_shifts`).
-Such a point seen from the same place again shows nothing of that, from elsewhere it does.
+Such a point seen from the same place again shows nothing of that, from elsewhere it does. The
+offset o is estimated. Scale s and focal length e are considered: nothing that is seen tells the
+scale, and all that warps images would be taken for the focal length, so neither is estimated nor
+has a say in what is; what their errors do to all others is followed beside the covariance (S. F.
+Schmidt, Advances in Control Systems 3, 1966), and counts in what the filter tells.
 
 A. Barrau, S. Bonnabel, "An EKF-SLAM algorithm with consistency properties", arXiv:1510.06263;
 T. Zhang et al., IEEE RA-L 2(2), 2017, doi:10.1109/LRA.2017.2651376.
@@ -79,7 +83,10 @@ class InvariantState:
         self._buffer = np.zeros((_BLOCK * capacity, _BLOCK * capacity))
         self._blocks = FIXED_BLOCKS
         self.P[:6, :6] = covariance
-        self.P[CALIBRATION, CALIBRATION] = np.diag(np.square(calibration_sigmas))
+        sigmas = np.asarray(calibration_sigmas, dtype=float)
+        self.P[_OFFSET, _OFFSET] = sigmas[0] ** 2
+        self._errors_by_considered = np.zeros((_BLOCK * capacity, 2))
+        self.considered[_CONSIDERED] = np.diag(sigmas[1:])
         self._least_offset = float(_LEAST_SHARE**2 * self.P[_OFFSET, _OFFSET])
 
     @property
@@ -87,6 +94,16 @@ class InvariantState:
         """Joint covariance, shape (n, n); a view."""
         size = _BLOCK * self._blocks
         return self._buffer[:size, :size]
+
+    @property
+    def considered(self) -> FloatArray:
+        """What one sigma of scale and of focal length does to all errors, shape (n, 2); a view."""
+        return self._errors_by_considered[: _BLOCK * self._blocks]
+
+    def covariance(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> FloatArray:
+        """Of errors, with what was considered; rows and columns broadcast, as in indexing."""
+        considered = (self.considered[rows] * self.considered[columns]).sum(axis=-1)
+        return np.asarray(self.P[rows, columns] + considered)
 
     def fiducial_rows(self, indices: NDArray[np.int64] | slice) -> IntArray:
         """Rows of fiducials' errors, shape (M, 3)."""
@@ -129,10 +146,16 @@ class InvariantState:
             T_map_camera: from where they are seen, shape (4, 4).
             others: rows of the other errors, shape (K,).
         """
-        rows, camera = self.fiducial_rows(indices).ravel(), np.tile(np.arange(3), len(indices))
-        P = self.P[:, others]
+        errors = self.P[:, others]
         shifts = self._shifts_as_seen(indices, T_map_camera)
-        return np.asarray(P[rows] - P[camera] - shifts.reshape(-1, 3) @ P[CALIBRATION])
+        return _apparent(errors, self.fiducial_rows(indices).ravel(), shifts)
+
+    def apparent_considered(
+        self, indices: NDArray[np.int64], T_map_camera: FloatArray
+    ) -> FloatArray:
+        """As `apparent_errors`: what one sigma of scale and focal length does, shape (3M, 2)."""
+        shifts = self._shifts_as_seen(indices, T_map_camera)
+        return _apparent(self.considered, self.fiducial_rows(indices).ravel(), shifts)
 
     def apparent_covariance(
         self, indices: NDArray[np.int64], T_map_camera: FloatArray
@@ -147,16 +170,15 @@ class InvariantState:
         fixed = _BLOCK * FIXED_BLOCKS
         others = np.concatenate([np.arange(fixed), rows])
         errors = self.apparent_errors(indices, T_map_camera, others)
-        shifts = self._shifts_as_seen(indices, T_map_camera).reshape(-1, 3)
+        shifts = self._shifts_as_seen(indices, T_map_camera)
         covariance = errors[:, fixed:] - np.tile(errors[:, :3], count)
         covariance -= errors[:, CALIBRATION] @ shifts.T
         return covariance, errors[:, 3:6].T
 
     def _shifts_as_seen(self, indices: NDArray[np.int64], T_map_camera: FloatArray) -> FloatArray:
         rotation, position = T_map_camera[:3, :3], T_map_camera[:3, 3]
-        return np.asarray(
-            rotation @ calibration_shifts((self.positions[indices] - position) @ rotation)
-        )
+        points = (self.positions[indices] - position) @ rotation
+        return np.asarray((rotation @ calibration_shifts(points)).reshape(-1, 3))
 
     def expected(self, motion: MotionPrior) -> tuple[FloatArray, FloatArray]:
         """The pose after a motion, shape (4, 4), and what that adds to its error, shape (6, 6)."""
@@ -174,27 +196,22 @@ class InvariantState:
             diagonal = P[begin:end, begin:end]
             diagonal[:] = 0.5 * (diagonal + diagonal.T)
 
-    def learn(self, error: FloatArray, left: FloatArray, right: FloatArray) -> None:
-        """Take an error out of the values, and add what was learned of it to the covariance.
+    def learn(self, error: FloatArray, white: FloatArray, white_considered: FloatArray) -> None:
+        """Take an error out of the values, and what was learned of it out of the covariance.
 
-        Scale and focal length are consider parameters (S. F. Schmidt, Advances in Control Systems
-        3, 1966): their errors count, but are not estimated. Nothing that is seen tells the scale,
-        but linearized about other points at each view it would seem to; and all that warps images
-        would be taken for the focal length. The offset shows where things come nearer. It is never
-        held to be known beyond a share of its prior, for errors of matching are no white noise.
+        The offset of the disparities is never held to be known beyond a share of its prior, for
+        errors of matching are no white noise.
 
         Args:
             error: shape (n,).
-            left: as of `add_to_covariance`.
-            right: likewise.
+            white: ``L^-1 H P`` of measurements whose innovation has the covariance ``L L^T``, shape
+                (k, n).
+            white_considered: ``L^-1 H`` times `considered`, shape (k, 2).
         """
-        considered = self.P[_CONSIDERED, _CONSIDERED].copy()
-        self.add_to_covariance(left, right)
-        self.P[_CONSIDERED, _CONSIDERED] = considered
+        self.add_to_covariance(-white.T, white)
+        self.considered[:] -= white.T @ white_considered
         self.P[_OFFSET, _OFFSET] = max(self.P[_OFFSET, _OFFSET], self._least_offset)
-        estimated = error.copy()
-        estimated[_CONSIDERED] = 0.0
-        self.correct(estimated)
+        self.correct(error)
 
     def correct(self, error: FloatArray) -> None:
         """Take an error, shape (n,), out of the values."""
@@ -226,6 +243,7 @@ class InvariantState:
         self._copy_blocks(np.full(len(ids), CAMERA_XI))
         rows, P = _rows(blocks), self.P
         shifts, added = (rotation @ calibration_shifts(points)).reshape(-1, 3), rows.ravel()
+        self.considered[added] += shifts @ self.considered[CALIBRATION]
         P[added] += shifts @ P[CALIBRATION]
         P[:, added] += P[:, CALIBRATION] @ shifts.T
         self._buffer[rows[:, :, None], rows[:, None, :]] += rotation @ covariances @ rotation.T
@@ -253,6 +271,7 @@ class InvariantState:
         rows = np.arange(2 * _BLOCK) if source is None else clones[source]
         P[clones[index]] = P[rows]
         P[:, clones[index]] = P[:, rows]
+        self.considered[clones[index]] = self.considered[rows]
 
     def remove_fiducials(self, chosen: NDArray[np.bool_]) -> None:
         """Remove the fiducials of a mask, shape (N,)."""
@@ -280,6 +299,7 @@ class InvariantState:
             "kept_blocks": self._kept_blocks.copy(),
             "clone_blocks": self._clone_blocks.copy(),
             "covariance": self.P.copy(),
+            "considered": self.considered.copy(),
         }
 
     @classmethod
@@ -301,7 +321,7 @@ class InvariantState:
         state._kept_blocks = arrays["kept_blocks"].copy()
         state._clone_blocks = arrays["clone_blocks"].copy()
         state._blocks = blocks
-        state.P[:] = arrays["covariance"]
+        state.P[:], state.considered[:] = arrays["covariance"], arrays["considered"]
         return state
 
     def _copy_blocks(self, sources: IntArray) -> None:
@@ -312,6 +332,7 @@ class InvariantState:
         self._buffer[old:new, :old] = self._buffer[rows, :old]
         self._buffer[:old, old:new] = self._buffer[old:new, :old].T
         self._buffer[old:new, old:new] = self._buffer[np.ix_(rows, rows)]
+        self._errors_by_considered[old:new] = self._errors_by_considered[rows]
         self._blocks += len(sources)
 
     def _free_blocks(self, freed: IntArray) -> None:
@@ -323,12 +344,19 @@ class InvariantState:
         P = self.P
         P[target] = P[source]
         P[:, target] = P[:, source]
+        self.considered[target] = self.considered[source]
         for table in (self._fiducial_blocks, self._kept_blocks, self._clone_blocks):
             moved = np.searchsorted(tail, table)
             moved[moved == len(tail)] = 0
             is_moved = np.isin(table, tail)
             table[is_moved] = inside[moved[is_moved]]
         self._blocks = remaining
+
+
+def _apparent(errors: FloatArray, rows: IntArray, shifts: FloatArray) -> FloatArray:
+    """Rows of where fiducials seem to be from the camera: of their own, the camera's, and D."""
+    camera = np.tile(np.arange(3), len(rows) // 3)
+    return np.asarray(errors[rows] - errors[camera] - shifts @ errors[CALIBRATION])
 
 
 def calibration_shifts(points: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 def known_poses(state: InvariantState) -> KeptPoses:
     """The kept poses of a state."""
     rows = state.kept_rows()
-    errors = state.P[rows[:, :, None], rows[:, None, :]]
+    errors = state.covariance(rows[:, :, None], rows[:, None, :])
     covariances = pose_covariances(state.kept, errors)
     return KeptPoses(state.stamps.copy(), state.kept.copy(), covariances)
 
@@ -25,6 +25,6 @@ def known_fiducials(state: InvariantState) -> Fiducials:
     over[:, :, :3] = np.eye(3)
     over[:, :, 3:] = -skews(state.positions)
     rows = np.hstack([rows, np.broadcast_to(np.arange(3, 6), rows.shape)])
-    errors = state.P[rows[:, :, None], rows[:, None, :]]
+    errors = state.covariance(rows[:, :, None], rows[:, None, :])
     covariances = over @ errors @ over.transpose(0, 2, 1)
     return Fiducials(state.ids.copy(), state.positions.copy(), covariances)

@@ -32,6 +32,7 @@ def move_state(state: InvariantState, T_new_old: FloatArray, covariance: FloatAr
     once = _moved_errors(state, T_new_old, state.P)
     state.P[:] = _moved_errors(state, T_new_old, once.T) + shared
     state.P[:] = 0.5 * (state.P + state.P.T)
+    state.considered[:] = _moved_errors(state, T_new_old, state.considered)
     state.T_map_camera = renormalized(T_new_old @ state.T_map_camera)
     state.positions = state.positions @ turn.T + shift
     state.kept = T_new_old @ state.kept

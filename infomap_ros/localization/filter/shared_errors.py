@@ -84,8 +84,10 @@ class SharedErrors:
         """
         pose, pending = state.expected(motion)
         over = pose_from_invariant(pose[None])[0]
-        crosses = over @ state.P[:6, state.clone_rows()].transpose(1, 0, 2) @ over.T
-        covariance = pose_covariances(pose[None], (state.P[:6, :6] + pending)[None])[0]
+        rows = np.arange(6)[:, None]
+        crosses = over @ state.covariance(rows, state.clone_rows()[:, None, :]) @ over.T
+        covariance = state.covariance(rows, rows[:, 0]) + pending
+        covariance = pose_covariances(pose[None], covariance[None])[0]
         offset, remaining = _divided(covariance, crosses[_FIRST])
         shared = [_mean_square(cross) - _mean_square(offset) for cross in crosses]
         size = _mean_square(remaining)

@@ -65,7 +65,7 @@ class WaitingQueue(Generic[Item]):
         self._max_wait = round(self.config.max_wait * _NANOSECONDS)
         self._waiting: list[_Waiting[Item]] = []
         self._newest: int | None = None
-        self._pushed = 0
+        self._pushed, self._why = 0, ""
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -78,7 +78,8 @@ class WaitingQueue(Generic[Item]):
         self._newest = stamp if self._newest is None else max(self._newest, stamp)
         if len(self._waiting) >= self.config.capacity:
             oldest = self._waiting.pop(0)
-            self._drop(oldest, "queue full", f"{self.config.capacity} items wait for poses")
+            waits = f"{self.config.capacity} items wait for poses"
+            self._drop(oldest, "queue full", f"{waits}: {self._why}" if self._why else waits)
         self._pushed += 1
         insort(self._waiting, _Waiting(stamp, self._pushed, item))
 
@@ -94,6 +95,7 @@ class WaitingQueue(Generic[Item]):
             try:
                 ready.append((entry.item, self._pose_at(entry.stamp)))
             except PoseUnavailableError as error:
+                self._why = str(error)
                 in_time = now is not None and now - entry.stamp <= self._max_wait
                 if error.may_arrive and in_time:
                     waiting.append(entry)

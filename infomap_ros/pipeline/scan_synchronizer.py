@@ -41,8 +41,8 @@ class ScanSynchronizerConfig:
     map_frame: str = parameter("map", "Frame of the map; camera_pose must be given in it.")
     camera_frame: str = parameter(
         "",
-        "Optical frame of which camera_pose is the pose. Clouds in another frame are dropped. "
-        "Empty: that of most of the last clouds.",
+        "Frame of which camera_pose is the pose; clouds of another frame are placed by tf. Empty: "
+        "that of the clouds.",
     )
 
     def __post_init__(self) -> None:
@@ -175,7 +175,6 @@ class ScanSynchronizer(Generic[Cloud]):
         poses: of the camera.
         body: of the robot.
         teammates: of the others.
-        camera_frame: optical frame of which `poses` are; empty for that of most clouds.
         waiting: how long clouds wait.
         on_drop: called with the reason, in short and in a sentence, of each cloud that is dropped.
         on_clock_jump: called when the clock of the clouds has jumped back.
@@ -186,14 +185,13 @@ class ScanSynchronizer(Generic[Cloud]):
         poses: CameraPoseSource,
         body: RobotBody,
         teammates: Teammates | None = None,
-        camera_frame: str = "",
         waiting: WaitingQueueConfig | None = None,
         on_drop: Callable[[str, str], None] = lambda *_: None,
         on_clock_jump: Callable[[], None] = lambda: None,
     ) -> None:
         self._poses, self._body = poses, body
         self._teammates = teammates or NoTeammates()
-        self._camera_frame, self._on_drop = camera_frame, on_drop
+        self._on_drop = on_drop
         self._on_clock_jump, self._frames = on_clock_jump, deque[str](maxlen=_VOTES)
         self._newest = self._pose_stamp = 0
         self._gate: ClockGate[_Arrival[Cloud]] = ClockGate(on_drop)
@@ -212,7 +210,7 @@ class ScanSynchronizer(Generic[Cloud]):
             cloud: whatever is to be given out, decoded or not.
 
         Raises:
-            FrameError: it is in another frame than the poses.
+            FrameError: it is in another frame than most.
         """
         self._frames.append(frame)
         if (wrong := self._wrong_frame(frame)) is not None:
@@ -261,10 +259,8 @@ class ScanSynchronizer(Generic[Cloud]):
 
     def _wrong_frame(self, frame: str) -> str | None:
         """What is wrong with the frame of a cloud, in a sentence."""
-        expected = self._camera_frame or Counter(self._frames).most_common(1)[0][0]
-        if frame == expected:
-            return None
-        return f"cloud in frame '{frame}', camera_pose is of '{expected}'"
+        expected = Counter(self._frames).most_common(1)[0][0]
+        return None if frame == expected else f"cloud in frame '{frame}', most in '{expected}'"
 
     def _pose_at(self, stamp: int) -> PoseRecord:
         """The camera's pose, once the places of the body and of teammates' are known too."""

@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 from infomap_ros.errors import (
     CalibrationError,
@@ -158,7 +159,7 @@ class MonitoredNode(Node):
         *,
         required: bool = True,
         from_peer: bool = False,
-    ) -> None:
+    ) -> Subscription:
         """Subscribe; arrivals are counted, errors of the library become counted drops.
 
         Args:
@@ -190,7 +191,7 @@ class MonitoredNode(Node):
             if self.lockstep is not None:
                 self.lockstep.used(name)
 
-        self.create_subscription(
+        return self.create_subscription(
             message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
         )
 

@@ -86,7 +86,7 @@ class MapKeeper:
             body=node.config(BodyFilterConfig),
             assumed=node.config(AssumedPoseConfig),
         )
-        self._stamp = 0
+        self._stamp, self._has_no_covariances = 0, False
 
     @property
     def _map(self) -> VoxelMap:
@@ -117,8 +117,15 @@ class MapKeeper:
         cloud = decode_point_cloud(scan.cloud)
         if scan.pose.covariance is None and not self._builder.assumed_poses:
             self._node.get_logger().warning(
-                "camera_pose has no covariance: default_position_sigma and "
+                "the camera's pose has no covariance: default_position_sigma and "
                 "default_rotation_sigma stand in for it"
+            )
+        if cloud.covariances is None and not self._has_no_covariances:
+            self._has_no_covariances = True
+            sigma = self._map.config.default_sigma
+            self._node.get_logger().warning(
+                f"points2 has no covariances: each point counts as right to {sigma} m "
+                "(default_sigma)"
             )
         self._keep_scans_if_wanted()
         self._builder.fuse(scan.with_cloud(cloud))

@@ -16,6 +16,7 @@ from infomap_ros.messages.fields import MessageFields
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.fusion.scan_poses import CAMERA_POSE, ScanPoses
 from infomap_ros.nodes.robot.robot_body import BodyListener, RobotBodyConfig
 from infomap_ros.nodes.team.team_bodies import TeamBodyListener
 from infomap_ros.pipeline.clock_jumps import LONE_STAMP
@@ -51,12 +52,16 @@ class ScanInputs:
         on_arrival: Callable[[BodyInScan], None],
     ) -> None:
         self._node, self._on_scan, self._on_clock_jump = node, on_scan, on_clock_jump
-        frames, parts = node.config(ScanSynchronizerConfig), node.resolve_topic_name(_UNCERTAINTY)
+        frame, parts = (
+            node.config(ScanSynchronizerConfig).map_frame,
+            node.resolve_topic_name(_UNCERTAINTY),
+        )
         self._poses = LocatedPoses(
-            frames.map_frame,
+            frame,
             node.config(PoseBufferConfig),
             lambda: node.count_publishers(parts) > 0,
         )
+        self._placed = ScanPoses(node, self._poses, self._take)
         body = self._body = RobotBody(
             config=node.config(JointBufferConfig),
             are_joints_told=lambda: self._listener is None or self._listener.are_joints_told,
@@ -65,26 +70,26 @@ class ScanInputs:
         self._unknown = ""
         self._listener: BodyListener | None = None
         news = self._take, on_arrival
-        self._teammates = TeamBodyListener(node, frames.map_frame, *news)
+        self._teammates = TeamBodyListener(node, frame, *news)
         self._scans: ScanSynchronizer[PointCloud2] = ScanSynchronizer(
-            self._poses,
+            self._placed,
             body,
             self._teammates,
-            frames.camera_frame,
-            node.config(WaitingQueueConfig),
-            self._on_drop,
-            self._on_jump,
+            waiting=node.config(WaitingQueueConfig),
+            on_drop=self._on_drop,
+            on_clock_jump=self._on_jump,
         )
         if node.config(RobotBodyConfig).remove_body:
             self._listener = BodyListener(node, body, self._take)
         stream = qos.sensor_data(depth=50)
         node.listen(PointCloud2, "points2", self._on_cloud, qos.sensor_data())
         node.listen(PointCloud2, _UNCERTAINTY, self._on_uncertainty, stream, required=False)
-        node.listen(PoseWithCovarianceStamped, "camera_pose", self._on_pose, stream)
+        node.listen(PoseWithCovarianceStamped, CAMERA_POSE, self._on_pose, stream)
 
     def _on_cloud(self, message: PointCloud2) -> None:
         stamp, frame = MessageFields(message, POINT_CLOUD).header()
         self._scans.add_cloud(stamp, frame, message)
+        self._placed.look_from(frame)
         if self._listener is not None:
             self._listener.look_from(frame)
         self._take()

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import TransformRecord
@@ -32,23 +33,28 @@ class FrameListener:
     def __init__(self, node: MonitoredNode, on_edge: Callable[[TransformRecord], None]) -> None:
         self._node, self._on_edge = node, on_edge
         self._children: set[str] = set()
-        self._hears_moving = False
+        self._moving: Subscription | None = None
         self._listen("/tf_static", qos.latched(depth=100), is_static=True)
 
     def hear_moving(self) -> None:
         """Listen to /tf too from now on: of busy robots that is a thousand messages a second."""
-        if not self._hears_moving:
-            self._hears_moving = True
-            self._listen("/tf", qos.stream(depth=100), is_static=False)
+        if self._moving is None:
+            self._moving = self._listen("/tf", qos.stream(depth=100), is_static=False)
 
-    def _listen(self, topic: str, profile: QoSProfile, *, is_static: bool) -> None:
+    def ignore_moving(self) -> None:
+        """Listen to /tf no longer."""
+        if self._moving is not None:
+            self._node.destroy_subscription(self._moving)
+            self._moving = None
+
+    def _listen(self, topic: str, profile: QoSProfile, *, is_static: bool) -> Subscription | None:
         try:
             kind = message_class(TF)
         except ModuleNotFoundError:
             self._node.get_logger().warning(f"{topic} is not heard: tf2_msgs is not installed")
-            return
+            return None
         receive = partial(self._on_transforms, is_static=is_static)
-        self._node.listen(kind, topic, receive, profile, required=False)
+        return self._node.listen(kind, topic, receive, profile, required=False)
 
     def _on_transforms(self, message: Any, *, is_static: bool) -> None:
         edges = decode_transforms(message, is_static)

@@ -113,7 +113,6 @@ class MapRun:
         scans: ScanSynchronizer[RangeMeasurement] = ScanSynchronizer(
             inputs.poses,
             inputs.body,
-            camera_frame=inputs.camera_frame,
             waiting=options.waiting,
             on_drop=self._on_drop,
         )

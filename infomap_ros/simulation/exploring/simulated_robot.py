@@ -260,7 +260,6 @@ class SimulatedLink:
             LocatedPoses(_MAP_FRAME),
             body,
             None if teammates is None else _TeammatesInScans(teammates),
-            robot.camera_frame,
         )
         fusion = Fusion(scans, body, self._builder, _MAP_FRAME, _CORRECTED_PER_VIEW)
         self._pipeline = Pipeline(localization, fusion)

@@ -1,0 +1,162 @@
+"""map_fusion on a robot of which it knows nothing but clouds and /tf; and clouds of two sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+
+from infomap_ros.geometry import (
+    PointCloudRecord,
+    PoseRecord,
+    PoseUncertainty,
+    TransformRecord,
+    invert_transform,
+    make_transform,
+    perturb_transform,
+    transform_points,
+)
+from infomap_ros.messages import encode_point_cloud, encode_pose, encode_transforms
+from infomap_ros.nodes.fusion.scan_poses import carried_pose
+from infomap_ros.nodes.map_fusion import MapFusionNode
+
+from .test_frames_in import Frames
+from .test_map_fusion import START, TYPES
+
+pytest.importorskip("tf2_msgs")
+SECOND = 1_000_000_000
+WALL = 3.02  # x of it in the map [m]
+T_BASE_LIDAR = make_transform(
+    Rotation.from_euler("zy", [30.0, 12.0], degrees=True).as_matrix(), [0.2, -0.1, 0.6]
+)
+T_LIDAR_CAMERA = make_transform([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.05, 0.1, -0.2])
+
+
+class Lidar:
+    """Publishes a wall as a lidar on a base that drives sees it, and where the base is."""
+
+    def __init__(self, graph: Any, **parameters: Any) -> None:
+        self.graph, self.stamp = graph, START
+        self.frames = Frames(graph)
+        mounts = [("base_link", "lidar", T_BASE_LIDAR), ("lidar", "camera", T_LIDAR_CAMERA)]
+        edges = [TransformRecord(0, *mount, True) for mount in mounts]
+        self.frames.static.publish(encode_transforms(TYPES, edges))
+        self.node = graph.add(MapFusionNode, voxel_size=0.1, **parameters)
+        self.clouds = graph.publisher(PointCloud2, "points2")
+        self.poses = graph.publisher(PoseWithCovarianceStamped, "camera_pose")
+        graph.connect(self.clouds, self.poses)
+
+    def base(self) -> np.ndarray:
+        """T_map_base now, in a curve."""
+        t = (self.stamp - START) / SECOND
+        turn = Rotation.from_euler("z", 0.2 * t).as_matrix()
+        return make_transform(turn, [0.3 * t, 0.1 * t, 0.0])
+
+    def scan(self) -> PointCloudRecord:
+        """What a lidar sees: a list of points without covariances."""
+        y, z = np.meshgrid(np.arange(-1.0, 1.0, 0.04), np.arange(0.1, 1.5, 0.04))
+        wall = np.column_stack([np.full(y.size, WALL), y.ravel(), z.ravel()])
+        points = transform_points(invert_transform(self.base() @ T_BASE_LIDAR), wall)
+        return PointCloudRecord(self.stamp, "lidar", points.astype(np.float32))
+
+    def drive(self, *, tells_tf: bool = True) -> None:
+        """Go on for a tenth of a second, and see the wall."""
+        self.stamp += SECOND // 10
+        if tells_tf:
+            T_map_odom = make_transform(np.eye(3), [0.5, 0.0, 0.0])
+            T_odom_base = invert_transform(T_map_odom) @ self.base()
+            self.frames.move(self.stamp, "map", "odom", T_map_odom)
+            self.frames.move(self.stamp, "odom", "base_link", T_odom_base)
+        self.clouds.publish(encode_point_cloud(TYPES, self.scan()))
+
+    def drive_until(self, condition: Any, what: str, **how: Any) -> None:
+        def step() -> Any:
+            self.drive(**how)
+            for _ in range(10):  # callbacks: several messages come with each step
+                self.graph.executor.spin_once(timeout_sec=0.01)
+            return condition()
+
+        self.graph.spin_until(step, what)
+
+    def surface(self) -> np.ndarray:
+        """Means of the map's surface voxels, shape (N, 3)."""
+        return self.node._keeper._map.gaussians()[1]
+
+
+def test_clouds_and_tf_are_enough_for_a_map(graph: Any) -> None:
+    lidar = Lidar(graph)
+    lidar.drive_until(lambda: lidar.node.health.results() >= 8, "scans")
+
+    surface = lidar.surface()
+    assert len(surface) > 100
+    np.testing.assert_allclose(surface[:, 0], WALL, atol=0.03)
+    assert np.ptp(surface[:, 1]) > 1.5 and np.ptp(surface[:, 2]) > 1.0
+    assert lidar.node.health.missing() == []
+
+
+def test_a_frame_that_tf_does_not_place_is_named(graph: Any) -> None:
+    lidar = Lidar(graph)
+    health = lidar.node.health
+    reason = "no pose at the stamp"
+    lidar.drive_until(lambda: reason in health.drops(), "a drop", tells_tf=False)
+
+    said = health.values()[f"last drop: {reason}"]
+    assert "nothing has come on camera_pose" in said
+    assert "'map'" in said and "lidar < base_link" in said
+    assert lidar.node.health.missing() != []
+
+
+def test_once_camera_pose_is_told_it_alone_counts(graph: Any) -> None:
+    """tf is wrong by half a meter then, as odometry is that localization has corrected."""
+    lidar = Lidar(graph)
+
+    def tell() -> bool:
+        pose = lidar.base() @ T_BASE_LIDAR
+        record = PoseRecord(lidar.stamp, "map", pose, 1e-6 * np.eye(6))
+        lidar.poses.publish(encode_pose(TYPES, record))
+        return lidar.node._inputs._placed._was_told
+
+    lidar.graph.spin_until(tell, "poses")
+    lidar.frames.fix("map", "base_link", make_transform(np.eye(3), [0.5, 0.0, 0.0]))
+
+    def fused() -> bool:
+        tell()
+        return lidar.node.health.results() >= 4
+
+    lidar.drive_until(fused, "scans", tells_tf=False)
+    np.testing.assert_allclose(lidar.surface()[:, 0], WALL, atol=0.03)
+
+
+def test_clouds_of_another_frame_than_the_camera_are_placed_by_tf(graph: Any) -> None:
+    """camera_pose is that of the camera, and the clouds are of a lidar below it."""
+    lidar = Lidar(graph, camera_frame="camera")
+
+    def tell() -> bool:
+        pose = lidar.base() @ T_BASE_LIDAR @ T_LIDAR_CAMERA
+        record = PoseRecord(lidar.stamp, "map", pose, 1e-6 * np.eye(6))
+        lidar.poses.publish(encode_pose(TYPES, record))
+        return lidar.node.health.results() >= 4
+
+    lidar.drive_until(tell, "scans", tells_tf=False)
+    np.testing.assert_allclose(lidar.surface()[:, 0], WALL, atol=0.03)
+
+
+def test_a_carried_pose_has_the_covariance_of_its_samples() -> None:
+    rng = np.random.default_rng(0)
+    root = 1e-3 * rng.normal(size=(6, 6))
+    parts = PoseUncertainty(root @ root.T, 1e-7 * np.eye(6), 1e-8 * np.eye(6))
+    T_map_camera = make_transform(Rotation.random(random_state=1).as_matrix(), [1.0, 2.0, 3.0])
+    pose = PoseRecord(0, "map", T_map_camera, parts.covariance, uncertainty=parts)
+    carried = carried_pose(pose, T_LIDAR_CAMERA)
+
+    errors = rng.multivariate_normal(np.zeros(6), parts.covariance, 4000)
+    places = np.array(
+        [(perturb_transform(T_map_camera, e) @ T_LIDAR_CAMERA)[:3, 3] for e in errors]
+    )
+    assert carried.covariance is not None and carried.uncertainty is not None
+    np.testing.assert_allclose(np.cov(places.T), carried.covariance[:3, :3], rtol=0.1, atol=1e-7)
+    np.testing.assert_allclose(carried.uncertainty.covariance, carried.covariance)

@@ -25,7 +25,7 @@ from launch import LaunchDescription
 TASK = TaskConfig()
 ARGUMENTS = {
     "simulator": ("true", "A simulated rover; false for a real robot."),
-    "world": ("mars", "World of the simulator: mars, office or cave."),
+    "world": ("mars", "World of the simulator: mars, office, cave, or a file."),
     "seed": ("1", "Seed of the world."),
     "localization": (
         "fiducials",

@@ -39,7 +39,12 @@ _FILES = {
 
 def explore(
     out: Out,
-    world: Annotated[str, typer.Option(help="mars, office or cave")] = _DEFAULTS.world.name,
+    world: Annotated[
+        str,
+        typer.Option(
+            help="mars, office, cave; a mesh (.stl .obj .dae .ply .glb) or a floor plan (.yaml)"
+        ),
+    ] = _DEFAULTS.world.name,
     size: Annotated[
         float, typer.Option(help="edge of the world [m]; 0: its usual size")
     ] = _DEFAULTS.world.size,
@@ -81,7 +86,7 @@ def explore(
     }
     known = RobotFile.read(robot).settings if robot else ()
     options = chosen(_DEFAULTS, shortcuts, setting, known)
-    title = f"Exploring {options.world.name} {options.world.seed}"
+    title = f"Exploring {options.world.title}"
     with results_in(out, overwrite), live_page(live, title, has_plans=True) as page:
         _explore(options, out, page)
 
@@ -91,7 +96,7 @@ def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> N
     with RunProgress(console) as progress, says_when_it_compiles(console):
         watchers: list[Watcher] = [progress.show]
         run = _run_of(options, out, lambda entry: _tell(watchers, entry))
-        for part in run.simulator.mended:
+        for part in (*run.simulator.mended, *filter(None, [run.simulator.world.note])):
             console.print(f"infomap: {part}", markup=False)
         if page is not None:
             watchers.append(ExplorationDisplay(page, run.map, run.robot.link).show)
@@ -103,7 +108,7 @@ def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> N
     summary = run.write_results(ending)
     run.close()
     voxels = length(run.map.config.voxel_size)
-    name = f"{options.world.name} {options.world.seed}"
+    name = options.world.title
     try:
         draw_map_views(run.map, out / "map.png", f"Exploration of {name}")
     except InvalidInputError:  # nothing was seen

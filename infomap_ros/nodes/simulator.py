@@ -32,7 +32,7 @@ from infomap_ros.simulation.body.robot_account import RobotAccount
 from infomap_ros.simulation.robots.robot_file import find_description
 from infomap_ros.simulation.sensor_schedule import TICK, SensorScheduleConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.worlds.scenes import SCENES, build_scene, describe_scene
+from infomap_ros.simulation.worlds.scenes import build_scene, describe_scene, scene_of
 
 _LONGEST_LAG = 0.2  # [s] that is caught up; what is more is lost
 _IDLE = 0.002  # [s] that others get between two ticks
@@ -46,7 +46,9 @@ class SimulatorNodeConfig:
         ConfigError: a value is out of its range.
     """
 
-    world: str = parameter("mars", "The world.", choices=tuple(SCENES))
+    world: str = parameter(
+        "mars", "mars, office or cave; or a mesh, or the .yaml of a floor plan of map_server."
+    )
     world_seed: int = parameter(1, "Seed of everything random in the world.", low=0)
     world_size: float = parameter(
         0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
@@ -121,10 +123,10 @@ class SimulatorNode(MonitoredNode):
         """The robot in its world, and the description of the world."""
         config = self._config
         size: dict[str, Any] = {"size": config.world_size} if config.world_size else {}
-        scene = describe_scene(
-            config.world, SCENES[config.world].config(seed=config.world_seed, **size)
-        )
+        scene = describe_scene(*scene_of(config.world, config.world_seed, **size))
         world = build_scene(scene)
+        if world.note:
+            self.get_logger().info(world.note)
         description = read_description(find_description(config.description))
         others = dict.fromkeys(teammate_names(self.config(TeammatesConfig)), description)
         simulator = Simulator(world, description, self._simulator_config(), others)

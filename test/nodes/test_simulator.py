@@ -17,7 +17,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from infomap_ros.errors import ConfigError, RobotModelError
+from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry import rig_from_calibrations
 from infomap_ros.messages import (
     decode_camera_info,
@@ -281,7 +281,7 @@ def test_a_contact_is_told(graph: Any) -> None:
 
 
 def test_an_impossible_parameter_is_refused(graph: Any) -> None:
-    with pytest.raises(ConfigError, match="world"):
+    with pytest.raises(InvalidInputError, match="mars, office, cave"):
         graph.add(SimulatorNode, world="venus")
     with pytest.raises(RobotModelError, match="no_wheel"):
         graph.add(SimulatorNode, **SMALL, robot__left_wheels=["no_wheel"])

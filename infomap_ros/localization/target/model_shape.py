@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import coal
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.mesh_files import read_triangles
 from infomap_ros.geometry.transforms import FloatArray, float_array
 
 _SAMPLES = 60_000
@@ -89,14 +89,7 @@ def load_model(path: str | Path, scale: float = 1.0) -> ModelShape:
     """
     if not Path(path).is_file():
         raise InvalidInputError("model file", f"{path} does not exist")
-    try:
-        mesh = coal.MeshLoader().load(str(path), np.full(3, scale))
-    except (ValueError, RuntimeError) as error:
-        raise InvalidInputError("model file", f"{path} cannot be read ({error})") from error
-    triangles = np.array([[t[0], t[1], t[2]] for t in map(mesh.tri_indices, range(mesh.num_tris))])
-    if not len(triangles):
-        raise InvalidInputError("model file", f"{path} holds no triangles")
-    return shape_from_triangles(np.asarray(mesh.vertices(), dtype=np.float64)[triangles])
+    return shape_from_triangles(read_triangles(path, scale))
 
 
 def shape_from_triangles(triangles: FloatArray, seed: int = 0) -> ModelShape:

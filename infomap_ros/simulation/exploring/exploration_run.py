@@ -29,7 +29,7 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.geometry.atomic_file import write_text
-from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
@@ -45,6 +45,7 @@ from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, Sim
 from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.file_world import is_world_file
 from infomap_ros.simulation.worlds.scenes import make_world
 
 LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
@@ -58,10 +59,19 @@ class WorldConfig:
         ConfigError: a value is out of its range.
     """
 
-    name: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
+    name: str = parameter(
+        "mars", "mars, office or cave; or a mesh, or the .yaml of a floor plan of map_server."
+    )
     seed: int = parameter(1, "Seed of the world and of all noise.", low=0)
     size: float = parameter(
         0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
+    )
+    up: str = setting("auto", "Axis of a mesh that is up.", choices=("auto", "y", "z"))
+    unit: float = setting(
+        0.0, "Meters in one unit of a mesh; 0 to guess.", unit="m", low=0.0, high=1000.0
+    )
+    start: tuple[float, ...] = setting(
+        (), "Place x, y in a file at which the robot starts; empty to look for one.", unit="m"
     )
     description: str = parameter(
         "config/rover.urdf", "Robot description: a path, or one below the package's share folder."
@@ -69,6 +79,19 @@ class WorldConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+
+    @property
+    def title(self) -> str:
+        """Name and seed, or that of its file."""
+        is_file = is_world_file(self.name)
+        return Path(self.name).stem if is_file else f"{self.name} {self.seed}"
+
+    def make(self) -> World:
+        """The world, without a robot; raises as `make_world`."""
+        given: dict[str, Any] = {"size": self.size} if self.size else {}
+        if is_world_file(self.name):
+            given |= {"up": self.up, "unit": self.unit, "start": self.start}
+        return make_world(self.name, self.seed, **given)
 
 
 @dataclass(frozen=True)
@@ -154,8 +177,7 @@ class ExplorationRun:
         seed = options.world.seed
         description = _description(options.world.description)
         settings = dataclasses.replace(options.simulator, seed=seed)
-        size: dict[str, Any] = {"size": options.world.size} if options.world.size else {}
-        world = make_world(options.world.name, seed, **size)
+        world = options.world.make()
         self.simulator = Simulator(world, description, settings)
         self.T_world_map = map_frame(world, options.robot)
         task = task_in(world, options.task, self.T_world_map)
@@ -205,7 +227,7 @@ class ExplorationRun:
         text = json.dumps(summary, indent=1) + "\n"
         write_text(self._out / SUMMARY_FILE, text)
         world = self.options.world
-        title = f"Exploring {world.name}, seed {world.seed}"
+        title = f"Exploring {world.title}"
         write_report(
             self._out / REPORT_FILE, self._out / LOG_FILE, self.map, title, figures=summary
         )
@@ -267,7 +289,7 @@ class ExplorationRun:
             "start",
             task=dataclasses.asdict(task),
             robot=Path(options.world.description).stem,
-            world=f"{options.world.name} {options.world.seed}",
+            world=options.world.title,
             strategy=options.planner.strategy,
             voxel_size=options.map.voxel_size,
             camera={name: getattr(camera, name) for name in names},

@@ -12,14 +12,19 @@ from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import quaternion_from_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot import add_robot
+from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
 from infomap_ros.simulation.worlds.surface import SurfaceModel, SurfacePart
 from infomap_ros.simulation.worlds.terrain import Terrain
 from infomap_ros.simulation.worlds.textures import Image
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
-_BOX_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_BOX_FACES = np.array(
+_PLATE = 0.01  # [m] thickness of a triangle that is touched
+_LEAST_PLATE = 1e-5  # [m^2] area from which on it is
+
+
+BOX_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+BOX_FACES = np.array(
     [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
         [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
@@ -41,6 +46,7 @@ class World:
         region: the part that is to be explored: lowest and highest corner, shape (2, 3) [m].
         T_world_target: where the target is whose frame robots take for the map, shape (4, 4);
             None where there is none.
+        note: what a user should know of how it was made; empty for nothing.
     """
 
     model: mujoco.MjModel
@@ -51,6 +57,7 @@ class World:
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     region: FloatArray = field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     T_world_target: FloatArray | None = None
+    note: str = ""
 
     def surface_distance(self, points: ArrayLike) -> FloatArray:
         """Exact distance to the nearest surface; (N, 3) in the world [m] -> (N,) [m].
@@ -78,6 +85,7 @@ class SceneBuilder:
         T_world_target: where the target is, shape (4, 4); None where there is none.
         sun: whether the sun shines.
         ambient: light from everywhere, red, green, blue.
+        note: of `World`.
     """
 
     terrain: Terrain
@@ -86,6 +94,7 @@ class SceneBuilder:
     T_world_target: FloatArray | None = None
     sun: bool = True
     ambient: tuple[float, float, float] = (0.34, 0.34, 0.37)
+    note: str = ""
     _spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec, init=False)
     _parts: list[SurfacePart] = field(default_factory=list, init=False)
     _has_robot: bool = field(default=False, init=False)
@@ -148,8 +157,8 @@ class SceneBuilder:
             quat=(w, x, y, z),
             material=material,
         )
-        corners = transform_points(transform, _BOX_CORNERS * np.asarray(size))
-        self._parts.append(SurfacePart(name, corners, _BOX_FACES))
+        corners = transform_points(transform, BOX_CORNERS * np.asarray(size))
+        self._parts.append(SurfacePart(name, corners, BOX_FACES))
 
     def add_mesh(
         self,
@@ -176,6 +185,89 @@ class SceneBuilder:
             material=material,
         )
         self._parts.append(SurfacePart(name, transform_points(transform, vertices), faces))
+
+    def add_shell_material(self, name: str, image: Image) -> None:
+        """Add a matt material for `add_shell`, which repeats the image."""
+        texture = self._spec.add_texture(
+            name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=len(image), height=len(image)
+        )
+        texture.nchannel = 3
+        texture.data = image.tobytes()
+        _add_matt(self._spec, name)
+
+    def add_shell(
+        self,
+        name: str,
+        triangles: FloatArray,
+        material: str,
+        tile: float,
+        *,
+        is_touched: bool = True,
+    ) -> None:
+        """Add surfaces that are seen from both sides, convex or not.
+
+        Each triangle collides as a plate of a centimeter. The image lies upright on what is
+        steep.
+
+        Args:
+            name: of the surfaces.
+            triangles: corners in the world, shape (F, 3, 3) [m].
+            material: of `add_shell_material`.
+            tile: length after which the image repeats [m].
+            is_touched: whether it collides.
+        """
+        a, b, c = (triangles[:, k] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        areas = 0.5 * np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / (2.0 * areas)
+        both = np.concatenate([triangles, triangles[:, ::-1]])
+        faces = np.arange(3 * len(both)).reshape(-1, 3)
+        self._add_shell_picture(name, both, np.concatenate([normals, normals]), material, tile)
+        self._parts.append(SurfacePart(name, both.reshape(-1, 3), faces))
+        for row in np.flatnonzero(areas[:, 0] > _LEAST_PLATE) if is_touched else ():
+            lifted = [triangles[row] + side * _PLATE * normals[row] for side in (-0.5, 0.5)]
+            plate = self._spec.add_mesh(name=f"{name}_{row}")
+            plate.uservert = np.concatenate(lifted).ravel().astype(np.float32)
+            self._spec.worldbody.add_geom(
+                name=f"{name}_{row}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"{name}_{row}",
+                group=COLLISION_GROUP,
+            )
+
+    def add_unseen_box(self, name: str, low: FloatArray, high: FloatArray) -> None:
+        """Add an upright box that is only touched, between two corners, shape (3,) [m]."""
+        self._spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=0.5 * (high - low),
+            pos=0.5 * (low + high),
+            group=COLLISION_GROUP,
+        )
+
+    def _add_shell_picture(
+        self, name: str, triangles: FloatArray, normals: FloatArray, material: str, tile: float
+    ) -> None:
+        """What is drawn: the image lies along the two axes that a triangle is turned least from."""
+        steep = np.abs(normals[:, 2]) < 0.7
+        along_y = np.abs(normals[:, 0]) > np.abs(normals[:, 1])
+        u = np.where((steep & along_y)[:, None], triangles[..., 1], triangles[..., 0])
+        v = np.where(steep[:, None], triangles[..., 2], triangles[..., 1])
+        faces = np.arange(3 * len(triangles), dtype=np.int32)
+        mesh = self._spec.add_mesh(name=name)
+        mesh.uservert = triangles.ravel().astype(np.float32)
+        mesh.userface = faces
+        mesh.usertexcoord = (np.stack([u, v], axis=-1) / tile).ravel().astype(np.float32)
+        mesh.userfacetexcoord = faces
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        self._spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            material=material,
+            contype=0,
+            conaffinity=0,
+        )
 
     def add_robot(self, description: str, material: str, prefix: str = "rover/") -> None:
         """Add a robot from its URDF; see `robot.add_robot`."""
@@ -209,6 +301,7 @@ class SceneBuilder:
             self.start,
             self.region,
             self.T_world_target,
+            self.note,
         )
 
     def _add_light(self) -> None:

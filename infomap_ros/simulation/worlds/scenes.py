@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
 from infomap_ros.simulation.worlds.cave import CaveConfig, cave
+from infomap_ros.simulation.worlds.file_world import (
+    MESHES,
+    PLANS,
+    FileWorldConfig,
+    file_world,
+    is_world_file,
+)
 from infomap_ros.simulation.worlds.mars import MarsConfig, mars
 from infomap_ros.simulation.worlds.office import OfficeConfig, office
 from infomap_ros.simulation.worlds.rocks import boulder
@@ -91,15 +99,40 @@ SCENES = {
     "mars": Scene(MarsConfig, mars),
     "office": Scene(OfficeConfig, office),
     "cave": Scene(CaveConfig, cave),
+    "file": Scene(FileWorldConfig, file_world),
 }
 """Worlds by name."""
+
+
+def scene_of(name: str, seed: int, **parameters: Any) -> tuple[str, Any]:
+    """Key of `SCENES` and configuration of a world.
+
+    Args:
+        name: a key of `SCENES`, or a file of a world (`file_world.is_world_file`).
+        seed: of everything random in it.
+        parameters: further fields of the world's configuration.
+
+    Raises:
+        InvalidInputError: no such world, or no such parameter.
+        ConfigError: a parameter is out of range.
+    """
+    if is_world_file(name):
+        name, parameters = "file", {"file": str(Path(name).absolute()), **parameters}
+    if name not in SCENES:
+        known = ", ".join(key for key in SCENES if key != "file")
+        files = ", ".join((*MESHES, *PLANS))
+        raise InvalidInputError("world", f"'{name}' is unknown; known: {known}; files: {files}")
+    try:
+        return name, SCENES[name].config(seed=seed, **parameters)
+    except TypeError as error:
+        raise InvalidInputError("world", f"'{name}': {error}") from error
 
 
 def make_world(name: str, seed: int, description: str = "", **parameters: Any) -> World:
     """Make a world from its name and a seed.
 
     Args:
-        name: a key of `SCENES`.
+        name: as of `scene_of`.
         seed: of everything random in it.
         description: URDF text of a robot to put in; empty for none.
         parameters: further fields of the world's configuration.
@@ -108,14 +141,8 @@ def make_world(name: str, seed: int, description: str = "", **parameters: Any) -
         InvalidInputError: no such world, or no such parameter.
         ConfigError: a parameter is out of range.
     """
-    if name not in SCENES:
-        raise InvalidInputError("world", f"'{name}' is unknown; known: {', '.join(SCENES)}")
-    scene = SCENES[name]
-    try:
-        config = scene.config(seed=seed, **parameters)
-    except TypeError as error:
-        raise InvalidInputError("world", f"'{name}': {error}") from error
-    return scene.build(config, description)
+    key, config = scene_of(name, seed, **parameters)
+    return SCENES[key].build(config, description)
 
 
 def describe_scene(name: str, config: Any) -> str:
@@ -133,7 +160,9 @@ def build_scene(text: str, description: str = "") -> World:
     try:
         content = json.loads(text)
         scene = SCENES[content["scene"]]
-        return scene.build(scene.config(**content["config"]), description)
+        given = content["config"].items()
+        config = {key: tuple(v) if isinstance(v, list) else v for key, v in given}
+        return scene.build(scene.config(**config), description)
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise InvalidInputError("scene", f"{error!r}; known: {', '.join(SCENES)}") from error
 

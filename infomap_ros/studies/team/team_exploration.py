@@ -28,7 +28,6 @@ from infomap_ros.simulation.exploring.truth import TrueSurface
 from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.simulation.multi_robot.team_world import TeamWorld
 from infomap_ros.simulation.multi_robot.turns import SwitchedOff
-from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
 from infomap_ros.studies.team.team_robot import RobotEquipment, TeamRobot
 
@@ -78,8 +77,7 @@ class TeamExploration:
 
     def __init__(self, options: TeamExplorationOptions, out: Path) -> None:
         self.options, world = options, options.world
-        size: dict[str, Any] = {"size": world.size} if world.size else {}
-        scene = make_world(world.name, world.seed, **size)
+        scene = world.make()
         description = read_description(find_share(world.description))
         settings = dataclasses.replace(options.simulator, seed=world.seed)
         count = options.team.robots
@@ -122,7 +120,7 @@ class TeamExploration:
             raise ExplorationError("; ".join(ending.detail for ending in self._endings.values()))
         agreed, last = self._agree(), self.looks[-1]
         return {
-            "world": f"{self.options.world.name} {self.options.world.seed}",
+            "world": self.options.world.title,
             "robots": len(self.robots),
             "views": last.views,
             "views_per_robot": round(last.views / len(self.robots), 2),

@@ -1,0 +1,278 @@
+"""Worlds out of files: a mesh in any format that Assimp knows, or a floor plan of map_server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.mesh_files import read_triangles
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.worlds import textures
+from infomap_ros.simulation.worlds.builder import BOX_CORNERS, BOX_FACES, SceneBuilder, World
+from infomap_ros.simulation.worlds.placing import Places
+from infomap_ros.simulation.worlds.surface import SurfaceModel, SurfacePart
+from infomap_ros.simulation.worlds.target_board import stand_board_ahead
+from infomap_ros.simulation.worlds.terrain import Terrain
+
+PLANS = (".yaml", ".yml")
+MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf")
+
+_MILLIMETERS = 1000.0  # extent from which on a mesh is taken to be in millimeters
+_LEVEL = 0.95  # cosine of the slope up to which a triangle counts as floor
+_FLOOR_SHARE = 0.5  # of the largest level, that the lowest one must have to be the floor
+_BIN = 0.1  # [m] between levels
+_BETWEEN = 0.1  # [m] between samples of a surface
+_HEADROOM = 0.6  # [m] above what may be the floor
+_ON_THE_FLOOR = 0.02  # [m] within which the mesh's floor is the ground
+_MOST_TRIANGLES = 20_000  # each is a body of its own to what touches it
+_TALLEST = 2.5  # [m] of what is to be explored: one storey
+_AHEAD = 1.5  # [m] from the start to the target
+_ROOM, _HEIGHTS = 0.7, (0.1, 0.5, 1.0)  # [m] about the start that should be free, and where
+_GRID = 0.3  # [m] between places that are tried for the start
+_FAR = 1000.0  # [m]
+
+
+@dataclass(frozen=True)
+class FileWorldConfig:
+    """Parameters of a world out of a file.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    file: str = parameter("", "Mesh, or .yaml of a floor plan.")
+    seed: int = parameter(1, "Seed of its textures.", low=0)
+    size: float = parameter(
+        0.0, "Edge of the part about the start that is to be explored; 0 for all.", unit="m",
+        low=0.0, high=1000.0,
+    )  # fmt: skip
+    up: str = parameter("auto", "Axis of a mesh that is up.", choices=("auto", "y", "z"))
+    unit: float = parameter(
+        0.0, "Meters in one unit of a mesh; 0 to guess.", unit="m", low=0.0, high=1000.0
+    )
+    start: tuple[float, ...] = parameter(
+        (), "Place x, y of the file at which the robot starts; empty to look for one.", unit="m"
+    )
+    walls: float = parameter(
+        1.5, "Height of the walls of a floor plan.", unit="m", low=0.2, high=10.0
+    )
+    texture_size: int = parameter(
+        1024, "Edge length of the textures.", unit="px", low=64, high=8192
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class _Content:
+    """What stands on the ground of a world.
+
+    Attributes:
+        triangles: all that is seen, shape (F, 3, 3) [m].
+        boxes: lowest and highest corners of what is touched, shape (N, 2, 3) [m]; None for the
+            triangles themselves.
+        said: what was found, for the user.
+    """
+
+    triangles: FloatArray
+    boxes: FloatArray | None
+    said: str
+
+    def moved(self, x: float, y: float) -> _Content:
+        """The same elsewhere."""
+        by = np.array((x, y, 0.0))
+        boxes = None if self.boxes is None else self.boxes + by
+        return _Content(self.triangles + by, boxes, self.said)
+
+
+def is_world_file(name: str) -> bool:
+    """Whether a world's name is that of a file of a kind that can be read."""
+    return Path(name).suffix.lower() in (*PLANS, *MESHES)
+
+
+def file_world(config: FileWorldConfig, description: str = "") -> World:
+    """Make a world of a file: what it shows stands on level ground, and the robot inside of it.
+
+    The floor of a mesh becomes the ground where it is level. The world's origin is where the robot
+    starts, and its axes are those of the file, whose up axis is z.
+
+    Args:
+        config: the parameters.
+        description: URDF text of a robot to put in; empty for none.
+
+    Raises:
+        InvalidInputError: the file cannot be read, or holds nothing that can be explored.
+    """
+    path = Path(config.file)
+    if not path.is_file():
+        raise InvalidInputError("world", f"{path} does not exist")
+    is_plan = path.suffix.lower() in PLANS
+    found = _plan(path, config.walls) if is_plan else _mesh(path, config)
+    x, y = _start(found.triangles, config, path)
+    note = f"{path.name}: {found.said}, the robot starts at ({x:.2f}, {y:.2f}) of the file"
+    return _build(found.moved(-x, -y), config, description, note)
+
+
+def _mesh(path: Path, config: FileWorldConfig) -> _Content:
+    """Triangles of a mesh with its floor at z = 0, and what was guessed."""
+    triangles = read_triangles(path)
+    if not np.isfinite(triangles).all():
+        raise InvalidInputError("world", f"{path} holds a vertex that is not finite")
+    extent = np.ptp(triangles, axis=(0, 1))
+    unit = config.unit or (0.001 if extent.max() > _MILLIMETERS else 1.0)
+    up = config.up if config.up != "auto" else "y" if extent[1] < 0.5 * extent[2] else "z"
+    if up == "y":
+        triangles = np.stack([triangles[..., 0], -triangles[..., 2], triangles[..., 1]], axis=-1)
+    triangles = unit * triangles
+    triangles = triangles[_areas(triangles) > 0.0]
+    if not len(triangles):
+        raise InvalidInputError("world", f"{path} holds no triangle with an area")
+    if len(triangles) > _MOST_TRIANGLES:
+        found = f"{path} has {len(triangles)} triangles, at most {_MOST_TRIANGLES} can be simulated"
+        raise InvalidInputError("world", f"{found}: simplify it")
+    triangles = triangles - (0.0, 0.0, _floor(triangles))
+    x, y, z = np.ptp(triangles, axis=(0, 1))
+    length = "millimeters" if unit == 0.001 else "meters" if unit == 1.0 else f"units of {unit:g} m"
+    return _Content(triangles, None, f"{length}, {up} is up, {x:.1f} x {y:.1f} x {z:.1f} m")
+
+
+def _areas(triangles: FloatArray) -> FloatArray:
+    a, b, c = (triangles[:, k] for k in range(3))
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def _floor(triangles: FloatArray) -> float:
+    """Height of the lowest large level part with room above it; the lowest point without any."""
+    surface = _surface_of(triangles)
+    points, normals = surface.samples(_BETWEEN, np.random.default_rng(0))
+    points = points[np.abs(normals[:, 2]) > _LEVEL]
+    lift, room = (0.0, 0.0, _ON_THE_FLOOR), (0.0, 0.0, _HEADROOM)
+    points = points[~np.isfinite(surface.first_hits(points + lift, points + room))]
+    lowest = float(triangles[..., 2].min())
+    if not len(points):
+        return lowest
+    bins = np.floor((points[:, 2] - lowest) / _BIN).astype(int)
+    counts = np.bincount(bins)
+    floor = int(np.flatnonzero(counts >= _FLOOR_SHARE * counts.max())[0])
+    return float(np.median(points[bins == floor, 2]))
+
+
+def _surface_of(triangles: FloatArray) -> SurfaceModel:
+    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+    return SurfaceModel([SurfacePart("mesh", triangles.reshape(-1, 3), faces)])
+
+
+def _plan(path: Path, walls: float) -> _Content:
+    """The walls of a floor plan as map_server writes it."""
+    try:
+        told = yaml.safe_load(path.read_text())
+        image, edge = path.parent / str(told["image"]), float(told["resolution"])
+        x, y = (float(value) for value in told["origin"][:2])
+        limit, negate = float(told.get("occupied_thresh", 0.65)), bool(told.get("negate", 0))
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        raise InvalidInputError("world", f"{path} is no map_server file ({error!r})") from error
+    gray = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+    if gray is None:
+        raise InvalidInputError("world", f"{path}: its image {image} cannot be read")
+    share = gray / 255.0 if negate else 1.0 - gray / 255.0
+    occupied = np.flipud(share > limit)  # row 0 of the image is at the largest y
+    found = _rectangles(occupied)
+    if not len(found):
+        raise InvalidInputError("world", f"{path} shows no wall")
+    boxes = np.zeros((len(found), 2, 3))
+    boxes[:, :, :2] = found.reshape(-1, 2, 2) * edge + (x, y)
+    boxes[:, 1, 2] = walls
+    corners = boxes.mean(axis=1)[:, None] + np.diff(boxes, axis=1) * BOX_CORNERS
+    width, depth = gray.shape[1] * edge, gray.shape[0] * edge
+    said = f"{width:.1f} x {depth:.1f} m, walls of {walls:g} m"
+    return _Content(corners[:, BOX_FACES].reshape(-1, 3, 3), boxes, said)
+
+
+def _rectangles(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rectangles that cover the cells of a grid (y, x): first x, y and last + 1, shape (N, 4).
+
+    Runs of a row go on in the next one where it has the same run.
+    """
+    found: list[tuple[int, int, int, int]] = []
+    open_runs: dict[tuple[int, int], int] = {}
+    for row in range(len(occupied) + 1):
+        runs: set[tuple[int, int]] = set()
+        if row < len(occupied):
+            steps = np.flatnonzero(np.diff(occupied[row].astype(np.int8), prepend=0, append=0))
+            runs = set(zip(steps[::2].tolist(), steps[1::2].tolist(), strict=True))
+        for run in open_runs.keys() - runs:
+            found.append((run[0], open_runs[run], run[1], row))
+        open_runs = {run: open_runs.get(run, row) for run in runs}
+    return np.array(sorted(found), np.int64).reshape(-1, 4)
+
+
+def _start(triangles: FloatArray, config: FileWorldConfig, path: Path) -> tuple[float, float]:
+    """Where the robot begins: inside, near to the middle, with room for it and for the target."""
+    if config.start:
+        if len(config.start) != 2:
+            raise InvalidInputError("world.start", f"{config.start}, expected x, y")
+        return config.start[0], config.start[1]
+    above = triangles[triangles[..., 2].max(axis=1) > _ON_THE_FLOOR]
+    if not len(above):
+        raise InvalidInputError("world", f"{path} holds nothing but a floor")
+    surface = _surface_of(above)
+    low, high = triangles.min(axis=(0, 1))[:2], triangles.max(axis=(0, 1))[:2]
+    axes = [np.arange(a, b, _GRID) for a, b in zip(low, high, strict=True)]
+    places = np.stack(np.meshgrid(*axes)).reshape(2, -1).T
+    beside = places + np.array((_AHEAD, 0.3))
+    room = np.minimum(_room(surface, places), _room(surface, beside))
+    room[_walls_around(surface, places) < 4] -= _ROOM
+    middle = np.linalg.norm(places - 0.5 * (low + high), axis=1)
+    best = np.lexsort((middle, -np.minimum(room, _ROOM)))[0]
+    if room[best] <= 0.0:
+        raise InvalidInputError("world", f"{path} has no room for a robot; say where: start")
+    return float(places[best, 0]), float(places[best, 1])
+
+
+def _room(surface: SurfaceModel, places: FloatArray) -> FloatArray:
+    """Distance to the nearest thing as high as a robot, shape (N,) [m]."""
+    at = [np.column_stack([places, np.full(len(places), height)]) for height in _HEIGHTS]
+    return np.asarray(np.min([surface.distance(points) for points in at], axis=0))
+
+
+def _walls_around(surface: SurfaceModel, places: FloatArray) -> NDArray[np.int64]:
+    """In how many of four directions something stands, shape (N,)."""
+    origins = np.column_stack([places, np.full(len(places), _HEIGHTS[1])])
+    ways = _FAR * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    hits = [np.isfinite(surface.first_hits(origins, origins + way)) for way in ways]
+    return np.asarray(np.sum(hits, axis=0))
+
+
+def _build(content: _Content, config: FileWorldConfig, description: str, note: str) -> World:
+    rng, triangles = np.random.default_rng(config.seed), content.triangles
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    half = float(np.abs([low[:2], high[:2]]).max()) + 0.5
+    nodes = 2 * round(2.0 * half) + 1
+    builder = SceneBuilder(Terrain(np.zeros((nodes, nodes)), half))
+    builder.ambient, builder.note = (0.62, 0.62, 0.60), note
+    edge = 0.5 * config.size if config.size else np.inf
+    top = min(float(high[2]), _TALLEST)
+    builder.region = np.array(
+        [(*np.maximum(low[:2], -edge), -0.1), (*np.minimum(high[:2], edge), top)]
+    )
+    size = config.texture_size
+    builder.add_ground_material("ground", textures.carpet(size, rng), tile=1.6)
+    builder.add_shell_material("walls", textures.bricks(size, rng))
+    builder.add_material("paint", textures.worn_paint(max(64, size // 2), rng))
+    builder.add_terrain("ground")
+    above = triangles[np.abs(triangles[..., 2]).max(axis=1) > _ON_THE_FLOOR]
+    builder.add_shell("walls", above, "walls", 2.0, is_touched=content.boxes is None)
+    for number, (lowest, highest) in enumerate(() if content.boxes is None else content.boxes):
+        builder.add_unseen_box(f"wall_{number}", lowest, highest)
+    stand_board_ahead(builder, Places(rng, 0.0), _AHEAD)
+    if description:
+        builder.add_robot(description, "paint")
+    return builder.compile()

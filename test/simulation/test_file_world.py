@@ -1,0 +1,163 @@
+"""Worlds out of files: where walls, floor and robot are, by meshes written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.simulation.simulator import Simulator
+from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.scenes import build_scene, describe_scene, make_world, scene_of
+
+WIDTH, DEPTH, HEIGHT, THICK = 8.0, 6.0, 2.2, 0.2  # [m] of a room, inside
+
+
+def box(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+    """Twelve triangles, shape (12, 3, 3)."""
+    corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
+    faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return np.array([[corners[f[a]] for a in t] for f in faces for t in ((0, 1, 2), (0, 2, 3))])
+
+
+def room(floor: float = 0.5) -> np.ndarray:
+    """A room with a slab under it whose top is `floor` above the lowest point, and a pillar."""
+    w, d, t, top = WIDTH, DEPTH, THICK, floor + HEIGHT
+    parts = [
+        box((-t, -t, 0.0), (w + t, d + t, floor)),
+        box((-t, -t, floor), (0.0, d + t, top)), box((w, -t, floor), (w + t, d + t, top)),
+        box((0.0, -t, floor), (w, 0.0, top)), box((0.0, d, floor), (w, d + t, top)),
+        box((6.0, 4.5, floor), (6.4, 4.9, top)),
+    ]  # fmt: skip
+    return np.concatenate(parts)
+
+
+def write_stl(path: Path, triangles: np.ndarray) -> str:
+    lines = ["solid room"]
+    for triangle in triangles:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += ["vertex " + " ".join(f"{value:.6f}" for value in corner) for corner in triangle]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid room", ""]))
+    return str(path)
+
+
+def look(world: World, height: float = 0.5) -> list[float]:
+    """Distance from the start to what stands in +x, +y, -x, -y [m]."""
+    ways = 50.0 * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    origin = np.array([[0.0, 0.0, height]])
+    return [float(50.0 * world.surface.first_hits(origin, origin + way)[0]) for way in ways]
+
+
+def check_room(world: World, start: tuple[float, float]) -> None:
+    """The walls are where they were drawn, seen from the start."""
+    ahead, left, behind, right = look(world, 1.5)  # above the target
+    np.testing.assert_allclose(ahead + behind, WIDTH, atol=1e-3)
+    np.testing.assert_allclose(left + right, DEPTH, atol=1e-3)
+    np.testing.assert_allclose((behind, right), start, atol=1e-3)
+    assert world.surface_distance(np.array([[0.0, 0.0, 0.4]]))[0] == pytest.approx(0.4, abs=0.02)
+
+
+def test_a_mesh_in_meters_with_z_up(tmp_path: Path) -> None:
+    file = write_stl(tmp_path / "room.stl", room())
+    world = make_world(file, 1, start=(2.0, 2.5))
+    check_room(world, (2.0, 2.5))
+    assert "meters, z is up" in world.note and "(2.00, 2.50) of the file" in world.note
+    assert world.T_world_target is not None
+    np.testing.assert_allclose(world.region[:, 0], (-2.0 - THICK, WIDTH + THICK - 2.0), atol=1e-3)
+
+
+def test_millimeters_and_another_axis_are_found_out(tmp_path: Path) -> None:
+    turned = 1000.0 * room()[..., [0, 2, 1]] * (1.0, 1.0, -1.0)  # y is up
+    world = make_world(write_stl(tmp_path / "room.stl", turned), 1, start=(2.0, 2.5))
+    check_room(world, (2.0, 2.5))
+    assert "millimeters, y is up" in world.note
+
+
+def test_the_robot_starts_inside_with_room_and_stands(tmp_path: Path, description: str) -> None:
+    file = write_stl(tmp_path / "room.stl", room())
+    world = make_world(file, 1)
+    assert min(look(world, 1.5)) > 0.7 and max(look(world, 1.5)) < WIDTH
+    simulator = Simulator(build_scene(describe_scene(*scene_of(file, 1))), description)
+    before = simulator.true_camera_pose().copy()
+    simulator.step(2.0)
+    np.testing.assert_allclose(simulator.true_camera_pose(), before, atol=0.02)
+
+
+def test_walls_that_are_no_hull_are_touched_where_they_are(tmp_path: Path) -> None:
+    """A ball dropped into the room falls to its floor and stays: the room is no solid block."""
+    import mujoco
+
+    world = make_world(write_stl(tmp_path / "room.stl", room()), 1, start=(2.0, 2.5))
+    spec = world.spec.copy()
+    ball = spec.worldbody.add_body(name="ball", pos=(1.0, -1.5, 1.0))
+    ball.add_freejoint()
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.1, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    joint = int(model.body("ball").jntadr[0])
+    data.qvel[int(model.jnt_dofadr[joint]) + 1] = -3.0  # against the wall at y = -2.5
+    lowest = 9.0
+    for _ in range(1500):
+        mujoco.mj_step(model, data)
+        lowest = min(lowest, float(data.xpos[model.body("ball").id, 1]))
+    assert lowest == pytest.approx(-2.4, abs=0.03)
+    assert float(data.xpos[model.body("ball").id, 2]) == pytest.approx(0.1, abs=0.02)
+
+
+def write_plan(folder: Path, **more: object) -> str:
+    """A hall of 10 x 6 m with a wall in it, as map_server writes it at 5 cm."""
+    gray = np.full((140, 220), 205, np.uint8)  # unknown around
+    gray[10:130, 10:210] = 254
+    gray[8:10, 8:212] = gray[130:132, 8:212] = gray[8:132, 8:10] = gray[8:132, 210:212] = 0
+    gray[10:60, 150:153] = 0  # rows count from the top: at large y
+    cv2.imwrite(str(folder / "hall.pgm"), gray)
+    told = {"image": "hall.pgm", "resolution": 0.05, "origin": "[-1.0, -2.0, 0]", "negate": 0}
+    told |= {"occupied_thresh": 0.65, "free_thresh": 0.25} | more
+    path = folder / "hall.yaml"
+    path.write_text("".join(f"{key}: {value}\n" for key, value in told.items()))
+    return str(path)
+
+
+def test_a_floor_plan_stands_up(tmp_path: Path) -> None:
+    world = make_world(write_plan(tmp_path), 1, start=(1.5, 3.5))
+    ahead, left, behind, right = look(world, 1.2)
+    # In the file the hall reaches from (-0.5, -1.5) to (9.5, 4.5), its inner wall from x = 6.5.
+    np.testing.assert_allclose((ahead, behind), (6.5 - 1.5, 1.5 + 0.5), atol=1e-6)
+    np.testing.assert_allclose((left, right), (4.5 - 3.5, 3.5 + 1.5), atol=1e-6)
+    assert "11.0 x 7.0 m, walls of 1.5 m" in world.note
+    assert look(make_world(write_plan(tmp_path), 1, start=(1.5, 0.5)), 1.2)[0] == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("nothing.stl", None, "does not exist"),
+        ("broken.stl", "solid\nendsolid\n", "broken.stl"),
+        ("plan.yaml", "image: none.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n", "none.pgm"),
+        ("other.yaml", "- 1\n", "no map_server file"),
+    ],
+)
+def test_what_cannot_be_read_is_named(
+    tmp_path: Path, name: str, content: str | None, said: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(InvalidInputError, match=said):
+        make_world(str(tmp_path / name), 1)
+
+
+def test_a_floor_without_anything_is_no_world(tmp_path: Path) -> None:
+    file = write_stl(tmp_path / "floor.stl", box((0.0, 0.0, -0.1), (9.0, 9.0, 0.0))[2:4])
+    with pytest.raises(InvalidInputError, match="nothing but a floor"):
+        make_world(file, 1)
+
+
+def test_a_name_that_is_none_lists_worlds_and_files() -> None:
+    with pytest.raises(InvalidInputError, match=r"mars, office, cave; files: \.stl"):
+        make_world("moon", 1)
+    with pytest.raises((InvalidInputError, ConfigError)):
+        make_world("mars", 1, up="y")

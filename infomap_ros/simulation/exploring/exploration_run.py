@@ -45,9 +45,10 @@ from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, Sim
 from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.simulation.worlds.file_world import is_world_file
+from infomap_ros.simulation.worlds.file_world import MESHES, PLANS, is_world_file
 from infomap_ros.simulation.worlds.scenes import make_world
 
+_WORLDS = ("mars", "office", "cave")
 LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
 
 
@@ -79,6 +80,9 @@ class WorldConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+        if self.name not in _WORLDS and not is_world_file(self.name):
+            expected = f"one of {', '.join(_WORLDS)}, or a file {', '.join((*MESHES, *PLANS))}"
+            raise ConfigError("name", self.name, expected)
 
     @property
     def title(self) -> str:

@@ -47,6 +47,16 @@ COMMANDS = {
         "Print what a map file holds, and draw it.",
         "infomap show out/rocks/map.infomap --out rocks.png",
     ),
+    "merge": LateCommand(
+        "infomap_ros.cli.merge_command:merge",
+        "Join maps of several sessions or robots that are in one frame.",
+        "infomap merge monday.infomap tuesday.infomap --out both.infomap",
+    ),
+    "export": LateCommand(
+        "infomap_ros.cli.export_command:export",
+        "Write a map file in a format of other programs.",
+        "infomap export out/rocks/map.infomap --format bt --out rocks.bt",
+    ),
     "convert": LateCommand(
         "infomap_ros.cli.convert_command:convert",
         "Turn a folder of images into a bag.",

@@ -49,6 +49,16 @@ def results_in(out: Path, overwrite: bool = False) -> Iterator[None]:
                 folder.rmdir()
 
 
+def check_free(out: Path, overwrite: bool) -> None:
+    """Refuse to replace a file unasked.
+
+    Raises:
+        InvalidInputError: it is there.
+    """
+    if out.exists() and not overwrite:
+        raise InvalidInputError("--out", f"{out} exists; give another file, or --overwrite")
+
+
 def _refuse_other_runs(out: Path, handle: int, overwrite: bool) -> None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, s
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
 
-_ORIGIN_ARRAY = "origin"  # in a map file
+_ORIGIN_ARRAY, _SESSIONS_ARRAY = "origin", "sessions"  # in a map file
 
 
 class DepthImage(NamedTuple):
@@ -56,6 +57,8 @@ class VoxelMap:
 
     Attributes:
         origin: names the origin of the map frame, as in `PoseUncertainty`; 0 where not known.
+        sessions: a number for each session whose scans are in the map, 64 bits of a hash of its
+            first scan with a point; empty where not known.
     """
 
     def __init__(self, config: VoxelMapConfig | None = None) -> None:
@@ -64,6 +67,8 @@ class VoxelMap:
         self._clock = MotionClock()
         self._integrator = ScanIntegrator(self.config)
         self.origin = 0
+        self.sessions: tuple[int, ...] = ()
+        self._has_session = False
 
     def __repr__(self) -> str:
         size, known, surface = self.config.voxel_size, self.known_voxels, self.surface_voxels
@@ -115,6 +120,9 @@ class VoxelMap:
             raise CapacityError("the machine has no memory left for a scan") from error
         if isinstance(pose_covariance, PoseUncertainty):
             put_offset(self._storage, pose_covariance.offset_at_origin(scan.transform[:3, 3]))
+        if report.points_used and not self._has_session:
+            self._has_session = True
+            self.sessions = tuple(sorted({*self.sessions, _session_of(scan.points)}))
         return report
 
     def pose_uncertainty(
@@ -346,6 +354,7 @@ class VoxelMap:
         """Forget everything."""
         tracked = len(self._storage.blocks.dirty) > 0
         self._storage, self._clock = MapStorage(), MotionClock()
+        self.sessions, self._has_session = (), False
         if tracked:
             self.track_changes(True)
 
@@ -368,6 +377,7 @@ class VoxelMap:
         """Write the map to one file, atomically. Scans that come later share no errors with it."""
         state = {name: array for name, array in self.state().items() if name != MEMORY_ARRAY}
         state[_ORIGIN_ARRAY] = np.array(self.origin, np.uint32)
+        state[_SESSIONS_ARRAY] = np.array(self.sessions, np.uint64)
         write_map_file(Path(path), dataclasses.asdict(self.config), state)
 
     @classmethod
@@ -384,6 +394,7 @@ class VoxelMap:
             raise MapFileError(f"{path}: its configuration is not valid: {error}") from error
         loaded = cls.from_state(config, state)
         loaded.origin = int(state.get(_ORIGIN_ARRAY, np.zeros(())).max(initial=0))
+        loaded.sessions = tuple(state.get(_SESSIONS_ARRAY, np.zeros(0, np.uint64)).ravel().tolist())
         return loaded
 
     def _quanta(self, points: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
@@ -392,3 +403,9 @@ class VoxelMap:
         scale = 1.0 / self.config.voxel_size
         queries.quanta_at_points(self._storage.blocks, places, scale, known, quanta)
         return known, quanta
+
+
+def _session_of(points: NDArray[np.float32]) -> int:
+    """Names a session by the points of its first scan: a bag that is mapped again has the same."""
+    digest = hashlib.blake2b(np.ascontiguousarray(points).tobytes(), digest_size=8)
+    return int.from_bytes(digest.digest(), "little")

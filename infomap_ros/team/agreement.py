@@ -9,16 +9,19 @@ one into free space of the other.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.mapping import NOT_OBSERVED
+from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.team.contribution import Contribution
 
 FREE_QUANTA, OCCUPIED_QUANTA = -12, 4  # p < 0.05 and p > 0.73
 LEAST_COMPARED, MOST_CONTRADICTED = 100, 0.3
+_Evidence = tuple[NDArray[np.int64], NDArray[np.integer[Any]]]
+"""Known voxels as ascending numbers, and their evidence in quanta."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +45,28 @@ class Agreement:
 
 def compare(first: Contribution, second: Contribution) -> Agreement:
     """Compare what two robots told where both know something."""
-    forth = _against(*_evidence_in(first, second), *_evidence_in(second, first))
-    back = _against(*_evidence_in(second, first), *_evidence_in(first, second))
+    return _compare(_evidence_in(first, second), _evidence_in(second, first))
+
+
+def compare_maps(first: VoxelMap, second: VoxelMap) -> Agreement:
+    """Compare two maps where both know something."""
+    return _compare(_evidence_of(first), _evidence_of(second))
+
+
+def _compare(first: _Evidence, second: _Evidence) -> Agreement:
+    forth, back = _against(*first, *second), _against(*second, *first)
     return Agreement(forth[0] + back[0], forth[1] + back[1])
 
 
-def _evidence_in(
-    part: Contribution, other: Contribution
-) -> tuple[NDArray[np.int64], NDArray[np.int8]]:
-    """Known voxels in the blocks that both hold, as ascending numbers, and their evidence."""
+def _evidence_of(voxel_map: VoxelMap) -> _Evidence:
+    indices, log_odds = voxel_map.voxels()
+    keys = pack_all(indices.astype(np.int64))
+    order = np.argsort(keys)
+    return keys[order], (log_odds[order] / LOG_ODDS_QUANTUM).astype(np.int32)
+
+
+def _evidence_in(part: Contribution, other: Contribution) -> _Evidence:
+    """That in the blocks that both hold."""
     slots = part.slots_in(0, other.coordinates(np.arange(other.blocks)))
     told = part.states(0, slots)
     known = told.log_odds != NOT_OBSERVED
@@ -61,9 +77,9 @@ def _evidence_in(
 
 def _against(
     keys: NDArray[np.int64],
-    odds: NDArray[np.int8],
+    odds: NDArray[np.integer[Any]],
     other_keys: NDArray[np.int64],
-    other_odds: NDArray[np.int8],
+    other_odds: NDArray[np.integer[Any]],
 ) -> tuple[int, int]:
     """How many occupied voxels the other knows, and how many of them it contradicts."""
     surfaces = keys[odds >= OCCUPIED_QUANTA]

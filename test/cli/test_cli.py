@@ -18,7 +18,7 @@ from infomap_ros import cli
 from infomap_ros.cli import study_commands as studies
 from infomap_ros.cli.results import results_in
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 from ..replay.scenes import START, STEP, depth_frames, fill_after, write
 
@@ -175,6 +175,161 @@ def test_show_refuses_what_is_no_pose(tmp_path, run, pose):
     status, _, error = run("show", tmp_path / "out" / "map.infomap", "--from", pose)
     assert status == 1
     assert len(error.strip().splitlines()) == 1
+
+
+def test_merge_joins_maps_in_any_order(tmp_path, run):
+    a, b = maps_of_two_sessions(tmp_path)
+    status, out, _ = run("merge", a, b, "--out", tmp_path / "ab.infomap")
+    assert status == 0
+    figures = json.loads(out)
+    joined = VoxelMap.load(tmp_path / "ab.infomap")
+    assert figures["known_voxels"] == joined.known_voxels
+    assert figures["sessions"] == 2
+    run("merge", b, a, "--out", tmp_path / "ba.infomap")
+    assert (tmp_path / "ab.infomap").read_bytes() == (tmp_path / "ba.infomap").read_bytes()
+
+
+def test_merge_refuses_what_would_count_twice_or_be_replaced(tmp_path, run):
+    a, b = maps_of_two_sessions(tmp_path)
+    before = b.read_bytes()
+    for arguments, said in (
+        ([a, b, a, "--out", tmp_path / "c.infomap"], "the same session"),
+        ([a, "--out", tmp_path / "c.infomap"], "expected two or more"),
+        ([a, b, "--out", b], "exists; give another file"),
+        ([a, tmp_path / "none", "--out", tmp_path / "c.infomap"], "none"),
+    ):
+        status, out, error = run("merge", *arguments)
+        assert (status, out) == (1, "")
+        assert said in error
+    assert b.read_bytes() == before
+    assert not (tmp_path / "c.infomap").exists()
+
+
+def test_merge_says_when_nothing_tells_that_the_frames_are_one(tmp_path, run):
+    a, _ = maps_of_two_sessions(tmp_path)
+    far = _wall_map(tmp_path / "far.infomap", 50.0)
+    status, _, error = run("merge", a, far, "--out", tmp_path / "c.infomap")
+    assert status == 0
+    assert "0 surface voxels in common" in error
+
+
+def maps_of_two_sessions(folder):
+    return _wall_map(folder / "a.infomap", 0.0), _wall_map(folder / "b.infomap", 0.3)
+
+
+def _wall_map(path, shift):
+    """A map of a wall at x = 2.02 m, seen from y = `shift`."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    y, z = np.meshgrid(np.arange(-0.5, 0.5, 0.02), np.arange(0.0, 1.0, 0.02))
+    pose = np.eye(4)
+    pose[1, 3] = shift
+    points = np.stack([np.full(y.shape, 2.02), y - 0.1 * shift, z], axis=-1)
+    voxel_map.integrate(points.reshape(-1, 3), pose)
+    voxel_map.save(path)
+    return path
+
+
+def leaves_of_octomap(path):
+    """The leaves of an OctoMap file by the definition of its format: (x, y, z, edge) -> evidence.
+
+    Nodes come depth first. In .ot each is a float and a byte with a bit per child; in .bt each
+    inner node is two bits per child: 01 and 10 for leaves that are free and occupied (the lower
+    bit first), 11 for a child that is an inner node itself.
+    """
+    head, _, data = path.read_bytes().partition(b"\ndata\n")
+    lines = head.decode().splitlines()
+    fields = dict(line.split() for line in lines if line and line[0] != "#")
+    assert fields["id"] == "OcTree"
+    is_binary, place, nodes, leaves = "binary" in lines[0], 0, 1, {}
+    assert lines[0] == f"# Octomap OcTree {'binary ' * is_binary}file"
+
+    def read(x, y, z, edge):
+        nonlocal place, nodes
+        half, size, inner = edge // 2, 2 if is_binary else 5, []
+        word = data[place : place + size]
+        place += size
+        if not is_binary and word[4] == 0:
+            leaves[x, y, z, edge] = np.frombuffer(word[:4], "<f4")[0]
+        for child in range(8):
+            if is_binary:
+                state = word[child // 4] >> (2 * (child % 4)) & 3
+            else:
+                state = 3 * (word[4] >> child & 1)
+            corner = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
+            nodes += state != 0
+            if state in (1, 2):
+                leaves[*corner, half] = {1: -1.0, 2: 1.0}[state]
+            if state == 3:
+                inner.append((*corner, half))
+        for each in inner:
+            read(*each)
+
+    read(-(2**15), -(2**15), -(2**15), 2**16)
+    assert place == len(data)
+    assert nodes == int(fields["size"])
+    return leaves, float(fields["res"])
+
+
+@pytest.mark.parametrize("format", ["ot", "bt"])
+def test_export_writes_what_octomap_reads(tmp_path, run, format):
+    map_file = _wall_map(tmp_path / "a.infomap", 0.0)
+    assert run("export", map_file, "--format", format)[0] == 0
+    leaves, resolution = leaves_of_octomap(tmp_path / f"a.{format}")
+    assert resolution == 0.05
+    found = {}
+    for (x, y, z, edge), evidence in leaves.items():
+        for step in np.ndindex(edge, edge, edge):
+            found[x + step[0], y + step[1], z + step[2]] = evidence
+    indices, log_odds = VoxelMap.load(map_file).voxels()
+    if format == "bt":
+        log_odds = np.where(log_odds > 0.0, 1.0, -1.0)
+    assert found == dict(zip(map(tuple, indices.tolist()), log_odds.tolist(), strict=True))
+    assert max(edge for *_, edge in leaves) > 1
+
+
+def test_export_writes_each_format_beside_the_map_and_replaces_nothing_unasked(tmp_path, run):
+    map_file = _wall_map(tmp_path / "a.infomap", 0.0)
+    expected = {"a.infomap"}
+    for name, files in (
+        ("ply", {"ply": "a.ply"}),
+        ("grid", {"yaml": "a.yaml", "pgm": "a.pgm"}),
+        ("mesh", {"stl": "a.stl"}),
+        ("distance", {"npz": "a.npz"}),
+    ):
+        status, out, _ = run("export", map_file, "--format", name)
+        assert status == 0
+        assert json.loads(out) == {key: str(tmp_path / file) for key, file in files.items()}
+        expected |= set(files.values())
+        status, _, error = run("export", map_file, "--format", name)
+        assert status == 1
+        assert "exists; give another file, or --overwrite" in error
+        assert run("export", map_file, "--format", name, "--overwrite")[0] == 0
+    assert {path.name for path in tmp_path.iterdir()} == expected
+
+
+def test_export_takes_the_heights_of_a_grid(tmp_path, run):
+    map_file = _wall_map(tmp_path / "a.infomap", 0.0)
+    sizes = []
+    for low, high in ((0.1, 0.9), (5.0, 6.0)):
+        out = tmp_path / f"{low}.yaml"
+        run("export", map_file, "--format", "grid", "--out", out, "--low", low, "--high", high)
+        sizes.append(out.with_suffix(".pgm").read_bytes().split(b"\n")[1])
+    assert sizes[0] != sizes[1] == b"1 1"  # nothing is known so far up
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--format", "pcd"], "expected one of ply, ot, bt, grid, mesh, distance"),
+        (["--format", "grid", "--low", 2.0, "--high", 1.0], "high"),
+        (["--format", "ply", "--out", "/proc/none.ply"], "/proc"),
+    ],
+)
+def test_export_refuses_with_the_reason(tmp_path, run, arguments, said):
+    map_file = _wall_map(tmp_path / "a.infomap", 0.0)
+    status, out, error = run("export", map_file, *arguments)
+    assert (status, out) == (1, "")
+    assert said in error
 
 
 def test_settings_are_listed(tmp_path, run):

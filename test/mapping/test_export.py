@@ -6,11 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.files.export import height_colors, surface_sigmas, write_ply
+from infomap_ros.mapping.files.export import (
+    height_colors,
+    surface_sigmas,
+    write_distances,
+    write_grid,
+    write_ply,
+    write_stl,
+)
 from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
@@ -149,3 +157,111 @@ def test_nothing_in_the_band_is_one_unknown_cell(wall_map):
 def test_impossible_band_is_refused(change):
     with pytest.raises(ConfigError):
         replace(ProjectionConfig(), **change)
+
+
+def read_stl(path) -> tuple[np.ndarray, np.ndarray]:
+    """An independent reader of binary STL: normals (n, 3) and corners (n, 3, 3)."""
+    content = path.read_bytes()
+    count = int.from_bytes(content[80:84], "little")
+    assert len(content) == 84 + 50 * count
+    records = [content[84 + 50 * i : 132 + 50 * i] for i in range(count)]
+    numbers = np.frombuffer(b"".join(records), "<f4").reshape(count, 4, 3).astype(np.float64)
+    return numbers[:, 0], numbers[:, 1:]
+
+
+def test_mesh_encloses_the_occupied_voxels(wall_map, tmp_path):
+    assert write_stl(wall_map, tmp_path / "a.stl") > 1000
+    normals, corners = read_stl(tmp_path / "a.stl")
+    indices, log_odds = wall_map.voxels()
+    occupied = {tuple(i) for i in indices[log_odds > 0.0].tolist()}
+    # The volume under all triangles, by the theorem of Gauss: right where it is closed and turned.
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume == pytest.approx(len(occupied) * 0.05**3, rel=1e-4)
+    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.testing.assert_allclose(turned, normals * 0.05**2, atol=1e-7)
+    middles = (corners.min(axis=1) + corners.max(axis=1)) / 2
+    within = np.floor((middles - 0.5 * 0.05 * normals) / 0.05 + 1e-3).astype(int)
+    beyond = np.floor((middles + 0.5 * 0.05 * normals) / 0.05 + 1e-3).astype(int)
+    faces = {(tuple(a), tuple(b)) for a, b in zip(within.tolist(), beyond.tolist(), strict=True)}
+    steps = [tuple(row) for row in np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])]
+    expected = {
+        (voxel, beside)
+        for voxel in occupied
+        for step in steps
+        if (beside := tuple(a + b for a, b in zip(voxel, step, strict=True))) not in occupied
+    }
+    assert faces == expected
+    assert len(corners) == 2 * len(faces)
+
+
+def test_mesh_of_an_empty_map_has_no_triangles(tmp_path):
+    assert write_stl(VoxelMap(), tmp_path / "a.stl") == 0
+    assert len(read_stl(tmp_path / "a.stl")[1]) == 0
+
+
+def read_grid(path) -> tuple[np.ndarray, list[float], float]:
+    """The rules of nav2_map_server, trinary: cells with rows from the lowest y, -1 for unknown."""
+    told = yaml.safe_load(path.read_text())
+    assert (told["mode"], told["negate"]) == ("trinary", 0)
+    magic, size, most, data = (path.parent / told["image"]).read_bytes().split(b"\n", 3)
+    assert (magic, most) == (b"P5", b"255")
+    columns, rows = map(int, size.split())
+    occupied = (255 - np.frombuffer(data, np.uint8).reshape(rows, columns)[::-1]) / 255
+    cells = np.full((rows, columns), -1)
+    cells[occupied > told["occupied_thresh"]] = 100
+    cells[occupied < told["free_thresh"]] = 0
+    return cells, told["origin"], told["resolution"]
+
+
+def test_grid_is_read_by_the_rules_of_map_server(wall_map, tmp_path):
+    band = ProjectionConfig(low=0.2, high=0.6)
+    write_grid(wall_map, tmp_path / "a: b.yaml", band)
+    cells, origin, resolution = read_grid(tmp_path / "a: b.yaml")
+    assert resolution == 0.05
+    assert origin[2] == 0.0
+    assert set(np.unique(cells)) == {-1, 0, 100}
+    indices, log_odds = wall_map.voxels()
+    heights = (indices[:, 2] + 0.5) * 0.05
+    in_band = (heights > 0.2) & (heights < 0.6)
+    first = np.rint(np.array(origin[:2]) / 0.05).astype(int)
+    for row, column in np.ndindex(*cells.shape):
+        own = in_band & (indices[:, 0] == first[0] + column) & (indices[:, 1] == first[1] + row)
+        highest = 1 / (1 + np.exp(-log_odds[own].max())) if own.any() else None
+        expected = -1
+        if highest is not None and highest >= band.occupied_probability:
+            expected = 100
+        elif highest is not None and highest <= band.free_probability:
+            expected = 0
+        assert cells[row, column] == expected
+
+
+def test_distances_are_those_to_the_nearest_cube_that_is_not_free(tmp_path, rng):
+    wall = np.stack([np.full(20000, 2.02), *rng.uniform(-0.5, 0.5, (2, 20000))], axis=-1)
+    free_map = VoxelMap(VoxelMapConfig(voxel_size=0.05))
+    for y in (-0.1, 0.0, 0.1):  # seen through three times: free
+        pose = np.eye(4)
+        pose[1, 3] = y
+        free_map.integrate(wall - pose[:3, 3], pose)
+    shape = write_distances(free_map, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as file:
+        distances, origin, size = file["distances"], file["origin"], float(file["voxel_size"])
+    assert distances.shape == shape
+    assert size == 0.05
+    blocked = np.argwhere(distances == 0.0)
+    clear = np.argwhere(distances > 0.0)
+    assert len(clear) > 1000
+    for place in clear[rng.permutation(len(clear))[:200]]:
+        gap = np.maximum(np.abs(blocked - place) - 0.5, 0.0)
+        edge = min(np.minimum(place, shape - place - 1)) + 0.5  # to what is outside
+        nearest = min(np.linalg.norm(gap, axis=1).min(), edge) * size
+        assert distances[tuple(place)] == pytest.approx(nearest, rel=1e-5)
+    centers = origin + (clear + 0.5) * size
+    assert (free_map.probability(centers)[free_map.is_known(centers)] <= 0.5).all()
+    assert distances[tuple(np.floor(([2.02, 0.1, 0.2] - origin) / size).astype(int))] == 0.0
+    assert distances[tuple(np.floor(([1.5, 0.1, 0.1] - origin) / size).astype(int))] > 0.2
+
+
+def test_distances_of_an_empty_map_are_refused(tmp_path):
+    with pytest.raises(InvalidInputError, match="is empty"):
+        write_distances(VoxelMap(), tmp_path / "a.npz")
+    assert list(tmp_path.iterdir()) == []

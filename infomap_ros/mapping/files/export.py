@@ -1,7 +1,8 @@
-"""The surface of a voxel map as a point cloud file for any viewer."""
+"""A voxel map as files of other programs: point cloud, surface mesh, grid, distances."""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.atomic_file import replacing, write_text
+from infomap_ros.mapping.distance_field import distance_field
+from infomap_ros.mapping.files.projection import (
+    FREE,
+    OCCUPIED,
+    ProjectionConfig,
+    project_map,
+)
 from infomap_ros.mapping.voxel_map import VoxelMap
+from infomap_ros.mapping.voxels.keys import pack_all
 
 PLY_VERTEX = np.dtype(
     [
@@ -25,6 +36,9 @@ _COLORS = np.array(  # dark blue, blue, green, yellow-green, yellow: of rising l
     [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=np.float64
 )
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+_GRAY = {FREE: 254, OCCUPIED: 0}  # pixels as ``map_saver`` writes them
+_UNKNOWN_GRAY = 205
 
 
 def write_ply(voxel_map: VoxelMap, path: str | Path) -> int:
@@ -115,3 +129,125 @@ def height_colors(heights: NDArray[np.float64]) -> NDArray[np.uint8]:
     stops = np.linspace(0.0, 1.0, len(_COLORS))
     channels = [np.interp(share, stops, _COLORS[:, i]) for i in range(3)]
     return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+def write_stl(voxel_map: VoxelMap, path: str | Path) -> int:
+    """Write the faces between occupied voxels (p > 0.5) and others as a binary STL mesh.
+
+    The mesh is closed; its triangles turn counterclockwise as seen from outside. Coordinates in m,
+    map frame.
+
+    Args:
+        voxel_map: the map.
+        path: file to write; one that is there is replaced.
+
+    Returns:
+        Number of triangles.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    indices, log_odds = voxel_map.voxels()
+    occupied = indices[log_odds > 0.0].astype(np.int64)
+    keys = pack_all(occupied)
+    sides = []
+    for axis in range(3):
+        for end in (0, 1):
+            beside = occupied.copy()
+            beside[:, axis] += 2 * end - 1
+            sides.append(_triangles(occupied[~np.isin(pack_all(beside), keys)], axis, end))
+    triangles = np.concatenate(sides)
+    triangles["corners"] *= voxel_map.config.voxel_size
+    with replacing(path) as file:
+        file.write(b"infomap_ros, meters".ljust(80) + np.uint32(len(triangles)).tobytes())
+        file.write(triangles.tobytes())
+    return len(triangles)
+
+
+def _triangles(indices: NDArray[np.int64], axis: int, end: int) -> NDArray[np.void]:
+    """Two triangles for the face of each voxel at the lower or upper end of an axis [voxels]."""
+    second, third = (axis + 1) % 3, (axis + 2) % 3
+    square = np.zeros((4, 3))
+    square[:, axis] = end
+    square[[1, 2], second] = square[[2, 3], third] = 1.0
+    order = [0, 1, 2, 0, 2, 3] if end else [0, 2, 1, 0, 3, 2]
+    triangles = np.zeros(2 * len(indices), dtype=_STL_TRIANGLE)
+    triangles["normal"][:, axis] = 2 * end - 1
+    triangles["corners"] = (indices[:, None] + square[order]).reshape(-1, 3, 3)
+    return triangles
+
+
+def write_grid(
+    voxel_map: VoxelMap, path: str | Path, config: ProjectionConfig | None = None
+) -> tuple[int, int]:
+    """Write the map seen from above for ``nav2_map_server``: a .yaml file and a .pgm image.
+
+    The thresholds in the .yaml file tell the three grays of the image apart, as free, occupied and
+    unknown (mode ``trinary``).
+
+    Args:
+        voxel_map: the map.
+        path: the .yaml file; the image is beside it. Those that are there are replaced.
+        config: height band and thresholds, as of `project_map`.
+
+    Returns:
+        Cells along x and y.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    grid, place = project_map(voxel_map, config), Path(path)
+    pixels: NDArray[np.uint8] = np.full(grid.cells.shape, _UNKNOWN_GRAY, np.uint8)
+    for state, gray in _GRAY.items():
+        pixels[grid.cells == state] = gray
+    rows, columns = pixels.shape
+    image = place.with_suffix(".pgm")
+    with replacing(image) as file:
+        file.write(f"P5\n{columns} {rows}\n255\n".encode("ascii"))
+        file.write(pixels[::-1].tobytes())  # an image begins with the largest y
+    x, y = grid.origin
+    lines = [
+        f"image: {json.dumps(image.name)}",
+        "mode: trinary",
+        f"resolution: {float(grid.resolution)}",
+        f"origin: [{float(x)}, {float(y)}, 0.0]",
+        *("negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.196"),
+    ]
+    write_text(place, "\n".join([*lines, ""]))
+    return columns, rows
+
+
+def write_distances(voxel_map: VoxelMap, path: str | Path) -> tuple[int, int, int]:
+    """Write the distance to the nearest voxel that is not free as NumPy's .npz.
+
+    The file holds ``distances``, float32, shape (nx, ny, nz) [m]: from the center of each voxel to
+    the nearest blocked voxel, a cube; 0 in a blocked voxel. What is occupied, uncertain or was
+    never observed is blocked, and so is all outside. ``origin``, shape (3,) [m, map frame], is the
+    lower corner of the first voxel, ``voxel_size`` its edge [m]: the center of voxel (i, j, k) is
+    ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_size``.
+
+    Args:
+        voxel_map: the map.
+        path: file to write; one that is there is replaced.
+
+    Returns:
+        Voxels along x, y and z.
+
+    Raises:
+        InvalidInputError: the map is empty, or too large for an array.
+        OSError: the file cannot be written.
+    """
+    bounds, size = voxel_map.bounds(), voxel_map.config.voxel_size
+    if bounds is None:
+        raise InvalidInputError("map", "is empty")
+    low, high = bounds[0] + 0.25, bounds[1] + 0.75  # within the outermost voxels
+    field = distance_field(voxel_map.window(low * size, high * size))
+    with replacing(path) as file:
+        np.savez_compressed(
+            file,
+            distances=field.distances,
+            origin=field.first * size,
+            voxel_size=np.float64(size),
+        )
+    x, y, z = field.distances.shape
+    return x, y, z

@@ -253,9 +253,11 @@ class MapKeeper:
             InvalidInputError: there is no other robot.
             MapFileError: it cannot be written.
         """
-        if self.team.voxel_map is None:
+        shared = self.team.voxel_map
+        if shared is None:
             raise InvalidInputError("team", "no other robot was heard")
-        return _save(self.team.voxel_map, team_map_file(self._path))
+        shared.origin, shared.sessions = self._map.origin, self._map.sessions
+        return _save(shared, team_map_file(self._path))
 
     def load(self) -> str:
         """Replace the map by that of the map file; returns a sentence.
@@ -268,7 +270,7 @@ class MapKeeper:
         if sizes[0] != sizes[1]:
             raise MapFileError(f"{self._path} has voxels of {sizes[0]} m, not {sizes[1]} m")
         restored = VoxelMap.from_state(self._map.config, loaded.state())
-        restored.origin = loaded.origin
+        restored.origin, restored.sessions = loaded.origin, loaded.sessions
         self._replace_by(restored)
         self._is_saved = self._is_ours = True
         return f"loaded {self._map.known_voxels} voxels from {self._path}"
@@ -304,7 +306,7 @@ class MapKeeper:
             InvalidInputError: the pose is none.
         """
         moved = moved_map(self._map, told.transform)
-        moved.origin = self._map.origin
+        moved.origin, moved.sessions = self._map.origin, self._map.sessions
         self._replace_by(moved)
         answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
         self._node.get_logger().info(answer)

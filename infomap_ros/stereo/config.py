@@ -40,7 +40,8 @@ class StereoConfig:
     )
     matcher: str = parameter(
         "sgbm_3way",
-        "Variant of semi-global matching: 3 paths, 5 paths, or 8 paths over the whole image.",
+        "Variant of semi-global matching: 3 or 5 paths, from above and from below, or 8 paths over "
+        "the whole image.",
         choices=("sgbm_3way", "sgbm", "sgbm_hh"),
     )
     block_size: int = setting(5, "Side of the matching window, odd.", unit="px", low=1, high=21)
@@ -148,17 +149,17 @@ class StereoConfig:
         choices=("disparity", "printed"),
     )
     sigma_scale: float = parameter(
-        0.136,
+        0.127,
         "Disparity model: matching sigma at a residual of 1 gray level and texture 1 px wide.",
         unit="px",
         low=0.001,
         high=100.0,
     )
     sigma_residual_power: float = parameter(
-        0.419, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
+        0.542, "Disparity model: exponent of the photometric residual.", low=0.0, high=3.0
     )
     sigma_texture_power: float = parameter(
-        0.928, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
+        0.616, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
     )
     sigma_floor: float = setting(
         0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
@@ -172,7 +173,7 @@ class StereoConfig:
         high=10.0,
     )
     printed_s: float = setting(
-        0.234,
+        0.293,
         "Printed model: intrinsic constant as a disparity error; S of eq. (1) is this over focal "
         "length [px] times baseline [m].",
         unit="px",
@@ -180,10 +181,10 @@ class StereoConfig:
         high=100.0,
     )
     printed_t: tuple[float, ...] = setting(
-        (0.13, 0.085, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
+        (0.131, 0.092, 1.0), "Printed model: T_x, T_y, T_z of eq. (1).", low=0.001, high=100.0
     )
     printed_n: float = setting(
-        2.07, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
+        1.82, "Printed model: exponent n of the distance L in eq. (1).", low=0.5, high=4.0
     )
     printed_rho: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
@@ -200,7 +201,7 @@ class StereoConfig:
     )
     threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
     error_correlation: float = setting(
-        0.38,
+        0.41,
         "Mean correlation of the disparity errors of two pixels of one surface patch.",
         low=0.0,
         high=1.0,

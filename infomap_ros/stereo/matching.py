@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry import StereoRig
+from infomap_ros.geometry.kernel import kernel
 from infomap_ros.stereo.config import StereoConfig
 
 #: Disparities are whole multiples of 1 / SUBPIXELS px in the matcher's fixed-point output.
@@ -20,6 +21,11 @@ _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "sgbm_hh": cv2.STEREO_SGBM_MODE_HH,
 }
+# Paths from below too: a path carries its disparity on, so that those of one side pull the result
+# towards what lies there, by half a row after refinement.
+_SYMMETRIC = ("sgbm_hh",)
+# Largest difference of the two passes of the others that is noise [1/16 px].
+_LARGEST_DIFFERENCE = 2 * SUBPIXELS
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,7 @@ class DisparityMatcher:
         extend = config.extend_search
         self._before = max(0, search.maximum) if extend else 0
         self._after = max(0, -search.minimum) if extend else 0
+        self._is_symmetric = config.matcher in _SYMMETRIC
         self._matcher = cv2.StereoSGBM.create(
             minDisparity=search.minimum,
             numDisparities=search.count,
@@ -88,6 +95,9 @@ class DisparityMatcher:
     def match(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.int16]:
         """Match a rectified gray pair.
 
+        A variant whose paths all come from above passes over the pair a second time from below:
+        where both find a match, the result is the mean.
+
         Args:
             left: shape (H, W).
             right: shape (H, W).
@@ -96,8 +106,12 @@ class DisparityMatcher:
             Disparity of the left pixels in units of 1/16 px, shape (H, W); `invalid` where there
             is no unique match that the right image confirms.
         """
-        width = left.shape[1]
-        disparity = self._matcher.compute(self._extended(left), self._extended(right))
+        left, right = self._extended(left), self._extended(right)
+        disparity = self._matcher.compute(left, right)
+        if not self._is_symmetric:
+            upwards = self._matcher.compute(cv2.flip(left, 0), cv2.flip(right, 0))
+            _take_mean(disparity, cv2.flip(upwards, 0), self.invalid)
+        width = disparity.shape[1] - self._before - self._after
         return np.ascontiguousarray(disparity[:, self._before : self._before + width])
 
     def _extended(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -107,3 +121,18 @@ class DisparityMatcher:
         border = cv2.BORDER_REPLICATE
         extended = cv2.copyMakeBorder(image, 0, 0, self._before, self._after, border)
         return np.asarray(extended, dtype=np.uint8)
+
+
+@kernel
+def _take_mean(downwards, upwards, invalid):  # type: ignore[no-untyped-def]
+    """Replace a pass by the mean of two; `invalid` where they differ, one where it is alone."""
+    height, width = downwards.shape
+    for v in range(height):
+        for u in range(width):
+            first, second = np.int32(downwards[v, u]), np.int32(upwards[v, u])
+            if first <= invalid or second <= invalid:
+                downwards[v, u] = max(first, second)
+            elif abs(first - second) > _LARGEST_DIFFERENCE:
+                downwards[v, u] = invalid
+            else:
+                downwards[v, u] = (first + second) >> 1

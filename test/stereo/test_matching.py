@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,7 +11,8 @@ from hypothesis import strategies as st
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor
-from infomap_ros.stereo.matching import disparity_range
+from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.stereo.matching import DisparityMatcher, disparity_range
 
 
 def rig(width=640, focal=500.0, baseline=0.1, offset=0.0):
@@ -53,3 +58,20 @@ def test_depth_limits_tell_what_the_search_reaches():
 def test_an_image_too_narrow_to_search_is_refused():
     with pytest.raises(CalibrationError, match="20 px"):
         disparity_range(rig(width=20), StereoConfig())
+
+
+@pytest.mark.parametrize("matcher", ["sgbm_3way", "sgbm", "sgbm_hh"])
+def test_a_real_pair_upside_down_has_the_same_disparities(real_data: Path, matcher: str) -> None:
+    (pair,) = load_pairs(real_data / "stereo_motorcycle")
+    config = pair.search(StereoConfig(matcher=matcher))
+    searcher = DisparityMatcher(disparity_range(pair.rig, config), config)
+    upright, turned = (
+        searcher.match(
+            cv2.cvtColor(left, cv2.COLOR_RGB2GRAY), cv2.cvtColor(right, cv2.COLOR_RGB2GRAY)
+        )
+        for left, right in ((pair.left, pair.right), (pair.left[::-1], pair.right[::-1]))
+    )
+    found = (upright > searcher.invalid) & (turned[::-1] > searcher.invalid)
+    assert found.mean() > 0.6
+    difference = upright.astype(int) - turned[::-1]
+    assert np.abs(difference[found]).max() <= 1

@@ -26,9 +26,8 @@ from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion import BasePath, BasePlanner, RobotModel, Vehicle
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
 
-WORLDS = ("mars", "office", "cave")
 DRIVING = {"arm_shoulder_joint": -1.2, "arm_elbow_joint": 2.4}
 CELL, HEADROOM, DEPTH, CEILING = 0.05, 1.1, 0.5, 3.0  # [m]
 LEAST_DISTANCE = 1.5  # [m]

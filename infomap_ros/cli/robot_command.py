@@ -7,6 +7,7 @@ import typer
 
 from infomap_ros import __version__
 from infomap_ros.cli.progress_bar import says_when_it_compiles
+from infomap_ros.cli.results import check_free
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.simulation.robots.drawing import draw_robot
@@ -33,8 +34,7 @@ def robot(
     """Read a robot's URDF: say what is understood and guessed, write its file, draw it."""
     if out.suffix not in (".yaml", ".yml"):
         raise InvalidInputError("--out", f"{out} is no .yaml file")
-    if out.exists() and not overwrite:
-        raise InvalidInputError("--out", f"{out} is there; give another name, or --overwrite")
+    check_free(out, overwrite)
     with says_when_it_compiles():
         reading = read_robot(urdf, camera)
     _say(reading)

@@ -21,9 +21,9 @@ _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "sgbm_hh": cv2.STEREO_SGBM_MODE_HH,
 }
-# Paths from below too: a path carries its disparity on, so that those of one side pull the result
-# towards what lies there, by half a row after refinement.
-_SYMMETRIC = ("sgbm_hh",)
+# The only one with paths from below too: a path carries its disparity on, so that those of one
+# side pull the result towards what lies there, by half a row after refinement.
+_SYMMETRIC = "sgbm_hh"
 # Largest difference of the two passes of the others that is noise [1/16 px].
 _LARGEST_DIFFERENCE = 2 * SUBPIXELS
 
@@ -74,7 +74,7 @@ class DisparityMatcher:
         extend = config.extend_search
         self._before = max(0, search.maximum) if extend else 0
         self._after = max(0, -search.minimum) if extend else 0
-        self._is_symmetric = config.matcher in _SYMMETRIC
+        self._is_symmetric = config.matcher == _SYMMETRIC
         self._matcher = cv2.StereoSGBM.create(
             minDisparity=search.minimum,
             numDisparities=search.count,

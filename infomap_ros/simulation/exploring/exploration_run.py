@@ -46,9 +46,8 @@ from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.file_world import MESHES, PLANS, is_world_file
-from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
 
-_WORLDS = ("mars", "office", "cave")
 LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
 
 
@@ -80,8 +79,8 @@ class WorldConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
-        if self.name not in _WORLDS and not is_world_file(self.name):
-            expected = f"one of {', '.join(_WORLDS)}, or a file {', '.join((*MESHES, *PLANS))}"
+        if self.name not in WORLDS and not is_world_file(self.name):
+            expected = f"one of {', '.join(WORLDS)}, or a file {', '.join((*MESHES, *PLANS))}"
             raise ConfigError("name", self.name, expected)
 
     @property

@@ -18,11 +18,9 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.cameras.rendering import Renderer
-from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
 
 import mujoco  # isort: skip  # after the backend has been chosen
-
-WORLDS = ("mars", "office", "cave")
 
 _CAMERA = PinholeCamera(640, 480, 420.0, 420.0, 319.5, 239.5)
 _HEIGHT = 0.09  # [m] of the base above the ground

@@ -103,6 +103,9 @@ SCENES = {
 }
 """Worlds by name."""
 
+WORLDS = ("mars", "office", "cave")
+"""Those of them that are explored: made from a seed, of any size."""
+
 
 def scene_of(name: str, seed: int, **parameters: Any) -> tuple[str, Any]:
     """Key of `SCENES` and configuration of a world.

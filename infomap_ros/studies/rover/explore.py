@@ -37,6 +37,7 @@ from infomap_ros.simulation.exploring.visible_surface import (
     visible_surface,
 )
 from infomap_ros.simulation.simulator import SimulatorConfig
+from infomap_ros.simulation.worlds.scenes import WORLDS
 
 _ATTEMPTS, _ROUNDS = 60, 8  # views to which motions are planned, and how often others are drawn
 
@@ -49,7 +50,7 @@ class RoverConfig:
         ConfigError: a value is out of its range.
     """
 
-    world: str = parameter("mars", "Name of the world.", choices=("mars", "office", "cave"))
+    world: str = parameter("mars", "Name of the world.", choices=WORLDS)
     size: float = parameter(
         12.0, "Size of the world: of `mars`, diameter of the crater.", unit="m", low=4.0, high=40.0
     )

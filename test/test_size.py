@@ -1,0 +1,96 @@
+"""How much of the package a reader, a robot and each node carry; it may shrink, not grow."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import pytest
+
+from test.test_rooms import MODULES, NAMES, PACKAGE, module_of, own_imports, room_of
+
+NOT_ON_A_ROBOT = {"simulation", "studies"}
+_OVERFLOW = 110  # lines, below which a module with one user in its own folder is overflow of it
+
+USED = {
+    module: {module_of(name) for name, _ in own_imports(path)} & set(NAMES) - {module}
+    for module, path in NAMES.items()
+}
+AT_IMPORT = {
+    module: {module_of(name) for name, _ in own_imports(path, only_at_import=True)} & set(NAMES)
+    for module, path in NAMES.items()
+}
+LINES = {module: len(path.read_text("utf-8").splitlines()) for module, path in NAMES.items()}
+
+
+def nodes() -> list[str]:
+    """The modules of the programs that setup.py installs, but for the command line."""
+    setup = (PACKAGE.parent / "setup.py").read_text("utf-8")
+    return re.findall(r"= (infomap_ros\.nodes\.\w+):main", setup)
+
+
+def closure(module: str) -> set[str]:
+    """What importing a module imports of the package, the packages above each included."""
+    found: set[str] = set()
+    open_ends = {module}
+    while open_ends:
+        found |= open_ends
+        named = set().union(*(AT_IMPORT[name] for name in open_ends))
+        named |= {parent for name in named if (parent := name.rpartition(".")[0]) in NAMES}
+        open_ends = named - found
+    return found
+
+
+def single_users() -> list[str]:
+    """Short modules that one module alone uses, which lies in the same folder."""
+    users = Counter(target for targets in USED.values() for target in targets)
+    return [
+        module
+        for module, path in NAMES.items()
+        if users[module] == 1
+        and path.name != "__init__.py"
+        and LINES[module] < _OVERFLOW
+        and any(
+            module in targets and NAMES[user].parent == path.parent
+            for user, targets in USED.items()
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("what", "measured", "most"),
+    [
+        (
+            "lines that a robot installs",
+            sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
+            88_750,
+        ),
+        ("modules", len(MODULES), 788),
+        ("short modules with one user in their folder", len(single_users()), 39),
+    ],
+)
+def test_the_package_does_not_grow(what: str, measured: int, most: int) -> None:
+    print(f"{what}: {measured}, at most {most}")
+    assert measured <= most
+
+
+MOST_LINES = {
+    "stereo_range": 9_250,
+    "map_fusion": 34_550,
+    "bag_player": 8_950,
+    "simulator": 31_300,
+    "next_best_view": 54_000,
+    "explorer": 52_900,
+    "fiducial_localization": 44_850,
+    "dead_reckoning": 34_850,
+    "robot_driver": 36_300,
+    "web_viewer": 45_150,
+}
+"""Of what importing a node's module imports; to be lowered with each of them."""
+
+
+@pytest.mark.parametrize("node", nodes())
+def test_a_node_imports_no_more_than_it_did(node: str) -> None:
+    lines = sum(LINES[name] for name in closure(node))
+    print(f"{node}: {lines} lines in {len(closure(node))} modules")
+    assert lines <= MOST_LINES[node.rpartition(".")[2]]

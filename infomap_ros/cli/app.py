@@ -65,7 +65,7 @@ COMMANDS = {
     "tags": LateCommand(
         "infomap_ros.cli.tags_command:tags",
         "Find tags in photos, and draw them.",
-        "infomap tags photos/*.jpg --family 36h11 --out out/tags",
+        "infomap tags photos/*.jpg --family tag36h11 --out out/tags",
     ),
     "draw-target": LateCommand(
         "infomap_ros.cli.draw_target_command:draw_target",

@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -30,7 +31,7 @@ def tags(
         Path, typer.Option(help="folder for drawn photos and tags.csv", show_default=False)
     ],
     family: Annotated[
-        str, typer.Option(help=f"{', '.join(FAMILIES)}; empty: that of most tags found")
+        str, typer.Option(help=f"{', '.join(FAMILIES)}; empty: that whose tags are the surest")
     ] = "",
     side: Annotated[
         Optional[float],
@@ -44,17 +45,28 @@ def tags(
     if (side is None) != (not calibration):
         raise InvalidInputError("--side", "goes with --calibration, and that with --side")
     rows: list[list[object]] = []
+    stems = Counter(path.stem for path in images)
     with results_in(out, overwrite=True):
         for path in images:
             photo = read_photo(path)
             name, found = find_tags(photo, family)
-            cv2.imwrite(str(out / f"{path.stem}_tags.png"), draw_tags(photo, found))
+            folder = path.resolve().parent.name if stems[path.stem] > 1 else ""
+            drawn = f"{folder}_{path.stem}_tags.png".lstrip("_")
+            cv2.imwrite(str(out / drawn), draw_tags(photo, found))
             positions = [""] * len(found.ids)
             if side is not None and calibration:
                 size = (photo.shape[1], photo.shape[0])
                 positions = _positions(found, side, calibration, size)
             for one, corners, position in zip(found.ids, found.corners, positions, strict=True):
-                rows.append([path.name, name, int(one), *corners.ravel().round(3), position])
+                rows.append(
+                    [
+                        str(Path(folder, path.name)),
+                        name,
+                        int(one),
+                        *corners.ravel().round(3),
+                        position,
+                    ]
+                )
             if sys.stdout.isatty():
                 ids = " ".join(str(one) for one in sorted(found.ids)) or "no tags"
                 typer.echo(f"{path.name}: {len(found.ids)} of {name}: {ids}")
@@ -69,6 +81,8 @@ def tags(
 
 def _positions(found: Tags, side: float, files: list[Path], size: tuple[int, int]) -> list[str]:
     """Middle of each tag in the optical frame, x y z [m]."""
+    if not len(found.ids):
+        return []
     raw = read_calibration(files, size).cameras[0]
     k = raw.intrinsics
     camera = PinholeCamera(raw.width, raw.height, k[0, 0], k[1, 1], k[0, 2], k[1, 2])

@@ -13,6 +13,7 @@ from infomap_ros.cli.late_commands import new_app
 from infomap_ros.cli.tags_command import tags
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_detection import TagFinder
 from infomap_ros.localization.target.tag_drawing import draw_board
 
 SIDE, FOCAL = 0.1, 600.0
@@ -61,3 +62,32 @@ def test_a_photo_without_tags_is_said(tmp_path):
     done = run(tmp_path / "blank.png", "--out", tmp_path / "out")
     assert isinstance(done.exception, InvalidInputError)
     assert "no tag of any family was found" in str(done.exception)
+
+
+def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(photo, tmp_path):
+    page = np.full((480, 640), 255, np.uint8)
+    one = draw_board(TagBoardConfig(family="tag36h11", columns=1, rows=1), 600.0)
+    for left in (20, 220, 420):
+        page[100 : 100 + one.shape[0], left : left + one.shape[1]] = one
+    images = [tmp_path / name for name in ("blank/1.png", "alike/1.png")]
+    for path, image in zip(images, (np.full_like(page, 128), page), strict=True):
+        path.parent.mkdir()
+        cv2.imwrite(str(path), image)
+    (tmp_path / "k.txt").write_text(f"{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n")
+    out = tmp_path / "out"
+    done = run(*images, "--out", out, "--side", 0.16, "--calibration", tmp_path / "k.txt")
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader((out / "tags.csv").open(encoding="utf-8")))
+    assert [(row["photo"], row["family"], row["id"]) for row in rows] == [
+        ("alike/1.png", "tag36h11", "0")
+    ] * 3
+    assert sorted(path.name for path in out.glob("*.png")) == [
+        "alike_1_tags.png",
+        "blank_1_tags.png",
+    ]
+
+
+def test_noise_is_of_no_large_family():
+    """What of several families could be meant counts by how sure its tags are."""
+    sure = TagFinder("tag36h11").evidence
+    assert sure > TagFinder("tag16h5").evidence > TagFinder("aruco4x4_1000").evidence > 0

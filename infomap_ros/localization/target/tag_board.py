@@ -24,11 +24,15 @@ FAMILIES = {
     "tag36h10": "DICT_APRILTAG_36H10",
     "tag25h9": "DICT_APRILTAG_25H9",
     "tag16h5": "DICT_APRILTAG_16H5",
-    "aruco4x4_50": "DICT_4X4_50",
-    "aruco5x5_100": "DICT_5X5_100",
-    "aruco6x6_250": "DICT_6X6_250",
     "aruco_mip_36h12": "DICT_ARUCO_MIP_36H12",
+    "aruco_original": "DICT_ARUCO_ORIGINAL",
+    **{
+        f"aruco{cells}x{cells}_{size}": f"DICT_{cells}X{cells}_{size}"
+        for cells in (4, 5, 6, 7)
+        for size in (50, 100, 250, 1000)
+    },
 }
+"""OpenCV's names of the families."""
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb, log2
 from typing import Any, ClassVar, NamedTuple
 
 import cv2
@@ -74,20 +75,32 @@ class TagFinder:
         self._dictionary = dictionary(family)
         self._parameters = _detector_parameters(self.config)
 
-    def find(self, image: NDArray[np.uint8]) -> Tags:
+    @property
+    def evidence(self) -> float:
+        """How unlikely it is that a random pattern passes for a tag, as ``-log2`` [bits]."""
+        bits = int(self._dictionary.markerSize) ** 2
+        wrong = int(self._dictionary.maxCorrectionBits * self.config.corrected_bits)
+        patterns = (
+            4 * len(self._dictionary.bytesList) * sum(comb(bits, n) for n in range(wrong + 1))
+        )
+        return bits - log2(patterns)
+
+    def find(self, image: NDArray[np.uint8], may_repeat: bool = False) -> Tags:
         """Find tags.
 
         Args:
             image: gray image, shape (H, W).
+            may_repeat: whether several tags of the scene may have the same id.
 
         Returns:
-            Those whose four edges could be measured; of an id that occurs twice, none.
+            Those whose four edges could be measured; of an id that occurs twice none, unless it may
+            repeat, for one of them is not the tag that is meant.
         """
         quads, ids = self._detect(image)
         counts = {one: ids.count(one) for one in ids}
         found = []
         for one, quad in zip(ids, quads, strict=True):
-            if counts[one] == 1 and _shortest_edge(quad) >= self.config.min_side:
+            if (may_repeat or counts[one] == 1) and _shortest_edge(quad) >= self.config.min_side:
                 corners = refine_corners(image, quad, self._cells, self.config.min_contrast)
                 if corners is not None:
                     found.append((one, corners))

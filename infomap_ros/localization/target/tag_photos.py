@@ -34,11 +34,13 @@ def find_tags(photo: NDArray[np.uint8], family: str = "") -> tuple[str, Tags]:
 
     Args:
         photo: BGR, shape (H, W, 3).
-        family: of `TagBoardConfig`; the one of which most are found where empty.
+        family: of `TagBoardConfig`; where empty, the one whose tags are the least likely to be
+            random patterns.
     """
     gray = np.asarray(cv2.cvtColor(photo, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    found = {name: TagFinder(name).find(gray) for name in ([family] if family else FAMILIES)}
-    best = max(found, key=lambda name: len(found[name].ids))
+    finders = {name: TagFinder(name) for name in ([family] if family else FAMILIES)}
+    found = {name: finder.find(gray, may_repeat=True) for name, finder in finders.items()}
+    best = max(found, key=lambda name: len(found[name].ids) * finders[name].evidence)
     return best, found[best]
 
 

@@ -45,10 +45,16 @@ def tags(
     if (side is None) != (not calibration):
         raise InvalidInputError("--side", "goes with --calibration, and that with --side")
     rows: list[list[object]] = []
+    unread: list[Path] = []
     stems = Counter(path.stem for path in images)
     with results_in(out, overwrite=True):
         for path in images:
-            photo = read_photo(path)
+            try:
+                photo = read_photo(path)
+            except InvalidInputError as error:
+                unread.append(path)
+                typer.echo(f"infomap: {error}; left out", err=True)
+                continue
             name, found = find_tags(photo, family)
             folder = path.resolve().parent.name if stems[path.stem] > 1 else ""
             drawn = f"{folder}_{path.stem}_tags.png".lstrip("_")
@@ -57,16 +63,9 @@ def tags(
             if side is not None and calibration:
                 size = (photo.shape[1], photo.shape[0])
                 positions = _positions(found, side, calibration, size)
+            photo_name = str(Path(folder, path.name))
             for one, corners, position in zip(found.ids, found.corners, positions, strict=True):
-                rows.append(
-                    [
-                        str(Path(folder, path.name)),
-                        name,
-                        int(one),
-                        *corners.ravel().round(3),
-                        position,
-                    ]
-                )
+                rows.append([photo_name, name, int(one), *corners.ravel().round(3), position])
             if sys.stdout.isatty():
                 ids = " ".join(str(one) for one in sorted(found.ids)) or "no tags"
                 typer.echo(f"{path.name}: {len(found.ids)} of {name}: {ids}")
@@ -74,7 +73,9 @@ def tags(
     if sys.stdout.isatty():
         typer.echo(f"  {out}/*_tags.png  the photos with their tags\n  {out / 'tags.csv'}  corners")
     else:
-        typer.echo(json.dumps({"photos": len(images), "tags": len(rows)}))
+        typer.echo(json.dumps({"photos": len(images) - len(unread), "tags": len(rows)}))
+    if len(unread) == len(images):
+        raise InvalidInputError("images", "none of them could be read")
     if not rows:
         raise InvalidInputError("images", f"no tag of {family or 'any family'} was found")
 

@@ -75,8 +75,19 @@ def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(photo, tmp_pat
         cv2.imwrite(str(path), image)
     (tmp_path / "k.txt").write_text(f"{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n")
     out = tmp_path / "out"
-    done = run(*images, "--out", out, "--side", 0.16, "--calibration", tmp_path / "k.txt")
+    (tmp_path / "broken.jpg").write_bytes(b"no image")
+    done = run(
+        tmp_path / "broken.jpg",
+        *images,
+        "--out",
+        out,
+        "--side",
+        0.16,
+        "--calibration",
+        tmp_path / "k.txt",
+    )
     assert done.exit_code == 0, done.output
+    assert "broken.jpg: is not there or not an image; left out" in done.output
     rows = list(csv.DictReader((out / "tags.csv").open(encoding="utf-8")))
     assert [(row["photo"], row["family"], row["id"]) for row in rows] == [
         ("alike/1.png", "tag36h11", "0")
@@ -85,6 +96,12 @@ def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(photo, tmp_pat
         "alike_1_tags.png",
         "blank_1_tags.png",
     ]
+
+
+def test_that_no_photo_could_be_read_is_said(tmp_path):
+    done = run(tmp_path / "missing.png", "--out", tmp_path / "out")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "none of them could be read" in str(done.exception)
 
 
 def test_noise_is_of_no_large_family():

@@ -7,6 +7,8 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
+from infomap_ros.cli.command_options import Overwrite
+from infomap_ros.cli.results import check_free
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, transform_from_quaternion
 from infomap_ros.mapping import VoxelMap
@@ -19,7 +21,9 @@ _POSE_NUMBERS = 7
 
 def show(
     map_file: Annotated[Path, typer.Argument(help="a map file", show_default=False)],
-    out: Annotated[Optional[Path], typer.Option(help="picture to write (.png)")] = None,
+    out: Annotated[
+        Optional[Path], typer.Option(help="picture to write (.png); MAP_shown.png else")
+    ] = None,
     view_from: Annotated[
         Optional[str],
         typer.Option(
@@ -28,6 +32,7 @@ def show(
             'from a pose of its optical frame: "X Y Z QX QY QZ QW", as in trajectory files [m]',
         ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Print what a map file holds, and draw it."""
     voxel_map = VoxelMap.load(map_file)
@@ -41,7 +46,9 @@ def show(
         "low": None if bounds is None else (bounds[0] * size).round(3).tolist(),
         "high": None if bounds is None else ((bounds[1] + 1) * size).round(3).tolist(),
     }
-    picture = (out or map_file).with_suffix(".png")
+    picture = (out or map_file.with_name(f"{map_file.stem}_shown")).with_suffix(".png")
+    if out is not None:
+        check_free(picture, overwrite)
     if view_from is not None:
         seen = picture.with_name(f"{picture.stem}_depth.png")
         figures |= _draw_view(voxel_map, view_from, seen)

@@ -154,6 +154,22 @@ def test_show_prints_and_draws(tmp_path, run):
     assert (high > [2.0, 0.0, 0.0]).all()
 
 
+def test_show_leaves_the_pictures_of_the_run_and_of_others(tmp_path, run):
+    bag = write(tmp_path / "bag", depth_frames())
+    run("map", bag, "--out", tmp_path / "out")
+    picture, map_file = tmp_path / "out" / "map.png", tmp_path / "out" / "map.infomap"
+    before = picture.read_bytes()
+    status, out, _ = run("show", map_file)
+    assert status == 0
+    assert json.loads(out)["picture"] == str(tmp_path / "out" / "map_shown.png")
+    status, _, error = run("show", map_file, "--out", picture)
+    assert status == 1
+    assert "--overwrite" in error
+    assert picture.read_bytes() == before
+    assert run("show", map_file, "--out", picture, "--overwrite")[0] == 0
+    assert picture.read_bytes() != before
+
+
 def test_show_draws_what_a_camera_sees(tmp_path, run):
     bag = write(tmp_path / "bag", depth_frames())
     run("map", bag, "--out", tmp_path / "out")

@@ -115,7 +115,8 @@ def images(folder: Path, options: SequenceOptions) -> ImageSequence:
     if stereo is None:
         raise BagError(
             f"no pairs of images (left and right) and no depth images in {folder}: it holds "
-            f"{listing(folder)}. Name them by --left and --right, or --depth and --color"
+            f"{listing(folder)}. infomap convert takes them by --left and --right, or --depth "
+            "and --color"
         )
     return _stereo_sequence("images", folder, *_stamped(*stereo, options), options)
 

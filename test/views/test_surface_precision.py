@@ -85,8 +85,12 @@ def test_nothing_where_surfaces_are_precise_enough(room: VoxelMap) -> None:
     largest = surface_sigmas(room.gaussians()[2]).max()
     pose = facing(0.3, (2.0, 1.5, 1.0))
     assert gained(room, pose, InformationConfig(wanted_sigma=float(largest))) == 0.0
-    told = [gained(room, pose, InformationConfig(wanted_sigma=w)) for w in (0.002, 0.006, 0.018)]
+    told = [gained(room, pose, InformationConfig(wanted_sigma=w)) for w in (0.018, 0.024, 0.03)]
     assert told[0] > told[1] > told[2] > 0.0
+    finer = gained(room, pose, InformationConfig(wanted_sigma=0.002))
+    assert finer == pytest.approx(  # of what one view cannot reach, as far as levels of sigma allow
+        gained(room, pose, InformationConfig(wanted_sigma=0.01)), rel=0.01
+    )
 
 
 def test_a_near_look_tells_more_of_each_surface_than_a_far_glance() -> None:

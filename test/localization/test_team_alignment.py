@@ -9,7 +9,6 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import invert_transform, perturb_transform
 from infomap_ros.localization.target.map_alignment import (
     Alignment,
-    align_by_target,
     fuse_alignments,
 )
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
@@ -85,9 +84,8 @@ def test_robots_that_see_the_same_target_have_one_map(rng: np.random.Generator) 
         found = [detector.detect(BoardView(board, each, rng, 0.004)) for each in truths]
         first, second = found
         assert isinstance(first, TargetSighting) and isinstance(second, TargetSighting)
-        between = align_by_target(
-            Alignment(first.T_camera_target, first.covariance),
-            Alignment(second.T_camera_target, second.covariance),
+        between = Alignment(first.T_camera_target, first.covariance).then(
+            Alignment(second.T_camera_target, second.covariance).inverse()
         )
         error = pose_error(between.T_a_b, truths[0] @ invert_transform(truths[1]))
         assert np.linalg.norm(error[:3]) < 0.03

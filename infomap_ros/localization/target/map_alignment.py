@@ -55,16 +55,6 @@ class Alignment:
         return Alignment(*compose_poses(*first, *second))
 
 
-def align_by_target(in_a: Alignment, in_b: Alignment) -> Alignment:
-    """Alignment of two maps in which the same target was seen.
-
-    Args:
-        in_a: the target's frame in map a.
-        in_b: the target's frame in map b.
-    """
-    return in_a.then(in_b.inverse())
-
-
 def align_by_sighting(base_a: Alignment, other: Alignment, base_b: Alignment) -> Alignment:
     """Alignment of the maps of two robots of which one sees the other's tags.
 

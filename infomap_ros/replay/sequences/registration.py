@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform, transform_points
+from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -27,11 +27,6 @@ class ColorCamera:
     def T_color_depth(self) -> FloatArray:
         """Takes points in the depth camera's frame to this one's, shape (4, 4)."""
         return make_transform(np.eye(3), self.offset)
-
-    @property
-    def T_depth_color(self) -> FloatArray:
-        """Pose of this camera in the depth camera's frame, shape (4, 4)."""
-        return invert_transform(self.T_color_depth)
 
 
 def register_depth(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import defaultdict
 
 import pytest
 
@@ -35,25 +35,23 @@ def closure(module: str) -> set[str]:
     open_ends = {module}
     while open_ends:
         found |= open_ends
-        named = set().union(*(AT_IMPORT[name] for name in open_ends))
-        named |= {parent for name in named if (parent := name.rpartition(".")[0]) in NAMES}
-        open_ends = named - found
+        parents = {name.rpartition(".")[0] for name in open_ends} & set(NAMES)
+        open_ends = parents.union(*(AT_IMPORT[name] for name in open_ends)) - found
     return found
 
 
 def single_users() -> list[str]:
     """Short modules that one module alone uses, which lies in the same folder."""
-    users = Counter(target for targets in USED.values() for target in targets)
+    folders_of_users = defaultdict(list)
+    for user, targets in USED.items():
+        for target in targets:
+            folders_of_users[target].append(NAMES[user].parent)
     return [
         module
         for module, path in NAMES.items()
-        if users[module] == 1
+        if folders_of_users[module] == [path.parent]
         and path.name != "__init__.py"
         and LINES[module] < _OVERFLOW
-        and any(
-            module in targets and NAMES[user].parent == path.parent
-            for user, targets in USED.items()
-        )
     ]
 
 
@@ -75,10 +73,10 @@ def test_the_package_does_not_grow(what: str, measured: int, most: int) -> None:
 
 
 MOST_LINES = {
-    "stereo_range": 9_250,
+    "stereo_range": 22_250,
     "map_fusion": 34_550,
     "bag_player": 8_950,
-    "simulator": 31_300,
+    "simulator": 37_050,
     "next_best_view": 54_000,
     "explorer": 52_900,
     "fiducial_localization": 44_850,

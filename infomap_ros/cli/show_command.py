@@ -35,6 +35,9 @@ def show(
     overwrite: Overwrite = False,
 ) -> None:
     """Print what a map file holds, and draw it."""
+    picture = (out or map_file.with_name(f"{map_file.stem}_shown")).with_suffix(".png")
+    if out is not None:
+        check_free(picture, overwrite)
     voxel_map = VoxelMap.load(map_file)
     bounds, size = voxel_map.bounds(), voxel_map.config.voxel_size
     figures = {
@@ -46,9 +49,6 @@ def show(
         "low": None if bounds is None else (bounds[0] * size).round(3).tolist(),
         "high": None if bounds is None else ((bounds[1] + 1) * size).round(3).tolist(),
     }
-    picture = (out or map_file.with_name(f"{map_file.stem}_shown")).with_suffix(".png")
-    if out is not None:
-        check_free(picture, overwrite)
     if view_from is not None:
         seen = picture.with_name(f"{picture.stem}_depth.png")
         figures |= _draw_view(voxel_map, view_from, seen)

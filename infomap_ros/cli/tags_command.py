@@ -45,19 +45,19 @@ def tags(
     if (side is None) != (not calibration):
         raise InvalidInputError("--side", "goes with --calibration, and that with --side")
     rows: list[list[object]] = []
-    unread: list[Path] = []
+    read = 0
     stems = Counter(path.stem for path in images)
     with results_in(out, overwrite=True):
         for path in images:
             try:
                 photo = read_photo(path)
             except InvalidInputError as error:
-                unread.append(path)
                 typer.echo(f"infomap: {error}; left out", err=True)
                 continue
+            read += 1
             name, found = find_tags(photo, family)
             folder = path.resolve().parent.name if stems[path.stem] > 1 else ""
-            drawn = f"{folder}_{path.stem}_tags.png".lstrip("_")
+            drawn = "_".join([*([folder] if folder else []), path.stem, "tags.png"])
             cv2.imwrite(str(out / drawn), draw_tags(photo, found))
             positions = [""] * len(found.ids)
             if side is not None and calibration:
@@ -73,8 +73,8 @@ def tags(
     if sys.stdout.isatty():
         typer.echo(f"  {out}/*_tags.png  the photos with their tags\n  {out / 'tags.csv'}  corners")
     else:
-        typer.echo(json.dumps({"photos": len(images) - len(unread), "tags": len(rows)}))
-    if len(unread) == len(images):
+        typer.echo(json.dumps({"photos": read, "tags": len(rows)}))
+    if not read:
         raise InvalidInputError("images", "none of them could be read")
     if not rows:
         raise InvalidInputError("images", f"no tag of {family or 'any family'} was found")

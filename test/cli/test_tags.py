@@ -64,7 +64,7 @@ def test_a_photo_without_tags_is_said(tmp_path):
     assert "no tag of any family was found" in str(done.exception)
 
 
-def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(photo, tmp_path):
+def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(tmp_path):
     page = np.full((480, 640), 255, np.uint8)
     one = draw_board(TagBoardConfig(family="tag36h11", columns=1, rows=1), 600.0)
     for left in (20, 220, 420):

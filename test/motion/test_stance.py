@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
 from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
-from infomap_ros.motion.base.easy_ground import easy_cells
 from infomap_ros.motion.base.quick_stance import ground_of, is_good
 from infomap_ros.motion.base.stance import STANDS, tip_margin
 from infomap_ros.motion.base.vehicle import terrain_arrays
@@ -289,18 +288,6 @@ def test_quick_judgment_is_that_of_the_full_one(vehicle, rng, size):
     quick = np.array([is_good(judged, *place) for place in places])
     np.testing.assert_array_equal(quick, outcomes == STANDS)
     assert 50 < quick.sum() < 2950
-
-
-@pytest.mark.parametrize("size", [0.0, 0.002, 0.005])
-def test_easy_cells_are_good_in_every_heading(vehicle, rng, size):
-    terrain = uneven(rng, size)
-    easy = np.argwhere(easy_cells(terrain_arrays(terrain, vehicle.config), vehicle.arrays))
-    assert len(easy) > 20
-    chosen = easy[rng.integers(0, len(easy), 4000)]
-    corners = np.array(terrain.origin) + chosen * terrain.resolution
-    xy = corners + rng.uniform(0.0, terrain.resolution, chosen.shape)
-    places = np.column_stack([xy, rng.uniform(-4, 4, len(xy))])
-    assert vehicle.stances(terrain, places).ok.all()
 
 
 def test_robot_on_a_footprint_rests_on_its_corners():

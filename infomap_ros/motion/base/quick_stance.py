@@ -16,8 +16,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.base.easy_ground import steepest_balanced
-from infomap_ros.motion.base.settling import settle
+from infomap_ros.motion.base.settling import settle, tilt_to
 from infomap_ros.motion.base.stance import (
     MEASURES,
     STANDS,
@@ -25,10 +24,13 @@ from infomap_ros.motion.base.stance import (
     VehicleArrays,
     is_within,
     judge,
+    tip_margin,
 )
 
 _STEEPEST = 0.25  # tangent of the steepest slope that is judged quickly
 _SPREAD = 0.1  # largest difference of height within a piece [m]
+_DIRECTIONS = 64  # in which a slope is tried for balance
+_ANGLE_RESERVE = 0.01  # for what lies between these directions [rad]
 
 
 class QuickArrays(NamedTuple):
@@ -81,7 +83,7 @@ def _quick_arrays(terrain: TerrainArrays, vehicle: VehicleArrays, spacing: float
     _, slope, step, roughness, margin, _ = vehicle.limits
     with np.errstate(invalid="ignore"):
         hard = ~((terrain.step <= step) & (terrain.roughness <= roughness))
-    steepest = min(float(slope), steepest_balanced(vehicle, float(margin)), math.atan(_STEEPEST))
+    steepest = min(float(slope), _steepest_balanced(vehicle, float(margin)), math.atan(_STEEPEST))
     return QuickArrays(
         maximum_filter(terrain.bottom, around, mode="nearest"),
         minimum_filter(terrain.top, around, mode="nearest"),
@@ -106,6 +108,20 @@ def _pieces(columns: FloatArray, spacing: float) -> FloatArray:
             x, y = (2.0 * square + 1.0) * spacing
             pieces.append(np.array([[x, y, own[:, 2].min(), own[:, 3].max()]]))
     return np.concatenate([np.zeros((0, 4)), *pieces])
+
+
+def _steepest_balanced(vehicle: VehicleArrays, margin: float) -> float:
+    """Steepest slope [rad] on which the tip-over margin holds in every direction, by bisection."""
+    low, high, pose = 0.0, 1.5, np.eye(4)
+    for _ in range(20):
+        slope = 0.5 * (low + high)
+        smallest = math.inf
+        for angle in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
+            rise = math.tan(slope)
+            tilt_to(pose, 0.0, rise * math.cos(angle), rise * math.sin(angle))
+            smallest = min(smallest, tip_margin(pose, vehicle.support, vehicle.center_of_mass))
+        low, high = (slope, high) if smallest >= margin + _ANGLE_RESERVE else (low, slope)
+    return low
 
 
 @kernel

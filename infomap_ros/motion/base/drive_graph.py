@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_kernels import wrapped
-from infomap_ros.motion.base.quick_stance import is_good
+from infomap_ros.motion.base.stance import is_good
 
 UNASKED, CLEAR, BLOCKED = 0, 1, 2
 """States of a node, a turn or a move."""

@@ -19,8 +19,7 @@ from infomap_ros.motion.base.drive_graph import (
     arc_moves,
     empty_graph,
 )
-from infomap_ros.motion.base.quick_stance import Ground, ground_of
-from infomap_ros.motion.base.stance import TerrainArrays, VehicleArrays
+from infomap_ros.motion.base.stance import Ground, TerrainArrays, VehicleArrays
 from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
 
 TURN_STEP = 2.0 * np.pi / 32.0
@@ -47,7 +46,7 @@ class DriveSpace:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
         self.grid = np.array([*terrain.origin, terrain.resolution, TURN_STEP])
         arrays = terrain_arrays(terrain, vehicle.config)
-        self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
+        self.ground = Ground.of(arrays, vehicle.arrays)
         in_place = config.turning_radius == 0.0
         self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
         self.graph = empty_graph(terrain.heights.shape, in_place)

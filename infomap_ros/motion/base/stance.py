@@ -230,6 +230,33 @@ def judge(terrain: Any, vehicle: Any, pose: Any, gaps: Any, measures: Any) -> in
     return _body_clear(terrain, vehicle, pose, measures)
 
 
+class Ground(NamedTuple):
+    """All that `is_good` needs besides a place.
+
+    Attributes:
+        terrain: the ground.
+        vehicle: the robot.
+        scratch: pose, gaps and measures, as `stand` takes them: working memory of one thread.
+    """
+
+    terrain: TerrainArrays
+    vehicle: VehicleArrays
+    scratch: tuple[FloatArray, FloatArray, FloatArray]
+
+    @classmethod
+    def of(cls, terrain: TerrainArrays, vehicle: VehicleArrays) -> Ground:
+        """A terrain for a vehicle."""
+        scratch = np.eye(4), np.empty(len(vehicle.centers)), np.empty(MEASURES)
+        return cls(terrain, vehicle, scratch)
+
+
+@kernel
+def is_good(ground: Any, x: float, y: float, yaw: float) -> bool:
+    """Whether the robot may stand at x, y [m, map], heading yaw [rad]; `ground` is a `Ground`."""
+    pose, gaps, measures = ground.scratch
+    return stand(ground.terrain, ground.vehicle, x, y, yaw, pose, gaps, measures) == STANDS
+
+
 @njit(cache=True, nogil=True)
 def stand_all(
     terrain: Any, vehicle: Any, places: Any, poses: Any, outcomes: Any, measures: Any

@@ -12,8 +12,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_space import TURN_STEP
-from infomap_ros.motion.base.settling import tilt_to
-from infomap_ros.motion.base.stance import STANDS
+from infomap_ros.motion.base.stance import STANDS, tilt_to
 
 from .drive_oracle import DriveOracle
 from .grounds import CELL, ground, plane, rover

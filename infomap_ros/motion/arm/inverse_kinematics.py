@@ -62,17 +62,18 @@ def solve_ik(
     last = attempts_for(arm, target, goal, settings.restarts + 1)
     attempt, refused = -1, 0
     while attempt + 1 < last:
-        attempt, reached, *errors = next_solution(
+        attempt, reached, distance, angle = next_solution(
             chain.arrays, arm, target, goal, start, seed, 0, (attempt + 1, last), q, memory
         )
         if reached and (is_valid is None or is_valid(q.copy())):
-            return IkResult(q, True, "", *errors, attempt)
+            return IkResult(q, True, "", distance, angle, attempt)
         refused += reached
         if reached:
             reason = f"solutions found: {refused}, none of them valid"
-            result = IkResult(q.copy(), False, reason, *errors, attempt)
+            result = IkResult(q.copy(), False, reason, distance, angle, attempt)
         elif not refused:
-            result = IkResult(q, False, why_not(chain, target, q, errors, goal), *errors, attempt)
+            reason = why_not(chain, target, q, (distance, angle), goal)
+            result = IkResult(q, False, reason, distance, angle, attempt)
     return result
 
 

@@ -54,7 +54,7 @@ class ArmPathConfig:
         high=100.0,
     )
     shortcuts: ClassVar[int] = 100
-    """Number of attempts to shorten the way that was found."""
+    """Number of attempts to shorten the way that was found, and then to leave out corners."""
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -181,7 +181,9 @@ class _Search:
         if not problem.hasExactSolution():
             return None
         path, attempts = problem.getSolutionPath(), self._config.shortcuts
-        og.PathSimplifier(self._information).partialShortcutPath(path, attempts, attempts, 1.0)
+        simplifier = og.PathSimplifier(self._information)
+        simplifier.partialShortcutPath(path, attempts, attempts, 1.0)
+        simplifier.reduceVertices(path, attempts, attempts, 1.0)  # each corner takes time
         way = np.array([_positions(state, self.weights) for state in path.getStates()])
         way[0], way[-1] = self._ends
         return way

@@ -1,10 +1,8 @@
-"""Ways of the rover's arm around a shelf and through a window, beside OMPL in the same run.
+"""Ways of the rover's arm around a shelf and through a window, with whole motions checked at once.
 
-The robot, the obstacles and the compiled collision check are the same for both. OMPL's RRTConnect
-is used as its Python binding offers it: one callback per motion that it asks for (`ompl_motion`,
-which checks the whole motion compiled) or one per state (`ompl_state`, at the same spacing). Both
-include 100 attempts at a shortcut on our side and OMPL's simplifySolution on its. Prints one JSON
-line: milliseconds, and how many of the queries were solved.
+OMPL's RRTConnect plans with one compiled check per motion (`plan_arm_path`), beside one per state
+at the same spacing (`ompl_state`), with the same robot and obstacles. Prints one JSON line:
+milliseconds, and how many of the queries were solved.
 
     python benchmarks/bench_arm_path.py [--queries 60] [--time-limit 5]
 """
@@ -27,7 +25,6 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
 from infomap_ros.motion.collision.kernels import is_free
 
@@ -49,21 +46,8 @@ def obstacles(name: str) -> DistanceField:
     return field_of_blocked(blocked, FIRST, SIZE, outside_is_free=True)
 
 
-class MotionCallback(ob.MotionValidator):
-    """A whole motion per callback."""
-
-    def __init__(self, information: Any, space: Any, scratch: np.ndarray, count: int) -> None:
-        super().__init__(information)
-        self._space, self._scratch, self._count = space, scratch, count
-
-    def checkMotion(self, first: Any, second: Any) -> bool:
-        """As OMPL calls it."""
-        ends = [np.array([s[j] for j in range(self._count)]) for s in (first, second)]
-        return first_on_way(self._space, *ends, self._scratch) < 0.0
-
-
 def ompl_solver(
-    checker: CollisionChecker, by_motion: bool, limit: float
+    checker: CollisionChecker, limit: float
 ) -> Callable[[np.ndarray, np.ndarray], bool]:
     """Solve one query; whether that was possible."""
     chain, scratch, space = checker.body.chain, checker.body.scratch(), checker.space(BASE)
@@ -83,9 +67,6 @@ def ompl_solver(
         setup.setStateValidityChecker(
             lambda s: bool(is_free(space, np.array([s[j] for j in range(count)]), scratch))
         )
-        if by_motion:
-            validator = MotionCallback(information, space, scratch, count)
-            information.setMotionValidator(validator)
         information.setStateValidityCheckingResolution(spacing / states.getMaximumExtent())
         ends = []
         for q in (start, goal):
@@ -137,9 +118,8 @@ def main() -> None:
         blocked = [pair for pair in pairs if not checker.first_on_way(*pair, BASE).free]
         queries = blocked[: arguments.queries]
         solvers: dict[str, Callable[[np.ndarray, np.ndarray], bool]] = {
-            "infomap": lambda a, b, c=checker: plan_arm_path(c, a, b, BASE, config).converged,
-            "ompl_motion": ompl_solver(checker, True, arguments.time_limit),
-            "ompl_state": ompl_solver(checker, False, arguments.time_limit),
+            "plan_arm_path": lambda a, b, c=checker: plan_arm_path(c, a, b, BASE, config).converged,
+            "ompl_state": ompl_solver(checker, arguments.time_limit),
         }
         for name, solve in solvers.items():
             solve(*queries[0])

@@ -60,7 +60,7 @@ def ground_of(world: World) -> Terrain:
     overhead = middle[:, 2] + CEILING * up
     heights, overhead = heights.reshape(shape), overhead.reshape(shape)
     steps, roughness = np.empty_like(heights), np.empty_like(heights)
-    largest_steps(heights, steps)
+    largest_steps(heights, np.zeros(shape), steps)
     plane_misfits(heights, 2, 0.1, roughness)
     grids = (heights, np.zeros(shape), roughness, steps, heights, overhead, np.full(shape, np.inf))
     x, y, _ = world.start

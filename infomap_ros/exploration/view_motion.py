@@ -61,8 +61,7 @@ class ViewMotion:
         self._last_reach: WholeBodyReach | None = None
         self._sent: Route | None = None
         self._check: RouteCheck | None = None
-        self._been: tuple[PlacedSolid, ...] = ()  # what the body has filled since the last choice
-        self._planned: FloatArray | None = None  # way of the arm to the view planned last
+        self._planned: FloatArray | None = None  # posture at the view planned last
         self._may_drive = True  # once more to the view planned last
 
     @property
@@ -137,18 +136,11 @@ class ViewMotion:
             route: None for none.
         """
         self._sent, self._check = route, None
-        self._been = () if self._last_reach is None else self._last_reach.near.own_space
-        self._planned = None if route is None else route.arm_after.positions
+        self._planned = None if route is None else route.arm_after.positions[-1]
         self._may_drive = True
         self._watch(voxel_map, state, route)
 
-    def _watch(
-        self,
-        voxel_map: VoxelMap,
-        state: RobotState,
-        route: Route | None,
-        known_free: Sequence[PlacedSolid] = (),
-    ) -> None:
+    def _watch(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:
         """Begin to check a route that begins here."""
         if route is not None:
             reaching = self.config.reaching
@@ -157,7 +149,7 @@ class ViewMotion:
                 whole = whole.driving_in(route.arm_before.positions[-1])
             self._check = RouteCheck(
                 route, whole, reaching, voxel_map, state.T_map_base, state.joints, self._start,
-                known_free, self._forbidden,
+                self._forbidden,
             )  # fmt: skip
 
     def withdraw(self) -> None:
@@ -186,9 +178,8 @@ class ViewMotion:
         """The rest of the way to a view, from where the base has come to stand.
 
         A motion of the arm alone within the task's tolerances. Where that cannot be, once for each
-        view, a short drive to where it can; else as near with the arm as can be. The space that
-        the body has filled since the route was planned is free, as it was for that plan: nothing
-        sees it. Where a doubtful pose asks for too much room, with as much as a sure one.
+        view, a short drive to where it can; else as near with the arm as can be. Where a doubtful
+        pose asks for too much room, with as much as a sure one.
 
         Args:
             voxel_map: what is known.
@@ -199,7 +190,6 @@ class ViewMotion:
         task = self.task
         for widen in (True, False):
             reach = self.reach(voxel_map, state, obstacles, widen)
-            reach.near.add_free(self._been)
             result = reach.with_arm_alone(
                 T_map_camera,
                 task.view_position_tolerance,
@@ -213,8 +203,7 @@ class ViewMotion:
             if not driven.reason and driven.travel <= _CORRECTION:
                 result, self._may_drive = driven, False
         self._sent, self._check = result.route, None
-        self._watch(voxel_map, state, result.route, self._been)
-        self._been = (*self._been, *reach.near.own_space)
+        self._watch(voxel_map, state, result.route)
         return result
 
     def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:

@@ -58,8 +58,6 @@ class WholeBodyReach:
         joints: where the joints are, by name [rad or m].
         config: None for the defaults.
         start: the declared space in which the robot was started.
-        standing: further poses in which the robot has stood, shape (P, 4, 4): the ground there is
-            known.
         previous: the instance before: where the arm has been since the base stands, and what was
             found out about ground that has not changed since, are taken over.
         sent: the route along which the robot was sent since then.
@@ -85,7 +83,6 @@ class WholeBodyReach:
         joints: Mapping[str, float],
         config: ReachingConfig | None = None,
         start: ClearStart | None = None,
-        standing: ArrayLike | None = None,
         previous: WholeBodyReach | None = None,
         sent: Route | None = None,
         obstacles: Sequence[Obstacle] = (),
@@ -116,8 +113,6 @@ class WholeBodyReach:
         trail = past.after(self._base, self._q, sent)
         self._routes = RoutePlanner(self._whole, self.near, self.config, trail).foldable()
         self._whole = self._routes.whole
-        poses = np.zeros((0, 4, 4)) if standing is None else float_array(standing, "standing")
-        self._standing = np.concatenate([self._base[None], poses])
         self._planner_before = None if previous is None else previous._last_planner
         self._ik = IkConfig(self.config.position_tolerance, self.config.direction_tolerance)
 
@@ -133,14 +128,14 @@ class WholeBodyReach:
         vehicle = widest_vehicle(self._whole, self.config, terrain, self._base, self._sigma)
         before, self._planner_before = self._planner_before, None
         if not vehicle.closed_at(terrain, *self._xyyaw):
-            return BasePlanner(terrain, vehicle, self.config.base, self._standing, before)
+            return BasePlanner(terrain, vehicle, self.config.base, self._base, before)
         left = [
             each
             for each in closed
             if not vehicle.closed_at(with_closed_ground(ground, [each]), *self._xyyaw)
         ]
         opened = with_closed_ground(ground, left)
-        return LeavingPlanner(terrain, opened, vehicle, self.config.base, self._standing, before)
+        return LeavingPlanner(terrain, opened, vehicle, self.config.base, self._base, before)
 
     @property
     def stands_wrongly(self) -> str:
@@ -235,7 +230,7 @@ class WholeBodyReach:
             T_map_camera: shape (4, 4).
             position_tolerance: how near the camera must come [m].
             angle_tolerance: and its viewing direction, the roll being free [rad].
-            planned: way of the arm to the view from a place nearby, shape (K, n).
+            planned: posture like which the arm is to be, shape (n,).
 
         Returns:
             The route, with a reason where it ends beside the tolerances; none if nothing is free.

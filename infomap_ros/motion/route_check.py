@@ -8,15 +8,15 @@ when the route was planned, by the same checks, does not count.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
+from infomap_ros.mapping.distance_field import distance_field
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
 from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
 from infomap_ros.motion.base.stance import (
@@ -29,7 +29,6 @@ from infomap_ros.motion.base.stance import (
 from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.clear_start import ClearStart
-from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.keep_out import KeepOut, with_keep_out
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, Route
@@ -67,7 +66,6 @@ class RouteCheck:
         T_map_base: where the base was then, shape (4, 4).
         joints: positions then, by name [rad or m].
         start: space that was declared clear.
-        known_free: further space that was taken for free although it was never seen [map].
         keep_out: where the base must not go, as it was then.
     """
 
@@ -80,14 +78,13 @@ class RouteCheck:
         T_map_base: FloatArray,
         joints: Mapping[str, float],
         start: ClearStart | None = None,
-        known_free: Sequence[PlacedSolid] = (),
         keep_out: KeepOut | None = None,
     ) -> None:
-        self._known_free, self._keep_out = known_free, keep_out or KeepOut()
+        self._keep_out = keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
         # The plan kept a margin; what uses it up, as noise of the ground does, breaks nothing off.
         self._vehicle = whole.vehicle.under_way()
-        self._base, self._joints = T_map_base, dict(joints)
+        self._base, self._began = T_map_base, whole.chain.positions(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
         self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)
         self._arm = _densified(route.arm_before if route.moves_base else route.arm_after)
@@ -178,13 +175,16 @@ class RouteCheck:
 
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
         """The arm among what is confirmed: a single hit does not stop it, nor does doubt."""
-        body, config = self._whole.body, self._config
-        start = () if self._start is None else (self._start.space(body.robot),)
-        near = NearSpace(
-            voxel_map, body, self._base, self._joints, self._whole.radius, config.clear_body,
-            (*self._known_free, *start), self._whole.foot, only_confirmed=True,
-        )  # fmt: skip
-        return near.checker_at(self._base)
+        body, middle = self._whole.body, self._base[:3, 3]
+        window = voxel_map.window(middle - self._whole.radius, middle + self._whole.radius)
+        field = distance_field(
+            window,
+            thresholds=OccupancyThresholds(body.config.free_probability, CONFIRMED_PROBABILITY),
+            unknown_is_free=True,
+            doubtful_is_free=True,
+            own_points=body.spheres(self._began, self._base)[:, :3],
+        )
+        return CollisionChecker(body, field).standing(self._began, self._base)
 
     def _surroundings(self, voxel_map: VoxelMap) -> NDArray[np.uint8]:
         """Free, occupied and unknown voxels in a box about the route."""

@@ -15,7 +15,6 @@ from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik, solve_
 from infomap_ros.motion.arm.trajectory import time_path
 from infomap_ros.motion.base.base_path import BasePath
 from infomap_ros.motion.base.drive_time import drive_seconds
-from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision.near_space import NearSpace
 from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
@@ -74,8 +73,7 @@ class RoutePlanner:
         Args:
             view: ``T_map_camera``, shape (4, 4).
             ik: tolerances; the roll about the optical axis is free.
-            planned: way to the view from a place nearby, shape (K, n): the view is reached in a
-                posture like the last one where that can be, and along this way.
+            planned: posture, shape (n,), like which the arm is to be where that can be.
         """
         base, refused = self.trail.T_map_base, []
         checker = self.near.checker_at(base)
@@ -92,11 +90,11 @@ class RoutePlanner:
 
         found = solve_ik(
             self.whole.chain, np.linalg.inv(base) @ view, direction_only=True,
-            q_start=self.q if planned is None else planned[-1], config=ik, is_valid=is_valid,
+            q_start=self.q if planned is None else planned, config=ik, is_valid=is_valid,
         )  # fmt: skip
         if not found.converged:
             return None, refused[-1] if refused else found.reason
-        arm = self._arm_along(planned, found.q) or self.arm_from_here(found.q)
+        arm = self.arm_from_here(found.q)
         if not arm.converged:
             return None, arm.reason
         return self.with_arm_alone(arm), ""
@@ -120,8 +118,7 @@ class RoutePlanner:
             With a reason where that is not within both tolerances; no route without any motion.
         """
         base, tolerances = self.trail.T_map_base, (position_tolerance, angle_tolerance)
-        start = None if planned is None else planned[-1]
-        qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances, start)
+        qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances, planned)
         checker = self.near.checker_at(base)
         sees = self.whole.sees_past_itself(qs)
         free = np.flatnonzero(checker.are_free(qs, base, base=False) & sees)
@@ -131,7 +128,7 @@ class RoutePlanner:
             reason = f"the nearest posture touches {touched}" if touched else _OUT_OF_REACH
         for row in _apart(qs, free):
             from_here = self.arm_from_here if row == free[0] else self._quick_arm
-            arm = self._arm_along(planned, qs[row]) or from_here(qs[row])
+            arm = from_here(qs[row])
             if arm.converged:
                 return replace(
                     self.with_arm_alone(arm), reason="" if errors[row] <= 1.0 else reason
@@ -188,30 +185,6 @@ class RoutePlanner:
         away = np.linalg.norm(cameras[:, :3, 3] - view[:3, 3], axis=1)
         angles = np.arccos(np.clip(cameras[:, :3, 2] @ view[:3, 2], -1.0, 1.0))
         return np.asarray(qs[int(np.argmin(away + angles))])
-
-    def _arm_along(self, planned: FloatArray | None, goal: FloatArray) -> ArmPath | None:
-        """A way along one that was planned from a place nearby, as far as that is free here."""
-        if planned is None or np.abs(planned[0] - self.q).max() > _ALIKE:
-            return None
-        base, chain = self.trail.T_map_base, self.whole.chain
-        checker, way = self.near.checker_at(base), [self.q]
-        space, scratch = checker.departure(self.q, base), checker.body.scratch()
-
-        def is_free(first: FloatArray, second: FloatArray) -> bool:
-            return bool(first_on_way(space, first, second, scratch) < 0.0)
-
-        left = corners_of(planned)[1:]
-        while len(left):
-            ahead = [row for row in range(len(left)) if is_free(way[-1], left[row])]
-            if not ahead:
-                break
-            way.append(left[ahead[-1]])
-            left = left[ahead[-1] + 1 :]
-        on = plan_arm_path(checker, way[-1], goal, base, QUICK_SEARCH)
-        if not on.converged:
-            return None
-        corners = np.array([*way[:-1], *corners_of(on.positions)])
-        return time_path(chain, corners, self.config.trajectory, is_free)
 
     def _quick_arm(self, goal: FloatArray) -> ArmPath:
         """A way of the arm from where it is, sought with less effort."""

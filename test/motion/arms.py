@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.motion import KinematicChain, RobotModel
+from infomap_ros.motion.robot.chain_kernels import fill_jacobian, place_chain
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -94,3 +95,13 @@ def errors(robot: RobotModel, qs: np.ndarray, targets: np.ndarray) -> tuple[np.n
         2.0 * np.arcsin(half.clip(max=1.0)),
         2.0 * np.arcsin((0.5 * apart).clip(max=1)),
     )
+
+
+def jacobian_of(chain: KinematicChain, q: np.ndarray) -> np.ndarray:
+    """Of the camera's position above its rotation, shape (6, n), as inverse kinematics has it."""
+    arrays = chain.arrays
+    places = np.empty((len(arrays.columns) + 1, 3, 4))
+    place_chain(*arrays, np.asarray(q), places)
+    jacobian = np.empty((6, len(chain)))
+    fill_jacobian(arrays.columns, arrays.scales, arrays.prismatic, places, jacobian)
+    return jacobian

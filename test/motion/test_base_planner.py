@@ -12,7 +12,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_space import TURN_STEP
-from infomap_ros.motion.base.stance import STANDS
+from infomap_ros.motion.base.stance import STANDS, tilt_to
 
 from .drive_oracle import DriveOracle
 from .grounds import CELL, ground, plane, rover
@@ -227,7 +227,10 @@ def test_start_on_ground_that_was_never_seen_does_not_lock(vehicle):
 
     terrain = ground(height, near=(0.0, 0.0, 0.0762))
     assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
-    planner = BasePlanner(terrain, vehicle)
+    here = np.eye(4)
+    tilt_to(here, 0.0, 0.1, 0.0)
+    here[2, 3] = 0.0762 * np.hypot(1.0, 0.1)
+    planner = BasePlanner(terrain, vehicle, standing=here)
     path = planner.plan((0.0, 0.0, 0.0), (1.2, 0.3, 0.0))
     assert path.complete
     np.testing.assert_allclose(path.T_map_base[0][:3, 2] @ (0.1, 0.0, -1.0), -1.005, atol=2e-3)

@@ -12,6 +12,8 @@ import pytest
 from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.motion import KinematicChain, RobotModel
 
+from .arms import jacobian_of
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 # A tree with every kind of joint, axes that are not those of the frames, joints that mimic, and
@@ -111,14 +113,15 @@ def test_jacobian_agrees_with_pinocchio(name, rng):
     xml = TREE if name == "tree" else (REPOSITORY / "config/rover.urdf").read_text("utf-8")
     qs = random_positions(robot.arm, rng, 20)
     expected = [pinocchio_jacobian(xml, robot, robot.arm.by_name(q)) for q in qs]
-    np.testing.assert_allclose(robot.arm.jacobian(qs), expected, atol=1e-13)
+    found = [jacobian_of(robot.arm, q) for q in qs]
+    np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
 def test_jacobian_of_a_chain_that_is_passed_backwards_by_finite_differences(rng):
     chain = tree("camera", "side_end").arm
     step = 1e-6
     for q in random_positions(chain, rng, 5):
-        jacobian, pose = chain.jacobian(q), chain.camera_pose(q)
+        jacobian, pose = jacobian_of(chain, q), chain.camera_pose(q)
         for column, change in enumerate(np.eye(len(chain)) * step):
             ahead, behind = chain.camera_pose(q + change), chain.camera_pose(q - change)
             velocity = (ahead - behind) / (2.0 * step)
@@ -164,7 +167,6 @@ def test_a_camera_that_is_fixed_to_the_base_has_an_empty_chain():
     assert len(robot.arm) == 0
     mount = pinocchio.SE3(pinocchio.rpy.rpyToMatrix(-1.5, 0.2, 0.0), np.array([0.0, 0.0, 0.05]))
     np.testing.assert_allclose(robot.arm.camera_pose([]), mount.homogeneous, atol=1e-13)
-    assert robot.arm.jacobian(np.empty((2, 0))).shape == (2, 6, 0)
 
 
 def test_positions_by_name_and_back():

@@ -11,8 +11,8 @@ import pytest
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.camera_parts import find_arm_ends, find_cameras, find_telescopes
-from infomap_ros.motion.robot.wheel_parts import find_wheels
+from infomap_ros.simulation.robots.camera_parts import find_arm_ends, find_cameras, find_telescopes
+from infomap_ros.simulation.robots.wheel_parts import find_wheels
 
 from .known_robots import TELESCOPE, installed
 

@@ -11,10 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
 from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
-from infomap_ros.motion.base.easy_ground import easy_cells
-from infomap_ros.motion.base.quick_stance import ground_of, is_good
-from infomap_ros.motion.base.stance import STANDS, tip_margin
-from infomap_ros.motion.base.vehicle import terrain_arrays
+from infomap_ros.motion.base.stance import tip_margin
 
 from .grounds import FOLDED, ground, plane, rough, rover, rover_model
 from .known_robots import KNOWN_ROBOTS
@@ -253,54 +250,6 @@ def test_batch_and_single_stances_agree(vehicle, rng):
         stance = vehicle.stance(terrain, *place)
         assert stance.ok == good == (stance.reason == "")
         np.testing.assert_array_equal(stance.T_map_base, pose)
-
-
-def uneven(rng: np.random.Generator, size: float):
-    """Rough ground with stones, unknown patches, and things hanging above it."""
-    waves = rough(rng, size)
-    stones = rng.uniform((-2, -2, 0.03, 0.03), (2, 2, 0.15, 0.3), (12, 4))
-    holes = rng.uniform((-2, -2, 0.05), (2, 2, 0.2), (4, 3))
-    hung = rng.uniform((-2, -2, 0.1, 0.3), (2, 2, 0.6, 1.0), (4, 4))
-
-    def height(x, y):
-        z = waves(x, y)
-        for a, b, radius, tall in stones:
-            z = np.where(np.hypot(x - a, y - b) < radius, z + tall, z)
-        for a, b, radius in holes:
-            z = np.where(np.hypot(x - a, y - b) < radius, np.nan, z)
-        return z
-
-    def overhead(x, y):
-        z = np.full(x.shape, np.inf)
-        for a, b, radius, level in hung:
-            z = np.where(np.hypot(x - a, y - b) < radius, level, z)
-        return z
-
-    return ground(height, overhead=overhead)
-
-
-@pytest.mark.parametrize("size", [0.01, 0.05, 0.1])
-def test_quick_judgment_is_that_of_the_full_one(vehicle, rng, size):
-    terrain = uneven(rng, size)
-    arrays = terrain_arrays(terrain, vehicle.config)
-    judged = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
-    places = rng.uniform((-2, -2, -4), (2, 2, 4), (3000, 3))
-    outcomes = vehicle.stances(terrain, places).outcomes
-    quick = np.array([is_good(judged, *place) for place in places])
-    np.testing.assert_array_equal(quick, outcomes == STANDS)
-    assert 50 < quick.sum() < 2950
-
-
-@pytest.mark.parametrize("size", [0.0, 0.002, 0.005])
-def test_easy_cells_are_good_in_every_heading(vehicle, rng, size):
-    terrain = uneven(rng, size)
-    easy = np.argwhere(easy_cells(terrain_arrays(terrain, vehicle.config), vehicle.arrays))
-    assert len(easy) > 20
-    chosen = easy[rng.integers(0, len(easy), 4000)]
-    corners = np.array(terrain.origin) + chosen * terrain.resolution
-    xy = corners + rng.uniform(0.0, terrain.resolution, chosen.shape)
-    places = np.column_stack([xy, rng.uniform(-4, 4, len(xy))])
-    assert vehicle.stances(terrain, places).ok.all()
 
 
 def test_robot_on_a_footprint_rests_on_its_corners():

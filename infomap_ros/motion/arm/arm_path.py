@@ -1,33 +1,38 @@
 """A way of the arm that touches nothing, from one configuration to another.
 
 The straight line in joint space if that is free, else a way found by two random trees that grow
-towards each other (RRT-Connect), then shortened. All of a way is known to be free, not only the
-configurations that were looked at (`way_kernels`).
+towards each other, then shortened: OMPL's RRT-Connect (Kuffner and LaValle 2000,
+https://doi.org/10.1109/ROBOT.2000.844730) and PathSimplifier. All of a way is known to be free, not
+only the configurations that were looked at (`way_kernels`). The effort is a number of samples: a
+clock would make a way depend on what else the machine does.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util
 
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.arm_kernels import Trees, distance, grow
 from infomap_ros.motion.arm.trajectory import TrajectoryConfig, time_path
 from infomap_ros.motion.base.way_kernels import first_on_way
 from infomap_ros.motion.collision.checker import CollisionChecker
-from infomap_ros.motion.collision.kernels import MotionSpace
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.route import ArmPath
 
 __all__ = ["QUICK_SEARCH", "ArmPath", "ArmPathConfig", "plan_arm_path"]
 
-_SAMPLES_AT_ONCE = 200
 _TURN = 2.0 * np.pi
+_NARROWEST = 1e-6  # [rad or m]; range of a joint that OMPL takes
+
+util.setLogLevel(util.LOG_NONE)
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,6 @@ class ArmPathConfig:
     samples: int = setting(
         16000, "Random configurations after which the search for a way ends.", low=1, high=10**9
     )
-    max_nodes: ClassVar[int] = 20000
-    """Largest number of configurations in each of the two trees."""
     step: float = setting(
         0.25,
         "Length of a new branch, measured as the farthest that a point of the body may go.",
@@ -51,7 +54,7 @@ class ArmPathConfig:
         high=100.0,
     )
     shortcuts: ClassVar[int] = 100
-    """Number of attempts to shorten the way that was found."""
+    """Number of attempts to shorten the way that was found, and then to leave out corners."""
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -100,15 +103,19 @@ def plan_arm_path(
     space, scratch = checker.departure(start, T_map_base), checker.body.scratch()
     if first_on_way(space, start, goal, scratch) < 0.0:
         return time_path(chain, np.stack([start, goal]), trajectory)
-    search = _Search(checker, space, settings, np.random.default_rng(seed))
-    found = search.way(start, goal)
+
+    def is_free(first: FloatArray, second: FloatArray) -> bool:
+        return first_on_way(space, first, second, scratch) < 0.0
+
+    util.RNG.setSeed(seed + 1)  # 0 would be any
+    found = _Search(checker, is_free, settings, (start, goal)).way()
     if found is None:
         why = checker.first_on_way(start, goal, T_map_base).what
         return ArmPath.failed(
             chain.joint_names,
             f"no way of the arm found in {settings.samples} samples; straight on: {why}",
         )
-    return time_path(chain, search.shortened(found), trajectory, search.is_free)
+    return time_path(chain, found, trajectory, is_free)
 
 
 def _shorter_way_round(chain: KinematicChain, start: FloatArray, goal: FloatArray) -> FloatArray:
@@ -126,85 +133,84 @@ def _obstacle(checker: CollisionChecker, goal: FloatArray, T_map_base: ArrayLike
     return "" if report.free else f"the goal touches: {report.what}"
 
 
-@dataclass(frozen=True, eq=False)
 class _Search:
-    """A search in one space."""
+    """OMPL's problem between two configurations; its states are positions times `weights`.
 
-    checker: CollisionChecker
-    space: MotionSpace
-    config: ArmPathConfig
-    rng: np.random.Generator
+    Args:
+        checker: the robot in its map.
+        is_free: whether the straight way between two configurations, shape (n,), touches nothing.
+        config: effort.
+        ends: start and goal, shape (n,) each.
+    """
 
-    @property
-    def weights(self) -> FloatArray:
-        """Farthest that a point of the body goes per unit of each joint, shape (n,)."""
-        reach = self.checker.body.arrays.reach
-        return np.maximum(reach.max(axis=0, initial=0.0), 1e-3)
+    def __init__(
+        self,
+        checker: CollisionChecker,
+        is_free: Callable[[FloatArray, FloatArray], bool],
+        config: ArmPathConfig,
+        ends: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self._config, self._ends, chain = config, ends, checker.body.chain
+        # Farthest that a point of the body goes per unit of each joint, shape (n,).
+        reach = checker.body.arrays.reach.max(axis=0, initial=0.0)
+        self.weights = np.maximum(reach, 1e-3)
+        # Within the limits, and for joints without any within a turn around.
+        low = np.where(np.isfinite(chain.lower), chain.lower, np.minimum(*ends) - np.pi)
+        high = np.where(np.isfinite(chain.upper), chain.upper, np.maximum(*ends) + np.pi)
+        bounds = ob.RealVectorBounds(len(chain))
+        for j, weight in enumerate(self.weights):
+            bounds.setLow(j, float(weight * low[j]))
+            bounds.setHigh(j, float(weight * max(high[j], low[j] + _NARROWEST)))
+        self._states = ob.RealVectorStateSpace(len(chain))
+        self._states.setBounds(bounds)
+        self._information = ob.SpaceInformation(self._states)
+        validity = ob.AllValidStateValidityChecker(self._information)
+        self._information.setStateValidityChecker(validity)
+        self._information.setMotionValidator(_Validator(self._information, is_free, self.weights))
+        self._information.setup()
 
-    def way(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
+    def way(self) -> FloatArray | None:
         """Configurations from start to goal with free straight lines between them, (K, n)."""
-        low, high = self._box(start, goal)
-        capacity, count = self.config.max_nodes, len(start)
-        trees = Trees(
-            np.empty((2, capacity, count)), np.full((2, capacity), -1), np.ones(2, dtype=np.int64)
-        )
-        trees.nodes[0, 0], trees.nodes[1, 0] = start, goal
-        joint, scratch = np.zeros(2, dtype=np.int64), self.checker.body.scratch()
-        for begin in range(0, self.config.samples, _SAMPLES_AT_ONCE):
-            if trees.counts.max() >= capacity:
-                break
-            size = min(_SAMPLES_AT_ONCE, self.config.samples - begin)
-            samples = self.rng.uniform(low, high, (size, count))
-            if grow(self.space, trees, samples, self.weights, self.config.step, scratch, joint):
-                return _joined(trees, joint)
-        return None
-
-    def is_free(self, first: FloatArray, second: FloatArray) -> bool:
-        """Whether the straight way between two configurations, shape (n,), touches nothing."""
-        return first_on_way(self.space, first, second, self.checker.body.scratch()) < 0.0
-
-    def shortened(self, way: FloatArray) -> FloatArray:
-        """Replace parts of a way by straight lines, between random points on it."""
-        for _ in range(self.config.shortcuts):
-            if len(way) <= 2:
-                break
-            way = self._shortcut(way)
+        problem = ob.ProblemDefinition(self._information)
+        problem.setStartAndGoalStates(*(self._state(q) for q in self._ends))
+        planner, samples = og.RRTConnect(self._information), iter(range(self._config.samples))
+        planner.setRange(self._config.step)
+        planner.setProblemDefinition(problem)
+        planner.setup()
+        planner.solve(ob.PlannerTerminationCondition(lambda: next(samples, None) is None))
+        if not problem.hasExactSolution():
+            return None
+        path, attempts = problem.getSolutionPath(), self._config.shortcuts
+        simplifier = og.PathSimplifier(self._information)
+        simplifier.partialShortcutPath(path, attempts, attempts, 1.0)
+        simplifier.reduceVertices(path, attempts, attempts, 1.0)  # each corner takes time
+        way = np.array([_positions(state, self.weights) for state in path.getStates()])
+        way[0], way[-1] = self._ends
         return way
 
-    def _shortcut(self, way: FloatArray) -> FloatArray:
-        i, j = sorted(self.rng.choice(len(way) - 1, 2, replace=False))
-        shares = np.where(self.rng.random(2) < 0.5, (0.0, 1.0), self.rng.random(2))
-        first, second = (
-            way[k + 1] if share == 1.0 else way[k] + share * (way[k + 1] - way[k])
-            for k, share in zip((i, j), shares, strict=True)
-        )
-        between = np.concatenate([[first], way[i + 1 : j + 1], [second]])
-        if self._length(np.stack([first, second])) > 0.999 * self._length(between):
-            return way
-        if not self.is_free(first, second):
-            return way
-        shorter = np.concatenate([way[: i + 1], [first, second], way[j + 1 :]])
-        return shorter[np.append(True, np.abs(np.diff(shorter, axis=0)).max(axis=1) > 1e-9)]
-
-    def _length(self, way: FloatArray) -> float:
-        pieces = pairwise(way)
-        return sum(distance(a, b, self.weights) for a, b in pieces)
-
-    def _box(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where samples are drawn: the limits, and for joints without any, a turn around."""
-        chain = self.checker.body.chain
-        low = np.where(np.isfinite(chain.lower), chain.lower, np.minimum(start, goal) - np.pi)
-        high = np.where(np.isfinite(chain.upper), chain.upper, np.maximum(start, goal) + np.pi)
-        return low, high
+    def _state(self, q: FloatArray) -> Any:
+        state = self._states.allocState()
+        for j, value in enumerate(self.weights * q):
+            state[j] = float(value)
+        return state
 
 
-def _joined(trees: Trees, joint: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
-    """The way from the root of the first tree over the joint node to the root of the second."""
-    halves = []
-    for side in (0, 1):
-        node, rows = int(joint[side]), []
-        while node >= 0:
-            rows.append(trees.nodes[side, node])
-            node = int(trees.parents[side, node])
-        halves.append(rows)
-    return np.array(halves[0][::-1] + halves[1][1:])
+class _Validator(ob.MotionValidator):  # type: ignore[misc]
+    """Asks a function about each motion."""
+
+    def __init__(
+        self,
+        information: Any,
+        is_free: Callable[[FloatArray, FloatArray], bool],
+        weights: FloatArray,
+    ) -> None:
+        super().__init__(information)
+        self._is_free, self._weights = is_free, weights
+
+    def checkMotion(self, first: Any, last: Any) -> bool:
+        """As OMPL calls it."""
+        return self._is_free(_positions(first, self._weights), _positions(last, self._weights))
+
+
+def _positions(state: Any, weights: FloatArray) -> FloatArray:
+    return np.array([state[j] for j in range(len(weights))]) / weights

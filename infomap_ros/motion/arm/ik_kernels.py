@@ -21,6 +21,7 @@ LEAST_DAMPING = 1e-6  # keeps the matrix regular at the goal
 LARGEST_STEP = 1.0  # of a joint in one iteration [rad or m]
 PROGRESS = 0.9  # a squared error below this times the best so far counts as progress
 PATIENCE = 2  # iterations without progress that end a descent
+ITERATIONS = 40  # at most, from one start
 REFINED = 1e-6  # squared error, in units of the tolerances, below which refining ends
 
 _TURN = 2.0 * math.pi
@@ -47,13 +48,11 @@ class Goal(NamedTuple):
         direction_only: the roll about the optical axis is free.
         position_tolerance: [m].
         rotation_tolerance: [rad].
-        iterations: largest number.
     """
 
     direction_only: bool
     position_tolerance: float
     rotation_tolerance: float
-    iterations: int
 
 
 @njit(cache=True, nogil=True)
@@ -232,12 +231,12 @@ def descend(
     """
     columns, scales, offsets, slides, placements, tail = chain
     places, jacobian, rows, error, normal, pulls, free, q = memory
-    direction_only, position_tolerance, rotation_tolerance, iterations = goal
+    direction_only, position_tolerance, rotation_tolerance = goal
     weight, m = rotation_tolerance / position_tolerance, 5 if direction_only else 6
     refined = REFINED * rotation_tolerance * rotation_tolerance
     best_square, best_distance, best_angle, idle, reached = np.inf, np.inf, np.inf, 0, False
     q[:] = best
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         place_chain(columns, scales, offsets, slides, placements, tail, q, places)
         distance, angle = camera_error(places[-1], target, direction_only, error)
         square = (weight * distance) ** 2 + angle * angle

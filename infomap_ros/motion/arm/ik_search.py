@@ -21,7 +21,6 @@ class Arm(NamedTuple):
         lower: limits [rad or m], shape (n,).
         upper: limits [rad or m], shape (n,).
         prismatic: slides, shape (n,).
-        speeds: by which ways are compared [rad/s or m/s], finite, shape (n,).
         low: from where random starts are drawn, finite, shape (n,).
         high: up to where, shape (n,).
         root: origin of the first joint [m], shape (3,).
@@ -31,29 +30,10 @@ class Arm(NamedTuple):
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     prismatic: NDArray[np.bool_]
-    speeds: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     root: NDArray[np.float64]
     reach: float
-
-
-class Found(NamedTuple):
-    """What a batch of searches is to fill, one row per target.
-
-    Attributes:
-        q: positions, shape (M, n).
-        converged: shape (M,).
-        distances: [m], shape (M,).
-        angles: [rad], shape (M,).
-        restarts: shape (M,).
-    """
-
-    q: NDArray[np.float64]
-    converged: NDArray[np.bool_]
-    distances: NDArray[np.float64]
-    angles: NDArray[np.float64]
-    restarts: NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
@@ -98,21 +78,12 @@ def unwind(arm: Any, start: Any, q: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def way_between(arm: Any, start: Any, q: Any) -> float:
-    """Time [s] that the slowest joint needs."""
-    longest = 0.0
-    for j in range(q.shape[0]):
-        longest = max(longest, abs(q[j] - start[j]) / arm.speeds[j])
-    return longest
-
-
-@njit(cache=True, nogil=True)
-def out_of_reach(arm: Any, target: Any, tolerance: float) -> bool:
-    """Whether the target is farther from the first joint than the stretched arm's camera."""
+def attempts_for(arm: Any, target: Any, goal: Any, most: int) -> int:
+    """One where no stretched arm's camera comes from the first joint to the target, else all."""
     square = 0.0
     for i in range(3):
         square += (target[i, 3] - arm.root[i]) ** 2
-    return math.sqrt(square) > arm.reach + tolerance
+    return 1 if math.sqrt(square) > arm.reach + goal.position_tolerance else most
 
 
 @njit(cache=True, nogil=True)
@@ -165,18 +136,9 @@ def next_solution(
 
 @njit(cache=True, nogil=True)
 def search_all(
-    chain: Any,
-    arm: Any,
-    targets: Any,
-    goal: Any,
-    starts: Any,
-    seed: int,
-    attempts: int,
-    wanted: int,
-    span: tuple[int, int],
-    found: Any,
-) -> None:
-    """Solve the targets [span[0], span[1]); of `wanted` solutions the nearest to the start stays.
+    chain: Any, arm: Any, targets: Any, goal: Any, starts: Any, seed: int, attempts: int
+) -> Any:
+    """`next_solution` for many targets.
 
     Args:
         chain: a `ChainArrays`.
@@ -186,27 +148,19 @@ def search_all(
         starts: shape (M, n).
         seed: of the random starts.
         attempts: largest number for one target.
-        wanted: number of solutions to find.
-        span: which targets.
-        found: a `Found`, written.
+
+    Returns:
+        Positions, shape (M, n), whether they reach the goal, distances [m], angles [rad], and
+        numbers of random starts, shape (M,) each.
     """
-    n = starts.shape[1]
+    count, n = starts.shape
     memory = make_scratch(chain.columns.shape[0], n)
-    q = np.empty(n)
-    for i in range(span[0], span[1]):
-        hopeless = out_of_reach(arm, targets[i], goal.position_tolerance)
-        last = 1 if hopeless else attempts
-        after, count, shortest = 0, 0, np.inf
-        while after < last and count < wanted:
-            attempt, reached, distance, angle = next_solution(
-                chain, arm, targets[i], goal, starts[i], seed, i, (after, last), q, memory
-            )
-            way = way_between(arm, starts[i], q)
-            if (reached and way < shortest) or after == 0:
-                found.q[i] = q
-                found.converged[i] = reached
-                found.distances[i], found.angles[i] = distance, angle
-                shortest = way if reached else np.inf
-            count += reached
-            found.restarts[i] = attempt
-            after = attempt + 1
+    qs, converged = np.empty((count, n)), np.empty(count, np.bool_)
+    distances, angles = np.empty(count), np.empty(count)
+    restarts = np.empty(count, np.int64)
+    for i in range(count):
+        span = 0, attempts_for(arm, targets[i], goal, attempts)
+        restarts[i], converged[i], distances[i], angles[i] = next_solution(
+            chain, arm, targets[i], goal, starts[i], seed, i, span, qs[i], memory
+        )
+    return qs, converged, distances, angles, restarts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,16 +14,8 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, check_transforms, float_array
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.motion.arm.ik_kernels import Goal, make_scratch
-from infomap_ros.motion.arm.ik_search import (
-    Arm,
-    Found,
-    next_solution,
-    out_of_reach,
-    search_all,
-    way_between,
-)
+from infomap_ros.motion.arm.ik_search import Arm, attempts_for, next_solution, search_all
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
 
@@ -62,16 +54,27 @@ def solve_ik(
         InvalidInputError: the pose is not a rigid transform, or `q_start` is malformed.
         RobotModelError: the robot has no camera frame.
     """
-    chain = robot if isinstance(robot, KinematicChain) else robot.arm
-    search = _Search(chain, config or IkConfig(), direction_only, seed)
+    chain, settings = _chain_of(robot), config or IkConfig()
     target = check_transform(T_base_camera, "T_base_camera")
-    start = _starts(chain, q_start, 1)[0]
-    trials = list(search.trials(target, start, is_valid))
-    valid = [trial for trial in trials if trial.converged]
-    if not valid:
-        return trials[-1]
-    arm = arm_of(chain)
-    return min(valid, key=lambda trial: float(way_between(arm, start, trial.q)))
+    arm, goal = arm_of(chain), settings.goal(direction_only)
+    start, q = _starts(chain, q_start, 1)[0], np.empty(len(chain))
+    memory = make_scratch(len(chain.arrays.columns), len(chain))
+    last = attempts_for(arm, target, goal, settings.restarts + 1)
+    attempt, refused = -1, 0
+    while attempt + 1 < last:
+        attempt, reached, distance, angle = next_solution(
+            chain.arrays, arm, target, goal, start, seed, 0, (attempt + 1, last), q, memory
+        )
+        if reached and (is_valid is None or is_valid(q.copy())):
+            return IkResult(q, True, "", distance, angle, attempt)
+        refused += reached
+        if reached:
+            reason = f"solutions found: {refused}, none of them valid"
+            result = IkResult(q.copy(), False, reason, distance, angle, attempt)
+        elif not refused:
+            reason = why_not(chain, target, q, (distance, angle), goal)
+            result = IkResult(q, False, reason, distance, angle, attempt)
+    return result
 
 
 def solve_ik_batch(
@@ -82,7 +85,6 @@ def solve_ik_batch(
     q_start: ArrayLike | None = None,
     config: IkConfig | None = None,
     seed: int = 0,
-    threads: int = 1,
 ) -> IkBatch:
     """Solve `solve_ik` for many targets at once, compiled as a whole.
 
@@ -93,100 +95,26 @@ def solve_ik_batch(
         q_start: one for all, shape (n,), or one for each, shape (M, n).
         config: tolerances and effort.
         seed: of the random starts; each target has its own.
-        threads: number of threads. The result does not depend on it.
 
     Raises:
-        InvalidInputError: a pose is not a rigid transform, `q_start` is malformed, or `threads` is
-            not positive.
+        InvalidInputError: a pose is not a rigid transform, or `q_start` is malformed.
         RobotModelError: the robot has no camera frame.
     """
-    if threads < 1:
-        raise InvalidInputError("threads", f"is {threads}, expected at least 1")
-    chain = robot if isinstance(robot, KinematicChain) else robot.arm
-    search = _Search(chain, config or IkConfig(), direction_only, seed)
+    chain, settings = _chain_of(robot), config or IkConfig()
     targets = check_transforms(T_base_cameras, "T_base_cameras")
-    starts = _starts(chain, q_start, len(targets))
-    return search.batch(targets, starts, threads)
+    goal, starts = settings.goal(direction_only), _starts(chain, q_start, len(targets))
+    found = search_all(
+        chain.arrays, arm_of(chain), targets, goal, starts, seed, settings.restarts + 1
+    )
+    reasons = tuple(
+        "" if converged else why_not(chain, target, q, errors, goal)
+        for target, q, converged, *errors in zip(targets, *found[:4], strict=True)
+    )
+    return IkBatch(found[0], found[1], reasons, *found[2:])
 
 
-@dataclass(frozen=True)
-class _Search:
-    """What is the same for every target."""
-
-    chain: KinematicChain
-    config: IkConfig
-    direction_only: bool
-    seed: int
-
-    @property
-    def goal(self) -> Goal:
-        config = self.config
-        return Goal(
-            self.direction_only,
-            config.position_tolerance,
-            config.rotation_tolerance,
-            config.iterations,
-        )
-
-    def trials(
-        self,
-        target: FloatArray,
-        start: FloatArray,
-        is_valid: Callable[[FloatArray], bool] | None,
-    ) -> Iterator[IkResult]:
-        """Solutions, valid or refused, until enough are valid; without any, the best try."""
-        chain, config, arm = self.chain, self.config, arm_of(self.chain)
-        memory = make_scratch(len(chain.arrays.columns), len(chain))
-        hopeless = out_of_reach(arm, target, config.position_tolerance)
-        last = 1 if hopeless else config.restarts + 1
-        attempt, valid, refused = -1, 0, 0
-        while attempt + 1 < last and valid < config.solutions:
-            q, span = np.empty(len(chain)), (attempt + 1, last)
-            attempt, reached, distance, angle = next_solution(
-                chain.arrays, arm, target, self.goal, start, self.seed, 0, span, q, memory
-            )
-            if reached and (is_valid is None or is_valid(q.copy())):
-                valid += 1
-                yield IkResult(q, True, "", distance, angle, attempt)
-            elif reached:
-                refused += 1
-                reason = f"solutions found: {refused}, none of them valid"
-                yield IkResult(q, False, reason, distance, angle, attempt)
-            elif not valid and not refused:
-                reason = self.reason(target, q, (distance, angle))
-                yield IkResult(q, False, reason, distance, angle, attempt)
-
-    def batch(self, targets: FloatArray, starts: FloatArray, threads: int) -> IkBatch:
-        """Solve for targets, shape (M, 4, 4), from starts, shape (M, n)."""
-        count, config, arm = len(targets), self.config, arm_of(self.chain)
-        found = Found(
-            np.empty_like(starts),
-            np.zeros(count, dtype=bool),
-            np.empty(count),
-            np.empty(count),
-            np.zeros(count, dtype=np.int64),
-        )
-
-        def solve(_: int, first: int, last: int) -> None:
-            search_all(
-                self.chain.arrays, arm, targets, self.goal, starts, self.seed,
-                config.restarts + 1, config.solutions, (first, last), found,
-            )  # fmt: skip
-
-        Workers(threads).run(solve, count)
-        errors = list(zip(found.distances.tolist(), found.angles.tolist(), strict=True))
-        reasons = tuple(
-            "" if converged else self.reason(*item)
-            for converged, *item in zip(found.converged, targets, found.q, errors, strict=True)
-        )
-        return IkBatch(
-            found.q, found.converged, reasons, found.distances, found.angles, found.restarts
-        )
-
-    def reason(self, target: FloatArray, q: FloatArray, errors: tuple[float, float]) -> str:
-        """Why `q` does not do."""
-        tolerances = self.config.position_tolerance, self.config.rotation_tolerance
-        return why_not(self.chain, target, q, errors, tolerances, self.direction_only)
+def _chain_of(robot: RobotModel | KinematicChain) -> KinematicChain:
+    return robot if isinstance(robot, KinematicChain) else robot.arm
 
 
 def _starts(chain: KinematicChain, q_start: ArrayLike | None, count: int) -> FloatArray:
@@ -233,19 +161,13 @@ class IkConfig:
         low=0,
         high=100_000,
     )
-    iterations: int = parameter(
-        40, "Largest number of iterations from one start.", low=1, high=10_000
-    )
-    solutions: int = parameter(
-        1,
-        "Solutions to find before the one nearest to the start, by the time of the slowest joint, "
-        "is taken.",
-        low=1,
-        high=1000,
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
+
+    def goal(self, direction_only: bool) -> Goal:
+        """What a descent is to reach, the roll about the optical axis free or not."""
+        return Goal(direction_only, self.position_tolerance, self.rotation_tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +229,6 @@ def arm_of(chain: KinematicChain) -> Arm:
         lower=chain.lower,
         upper=chain.upper,
         prismatic=chain.is_prismatic,
-        speeds=np.where(np.isfinite(chain.velocity), chain.velocity, 1.0),
         low=np.where(wide, middle - half, chain.lower),
         high=np.where(wide, middle + half, chain.upper),
         root=_root(chain),
@@ -316,13 +237,9 @@ def arm_of(chain: KinematicChain) -> Arm:
 
 
 def why_not(
-    chain: KinematicChain,
-    T_base_camera: FloatArray,
-    q: FloatArray,
-    errors: tuple[float, float],
-    tolerances: tuple[float, float],
-    direction_only: bool,
-) -> str:
+    chain: KinematicChain, T_base_camera: FloatArray, q: FloatArray, errors: Sequence[float],
+    goal: Goal,
+) -> str:  # fmt: skip
     """Say why `q`, the best that was found, is not good enough.
 
     Args:
@@ -330,19 +247,18 @@ def why_not(
         T_base_camera: wanted pose, shape (4, 4).
         q: shape (n,).
         errors: distance [m] and angle [rad] from the wanted pose.
-        tolerances: allowed distance [m] and angle [rad].
-        direction_only: the angle is one between viewing directions.
+        goal: what was to be reached.
     """
     arm = arm_of(chain)
     away = float(np.linalg.norm(T_base_camera[:3, 3] - arm.root))
-    if away > arm.reach + tolerances[0]:
+    if away > arm.reach + goal.position_tolerance:
         joint = f"joint '{chain.joint_names[0]}'" if len(chain) else "the base"
         return f"out of reach: {away:.2f} m from {joint}, the arm extends {arm.reach:.2f} m"
     parts = []
-    if errors[0] > tolerances[0]:
+    if errors[0] > goal.position_tolerance:
         parts.append(f"position off by {_length(errors[0])}")
-    if errors[1] > tolerances[1]:
-        what = "direction" if direction_only else "rotation"
+    if errors[1] > goal.rotation_tolerance:
+        what = "direction" if goal.direction_only else "rotation"
         parts.append(f"{what} off by {_angle(errors[1])}")
     at_limit = (q - chain.lower < _AT_LIMIT) | (chain.upper - q < _AT_LIMIT)
     names = [f"'{chain.joint_names[index]}'" for index in np.flatnonzero(at_limit)]

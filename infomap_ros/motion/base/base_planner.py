@@ -17,7 +17,7 @@ from infomap_ros.motion.base.drive_links import links_for
 from infomap_ros.motion.base.drive_reach import DriveReach
 from infomap_ros.motion.base.drive_space import DriveSpace
 from infomap_ros.motion.base.driven_path import DrivenPath
-from infomap_ros.motion.base.standing_ground import standing_pose, with_standing_ground
+from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.base.vehicle import Vehicle
 
 
@@ -31,8 +31,7 @@ class BasePlanner:
         vehicle: the robot.
         config: None for the defaults.
         standing: poses T_map_base in which the robot stands or has stood, shape (4, 4) or
-            (P, 4, 4): the ground there is known. Without it the ground under the first start is
-            taken for known, in the plane of the wheels at the terrain's `near`.
+            (P, 4, 4): the ground there is known.
         previous: a planner for an earlier state of the ground: what it found out is kept where
             the ground has not changed and the vehicle is the same.
     """
@@ -47,11 +46,12 @@ class BasePlanner:
     ) -> None:
         self.config = config or BasePlannerConfig()
         self.vehicle = vehicle
-        self._declared = standing is not None
         self._reach: DriveReach | None = None
         known: DriveSpace | None = None if previous is None else previous._space
-        ground = self._with_ground(terrain, standing)
-        self._space: DriveSpace = DriveSpace(ground, vehicle, self.config, known)
+        if standing is not None:
+            reach = self.config.standing_reach
+            terrain = with_standing_ground(terrain, vehicle, standing, reach)
+        self._space: DriveSpace = DriveSpace(terrain, vehicle, self.config, known)
 
     @property
     def terrain(self) -> Terrain:
@@ -75,7 +75,6 @@ class BasePlanner:
             InvalidInputError: shapes do not fit, or values are not finite.
         """
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
-        self._stand_at(here)
         places, owners, reasons = self._space.standable_goals(targets)
         found = self._reached_from(here).way_to_any(places)
         if found is None:
@@ -100,7 +99,6 @@ class BasePlanner:
         """
         if start is not None:
             here = _places(start, "start", False)[0]
-            self._stand_at(here)
             self._reached_from(here)
         if self._reach is None:
             raise InvalidInputError("start", "is not known yet: give it or plan first")
@@ -149,20 +147,6 @@ class BasePlanner:
         x, y, yaw = (float(value) for value in reach.start)
         reason = self.vehicle.stance(self.terrain, x, y, yaw).reason
         return reason or "no pose next to it is safe"
-
-    def _with_ground(self, terrain: Terrain, standing: ArrayLike | None) -> Terrain:
-        if standing is None:
-            return terrain
-        return with_standing_ground(terrain, self.vehicle, standing, self.config.standing_reach)
-
-    def _stand_at(self, start: FloatArray) -> None:
-        """Declare the ground under the first start as known, if no pose was given."""
-        if not self._declared:
-            self._declared = True
-            pose = standing_pose(self._space.terrain, self.vehicle, start)
-            terrain = self._with_ground(self._space.terrain, pose)
-            self._space = DriveSpace(terrain, self.vehicle, self.config, self._space)
-            self._reach = None
 
 
 def _places(values: ArrayLike, name: str, any_heading: bool) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_kernels import wrapped
-from infomap_ros.motion.base.quick_stance import is_good
+from infomap_ros.motion.base.stance import is_good
 
 UNASKED, CLEAR, BLOCKED = 0, 1, 2
 """States of a node, a turn or a move."""
@@ -81,27 +81,13 @@ class DriveGraph(NamedTuple):
     origins: NDArray[np.int32]
 
 
-def empty_graph(easy: NDArray[np.bool_], in_place: bool = True) -> DriveGraph:
-    """A graph of which nothing was asked yet but the cells that are easy, shape (nx, ny)."""
-    full = (*easy.shape, len(MOVES))
-    states = np.where(easy, np.uint8(CLEAR), np.uint8(UNASKED))
-    nodes, turns, moves = (np.repeat(states[:, :, None], len(MOVES), axis=2) for _ in range(3))
-    rights = np.zeros((1, 1, 1) if in_place else full, np.uint8)
-    if not in_place:
-        turns[:] = UNASKED
-    for h, step in enumerate(MOVES):
-        passed = np.array([np.floor(0.5 + share * step) for share in _shares(step)], np.int64)
-        good = [np.roll(easy, tuple(-cell), axis=(0, 1)) for cell in passed]
-        clear = np.logical_and.reduce(good) if len(good) else easy
-        moves[:, :, h] = np.where(clear, np.uint8(CLEAR), np.uint8(UNASKED))
+def empty_graph(cells: tuple[int, ...], in_place: bool = True) -> DriveGraph:
+    """A graph over (nx, ny) cells of which nothing was asked yet."""
+    full = (*cells, len(MOVES))
+    nodes, turns, moves = (np.full(full, UNASKED, np.uint8) for _ in range(3))
+    rights = np.full((1, 1, 1) if in_place else full, UNASKED, np.uint8)
     costs, origins = np.full(full, -1, np.int32), np.full(full, -1, np.int32)
     return DriveGraph(nodes, turns, rights, moves, costs, origins)
-
-
-def _shares(step: NDArray[np.int64]) -> list[float]:
-    """Shares of a move at which stances lie, one per cell's length, its ends left out."""
-    count = math.ceil(math.hypot(*step) - 1e-9)
-    return [n / count for n in range(1, count)]
 
 
 @kernel

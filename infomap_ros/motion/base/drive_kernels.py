@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from infomap_ros.geometry.kernel import kernel
-from infomap_ros.motion.base.quick_stance import is_good
+from infomap_ros.motion.base.stance import is_good
 
 
 @kernel

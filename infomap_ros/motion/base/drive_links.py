@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from ompl import base as ob
@@ -14,51 +14,34 @@ from infomap_ros.motion.base.base_path import BasePlannerConfig
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_points import drive_cost
 
-
-class Links(Protocol):
-    """Ways between two places, shape (3,), for one kind of vehicle."""
-
-    @property
-    def reach(self) -> float:
-        """Distance of nodes by which a place joins the graph [m]."""
-
-    def cost(self, a: FloatArray, b: FloatArray) -> float:
-        """Cost of the way from a to b [m]."""
-
-    def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """The way from a to b, both included, shape (K, 3)."""
-
-    def chain(self, places: FloatArray) -> FloatArray:
-        """The way through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
-
-    def state_space(self) -> Any:
-        """OMPL's space of these ways, without bounds."""
-
-
 _IN_PLACE = 1e-3  # [m]; radius at which the curves of Reeds and Shepp are turns in place
 
 
 class Turns:
-    """A vehicle that turns in place: turn, drive straight, turn."""
+    """A vehicle that turns in place: turn, drive straight, turn.
+
+    Attributes:
+        reach: distance of nodes by which a place joins the graph [m].
+    """
 
     def __init__(self, config: BasePlannerConfig, edge: float) -> None:
         self._config = config
         self.reach = edge
 
     def cost(self, a: FloatArray, b: FloatArray) -> float:
-        """See `Links`."""
+        """Cost of the way from a to b, shape (3,) each [m]."""
         return float(drive_cost(a, b, self._config.reverse, self._config.turn_cost))
 
     def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """See `Links`."""
+        """The way from a to b, both included, shape (K, 3)."""
         return np.stack([a, b])
 
     def chain(self, places: FloatArray) -> FloatArray:
-        """See `Links`."""
+        """The way through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
         return places
 
     def state_space(self) -> Any:
-        """See `Links`: as their radius vanishes, curves become turn, drive straight, turn."""
+        """OMPL's space of these ways, without bounds: curves whose radius vanishes."""
         return _curves(_IN_PLACE, self._config.reverse)
 
 
@@ -79,12 +62,12 @@ class Curves:
         self.reach = 1.5 * config.turning_radius + edge
 
     def cost(self, a: FloatArray, b: FloatArray) -> float:
-        """See `Links`; as if all of it were curved."""
+        """See `Turns`; as if all of it were curved."""
         distance = float(self._space.distance(self._state(a), self._state(b)))
         return distance * (1.0 + self._turn_cost)
 
     def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """See `Links`."""
+        """See `Turns`."""
         first, last, between = self._state(a), self._state(b), self._space.allocState()
         count = max(1, math.ceil(self._space.distance(first, last) / self._spacing))
         way = np.empty((count + 1, 3))
@@ -94,12 +77,12 @@ class Curves:
         return way
 
     def chain(self, places: FloatArray) -> FloatArray:
-        """See `Links`."""
+        """See `Turns`."""
         parts = [arc_points(a, b, self._spacing)[1:] for a, b in pairwise(places)]
         return np.concatenate([places[:1], *parts])
 
     def state_space(self) -> Any:
-        """See `Links`."""
+        """See `Turns`."""
         return _curves(self._radius, self._reverse)
 
     def _state(self, place: FloatArray) -> Any:
@@ -117,6 +100,10 @@ def state_of(space: Any, place: FloatArray) -> Any:
     state.setXY(float(place[0]), float(place[1]))
     state.setYaw(float((place[2] + np.pi) % (2.0 * np.pi) - np.pi))
     return state
+
+
+Links = Turns | Curves
+"""Ways between two places for one kind of vehicle."""
 
 
 def links_for(config: BasePlannerConfig, edge: float) -> Links:

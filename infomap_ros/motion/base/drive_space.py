@@ -19,9 +19,7 @@ from infomap_ros.motion.base.drive_graph import (
     arc_moves,
     empty_graph,
 )
-from infomap_ros.motion.base.easy_ground import easy_cells
-from infomap_ros.motion.base.quick_stance import Ground, ground_of
-from infomap_ros.motion.base.stance import TerrainArrays, VehicleArrays
+from infomap_ros.motion.base.stance import Ground, TerrainArrays, VehicleArrays
 from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
 
 TURN_STEP = 2.0 * np.pi / 32.0
@@ -48,11 +46,10 @@ class DriveSpace:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
         self.grid = np.array([*terrain.origin, terrain.resolution, TURN_STEP])
         arrays = terrain_arrays(terrain, vehicle.config)
-        self.easy = easy_cells(arrays, vehicle.arrays)
-        self.ground = ground_of(arrays, vehicle.arrays, vehicle.config.column_spacing)
+        self.ground = Ground.of(arrays, vehicle.arrays)
         in_place = config.turning_radius == 0.0
         self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
-        self.graph = empty_graph(self.easy, in_place)
+        self.graph = empty_graph(terrain.heights.shape, in_place)
         if known is not None:
             carry_over(known.graph, self.graph, known.ground, self.ground)
 

@@ -15,11 +15,8 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion.base.settling import tilt_to
 from infomap_ros.motion.base.vehicle import Vehicle
 
-_AROUND = 0.4  # width of the ring whose ground tells how the robot stands [m]
-_ENOUGH = 30  # cells
 _FLATTEST = 0.2  # cosine of the steepest plane that is taken for ground
 
 
@@ -119,29 +116,3 @@ def _covers(extent: FloatArray, places: FloatArray, margin: float) -> NDArray[np
     """Which places, shape (N, 2), lie in the box about points, shape (M, 2), and a margin [m]."""
     low, high = extent.min(axis=0) - margin, extent.max(axis=0) + margin
     return np.asarray(((places >= low) & (places <= high)).all(axis=1))
-
-
-def standing_pose(terrain: Terrain, vehicle: Vehicle, place: FloatArray) -> FloatArray:
-    """Pose in which the robot stands at x, y, yaw, shape (3,): T_map_base, shape (4, 4).
-
-    On the ground that is known there; else on the plane that fits the known ground around; where
-    there is none either upright, at the height of the point about which ground was looked for.
-    """
-    x, y, yaw = (float(value) for value in place)
-    pose = vehicle.stance(terrain, x, y, yaw).T_map_base
-    if np.isfinite(pose).all():
-        return pose
-    pose = np.eye(4)
-    pose[:3, 3] = x, y, terrain.near[2]
-    radius = np.hypot(*vehicle.undercarriage.outline.T).max() + _AROUND
-    cells = np.argwhere(np.isfinite(terrain.heights))
-    offsets = terrain.centers_of(cells) - (x, y)
-    around = np.hypot(*offsets.T) <= radius
-    slope_x, slope_y = 0.0, 0.0
-    if around.sum() >= _ENOUGH and np.ptp(offsets[around], axis=0).min() >= radius:
-        design = np.column_stack([np.ones(around.sum()), offsets[around]])
-        heights = terrain.heights[tuple(cells[around].T)]
-        level, slope_x, slope_y = np.linalg.lstsq(design, heights, rcond=None)[0]
-        pose[2, 3] = level - vehicle.arrays.support[:, 2].mean()
-    tilt_to(pose, yaw, slope_x, slope_y)
-    return pose

@@ -18,7 +18,6 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.distance_field import distance_field
-from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
 from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.collision.checker import CollisionChecker
 
@@ -49,10 +48,6 @@ class NearSpace:
         foot: solids of the foot of the arm, base frame.
         in_the_way: solids that must not be touched and that the map does not show [map].
         wider: what the arm keeps off the map beyond its margin [m].
-        only_confirmed: only confirmed surfaces are in the way, not what is doubtful or unknown.
-
-    Attributes:
-        own_space: what the present body fills, and a little around it [map].
     """
 
     def __init__(
@@ -67,11 +62,8 @@ class NearSpace:
         foot: Sequence[PlacedSolid] = (),
         in_the_way: Sequence[PlacedSolid] = (),
         wider: float = 0.0,
-        only_confirmed: bool = False,
     ) -> None:
-        free = body.config.free_probability
-        occupied = CONFIRMED_PROBABILITY if only_confirmed else 0.5
-        self._thresholds, self._only_confirmed = OccupancyThresholds(free, occupied), only_confirmed
+        self._thresholds = OccupancyThresholds(body.config.free_probability)
         self._map, self._body, self._radius, self.wider = voxel_map, body, radius + wider, wider
         robot = body.robot
         positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
@@ -92,7 +84,7 @@ class NearSpace:
         self._foot = [
             PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
         ]
-        self._known_free, self.own_space = (*known_free, *own), tuple(own)
+        self._known_free = (*known_free, *own)
         self._in_the_way = [
             PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
             for part in in_the_way
@@ -100,15 +92,6 @@ class NearSpace:
         self._base, self._q = T_map_base, body.chain.positions(positions)
         self._own_points = body.spheres(self._q, T_map_base)[:, :3]
         self._remembered: dict[bytes, CollisionChecker] = {}
-
-    def add_free(self, solids: Sequence[PlacedSolid]) -> None:
-        """Take further space for free although it was never seen, as where the body has just been.
-
-        Args:
-            solids: that fill it [map].
-        """
-        self._known_free = (*self._known_free, *solids)
-        self._remembered.clear()
 
     def checker_at(self, T_map_base: FloatArray) -> CollisionChecker:
         """For a robot that stands at one place, shape (4, 4)."""
@@ -131,25 +114,12 @@ class NearSpace:
             for part in self._foot
         ]
         low, high = middles.min(axis=0) - self._radius, middles.max(axis=0) + self._radius
-        return self.checker_in(low, high, feet)
-
-    def checker_in(
-        self, low: FloatArray, high: FloatArray, free: Sequence[PlacedSolid] = ()
-    ) -> CollisionChecker:
-        """For a robot that stays within a box [m, map]; all outside counts as unknown.
-
-        Args:
-            low: corner of the box, shape (3,).
-            high: its other corner.
-            free: further space that is free although it was never seen [map].
-        """
         field = distance_field(
             self._map.window(low, high),
             thresholds=self._thresholds,
             unknown_is_free=self._body.config.unknown_is_free,
-            doubtful_is_free=self._only_confirmed,
             known_free=[
-                solid for solid in (*self._known_free, *free) if _touches_box(solid, low, high)
+                solid for solid in (*self._known_free, *feet) if _touches_box(solid, low, high)
             ],
             own_points=self._own_points,
             in_the_way=[solid for solid in self._in_the_way if _touches_box(solid, low, high)],

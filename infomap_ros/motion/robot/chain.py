@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.chain_kernels import ChainArrays, camera_jacobians, camera_poses
+from infomap_ros.motion.robot.chain_kernels import ChainArrays, camera_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,22 +52,17 @@ class KinematicChain:
         Raises:
             InvalidInputError: `q` has another shape, or is not finite.
         """
-        return self._evaluate(camera_poses, q, (4, 4))
-
-    def jacobian(self, q: ArrayLike) -> FloatArray:
-        """Derivative of the camera's pose by the positions.
-
-        Args:
-            q: positions [rad or m], shape (n,) or (N, n).
-
-        Returns:
-            Shape (6, n) or (N, 6, n): velocity of the camera's origin above its angular velocity,
-            both in the base frame.
-
-        Raises:
-            InvalidInputError: `q` has another shape, or is not finite.
-        """
-        return self._evaluate(camera_jacobians, q, (6, len(self)))
+        positions = float_array(q, "q")
+        if positions.ndim not in (1, 2) or positions.shape[-1] != len(self):
+            raise InvalidInputError(
+                "q", f"shape {positions.shape}, expected ({len(self)},) or (N, {len(self)})"
+            )
+        if not np.isfinite(positions).all():
+            raise InvalidInputError("q", "holds NaN or infinity")
+        rows = np.atleast_2d(positions)
+        poses = np.empty((len(rows), 4, 4))
+        camera_poses(self.arrays, rows, poses)
+        return poses[0] if positions.ndim == 1 else poses
 
     def positions(self, joint_positions: Mapping[str, float]) -> FloatArray:
         """The chain's positions q, shape (n,), out of a robot's joint positions [rad or m].
@@ -101,21 +96,3 @@ class KinematicChain:
         if not np.isfinite(positions).all():
             raise InvalidInputError(name, f"is not finite: {positions.tolist()}")
         return positions
-
-    def _evaluate(
-        self,
-        kernel: Callable[[ChainArrays, FloatArray, FloatArray], None],
-        q: ArrayLike,
-        shape: tuple[int, int],
-    ) -> FloatArray:
-        positions = float_array(q, "q")
-        if positions.ndim not in (1, 2) or positions.shape[-1] != len(self):
-            raise InvalidInputError(
-                "q", f"shape {positions.shape}, expected ({len(self)},) or (N, {len(self)})"
-            )
-        if not np.isfinite(positions).all():
-            raise InvalidInputError("q", "holds NaN or infinity")
-        rows = np.atleast_2d(positions)
-        out = np.empty((len(rows), *shape))
-        kernel(self.arrays, rows, out)
-        return out[0] if positions.ndim == 1 else out

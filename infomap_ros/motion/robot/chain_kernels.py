@@ -148,19 +148,3 @@ def camera_poses(chain: Any, qs: Any, poses: Any) -> None:
         poses[i, :3] = places[-1]
         poses[i, 3, :3] = 0.0
         poses[i, 3, 3] = 1.0
-
-
-@njit(cache=True, nogil=True)
-def camera_jacobians(chain: Any, qs: Any, jacobians: Any) -> None:
-    """Jacobians of `fill_jacobian` for many positions.
-
-    Args:
-        chain: a `ChainArrays`.
-        qs: shape (N, n) [rad or m].
-        jacobians: written, shape (N, 6, n).
-    """
-    columns, scales, offsets, prismatic, placements, tail = chain
-    places = np.empty((columns.shape[0] + 1, 3, 4))
-    for i in range(qs.shape[0]):
-        place_chain(columns, scales, offsets, prismatic, placements, tail, qs[i], places)
-        fill_jacobian(columns, scales, prismatic, places, jacobians[i])

@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.camera_parts import find_cameras, joints_between
-from infomap_ros.motion.robot.wheel_parts import find_wheels
 from infomap_ros.simulation.body.extended_description import (
     CART_CASTERS,
     CART_WHEELS,
@@ -21,6 +19,8 @@ from infomap_ros.simulation.body.extended_description import (
 from infomap_ros.simulation.body.mended_inertias import mend_inertias
 from infomap_ros.simulation.body.robot_meshes import unreadable_meshes
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.robots.camera_parts import find_cameras, joints_between
+from infomap_ros.simulation.robots.wheel_parts import find_wheels
 
 _LEAST_BASELINE = 0.005  # [m]
 

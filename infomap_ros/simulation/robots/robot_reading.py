@@ -17,16 +17,6 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.base.vehicle_config import VehicleConfig
 from infomap_ros.motion.collision.collision_config import CollisionConfig
-from infomap_ros.motion.robot.camera_parts import (
-    LEAST_BASELINE,
-    ArmEnd,
-    CameraPart,
-    find_arm_ends,
-    find_cameras,
-    find_telescopes,
-    joints_between,
-)
-from infomap_ros.motion.robot.wheel_parts import WheelParts, find_wheels, link_extents
 from infomap_ros.simulation.body.extended_description import (
     CART,
     CART_CASTERS,
@@ -37,11 +27,21 @@ from infomap_ros.simulation.body.extended_description import (
 )
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
+from infomap_ros.simulation.robots.camera_parts import (
+    LEAST_BASELINE,
+    ArmEnd,
+    CameraPart,
+    find_arm_ends,
+    find_cameras,
+    find_telescopes,
+    joints_between,
+)
 from infomap_ros.simulation.robots.home_posture import home_posture
 from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
 from infomap_ros.simulation.robots.trial_drive import try_drive
 from infomap_ros.simulation.robots.tucked_arms import tucked_arms
+from infomap_ros.simulation.robots.wheel_parts import WheelParts, find_wheels, link_extents
 
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]

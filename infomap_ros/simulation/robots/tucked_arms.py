@@ -10,8 +10,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.driving_posture import driving_posture
 from infomap_ros.motion.collision.body import CollisionBody
-from infomap_ros.motion.robot.camera_parts import find_arm_ends
-from infomap_ros.motion.robot.wheel_parts import link_extents
+from infomap_ros.simulation.robots.camera_parts import find_arm_ends
+from infomap_ros.simulation.robots.wheel_parts import link_extents
 
 _STRETCHED = 0.1  # [m] beyond the base from which an arm is in the way
 

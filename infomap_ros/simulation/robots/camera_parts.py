@@ -11,7 +11,7 @@ import pinocchio
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.motion.robot.wheel_parts import joint_axis
+from infomap_ros.simulation.robots.wheel_parts import joint_axis
 
 _OPTICAL = re.compile(r"optical", re.IGNORECASE)
 _NO_IMAGES = re.compile(r"accel|gyro|imu|projector", re.IGNORECASE)

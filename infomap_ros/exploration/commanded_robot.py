@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
@@ -247,11 +247,13 @@ class CommandedRobot:
         return name, float(errors[name])
 
     def _hold_arm(self, path: ArmPath) -> None:
-        """Have the arm slow down and stay."""
+        """Have the arm slow down and stay, nowhere that its path does not go."""
         positions, speeds = self._link.joint_positions(), self._link.joint_velocities()
         here = np.array([positions[name] for name in path.joint_names])
         velocities = np.array([speeds.get(name, 0.0) for name in path.joint_names])
-        self._link.send_arm_path(stopping_path(path.joint_names, here, velocities))
+        stop = stopping_path(path.joint_names, here, velocities)
+        knots = np.clip(stop.positions, path.positions.min(axis=0), path.positions.max(axis=0))
+        self._link.send_arm_path(replace(stop, positions=knots))
 
 
 def _either(first: Callable[[], bool], second: Callable[[], bool]) -> Callable[[], bool]:

@@ -9,6 +9,7 @@ import numpy as np
 from infomap_ros.exploration.commanded_robot import CommandedRobot
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.geometry import make_transform
+from infomap_ros.motion.route import ArmPath
 
 
 class RollingLink:
@@ -95,3 +96,30 @@ def test_a_look_goes_on_while_scans_are_fused_however_slowly() -> None:
     assert CommandedRobot(link).look(bool) == ""
     assert link.time > 29.0
     assert "no new scan was fused within 15 s" in CommandedRobot(SlowMap(most=2)).look(bool)
+
+
+class PressedArm(RollingLink):
+    """An arm that is pressed beyond a stop of its joint, and does not come to its goal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[ArmPath] = []
+
+    def joint_positions(self) -> dict[str, float]:
+        return {"slide": 0.1319, "lift": 0.5}
+
+    def joint_velocities(self) -> dict[str, float]:
+        return {"slide": 0.02, "lift": 0.1}
+
+    def send_arm_path(self, path: ArmPath) -> str:
+        self.sent.append(path)
+        return "path"
+
+
+def test_an_arm_that_is_stopped_is_sent_nowhere_that_its_path_does_not_go() -> None:
+    link = PressedArm()
+    knots = np.array([(0.13, 0.2), (0.0, 0.9)])
+    path = ArmPath(("slide", "lift"), knots, np.array([0.0, 2.0]), True, "")
+    assert "has stopped" in CommandedRobot(link).move_arm(path, bool).outcome
+    assert link.sent[-1].positions[-1][0] == 0.13
+    assert 0.5 < link.sent[-1].positions[-1][1] < 0.6

@@ -61,10 +61,10 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            86_660,
+            87_640,
         ),
-        ("modules", len(MODULES), 777),
-        ("short modules with one user in their folder", len(single_users()), 38),
+        ("modules", len(MODULES), 784),
+        ("short modules with one user in their folder", len(single_users()), 39),
     ],
 )
 def test_the_package_does_not_grow(what: str, measured: int, most: int) -> None:

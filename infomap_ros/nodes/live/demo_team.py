@@ -102,7 +102,6 @@ def _parameters(options: argparse.Namespace, world: World) -> dict[str, dict[str
             "world_size": options.size,
             "camera.width": options.width,
             "camera.height": 3 * options.width // 4,
-            "camera.supersampling": 1,
         },
         "map_fusion": {"voxel_size": options.voxel_size},
         "next_best_view": {"threads": 1, **task},

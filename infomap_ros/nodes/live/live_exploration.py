@@ -31,7 +31,8 @@ _IMAGES = tuple(
     f"{side}/{kind}" for side in ("left", "right") for kind in ("image_raw", "camera_info")
 )
 _PLANNING = ("next_best_view", "explorer")
-_AUTOSAVE = 5.0  # [s]
+_AUTOSAVE = 30.0  # [s]
+_DRAWN_FAST = {"camera.supersampling": 1, "camera.multisampling": 0, "camera.shadow_map": 1024}
 _MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 
 Parameters = Mapping[str, object]
@@ -59,6 +60,7 @@ def robot_parameters(
         "simulator": {
             "pace": 0.0,
             "image_rate": IMAGE_RATE,
+            **_DRAWN_FAST,
             "state_file": out / ROBOT_FILE,
             "resume": True,
             "publish_camera_pose": not localized,

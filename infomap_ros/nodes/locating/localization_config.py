@@ -78,7 +78,7 @@ class FiducialLocalizationConfig:
         "after a restart, relative to the working directory; empty for no file.",
     )
     save_period: float = setting(
-        5.0, "Time between two writings of state_file.", unit="s", low=0.1, high=3600.0
+        30.0, "Time between two writings of state_file.", unit="s", low=0.1, high=3600.0
     )
     resume: bool = parameter(
         False,

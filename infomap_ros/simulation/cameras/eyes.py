@@ -77,8 +77,7 @@ class Eyes:
             SimulationError: this machine cannot draw images.
         """
         left, right = self._light()
-        for _ in range(_EXPOSURES):
-            self._sensor.adjust(left)
+        self._sensor.adjust(left, _EXPOSURES)
         return StereoPair(
             stamp, self._sensor.expose(left), self._sensor.expose(right, _GAIN_MISMATCH)
         )

@@ -54,20 +54,20 @@ class ImageSensor:
         """Present exposure; at 1 a white surface just saturates."""
         return float(2.0 ** ((self._steps or 0) * self.config.exposure_step))
 
-    def adjust(self, light: FloatArray) -> None:
+    def adjust(self, light: FloatArray, images: int = 1) -> None:
         """Move the exposure towards the target level, by one step per image.
 
         The first image sets it at once.
 
         Args:
             light: light on the pixels, 1 = white in full light, any shape.
+            images: so many are taken of it.
         """
         median = max(float(np.median(light)), 1e-6)
         wanted = np.log2(self.config.target_level / (255.0 * median)) / self.config.exposure_step
         if self._steps is None:
             self._steps = round(wanted)
-        else:
-            self._steps += int(np.clip(round(wanted - self._steps), -1, 1))
+        self._steps += int(np.clip(round(wanted - self._steps), -images, images))
 
     def expose(self, light: FloatArray, gain: float = 1.0) -> NDArray[np.uint8]:
         """Take one image.

@@ -1,4 +1,4 @@
-"""The choice among candidates, again with others, from afar, and by missing surface at last."""
+"""The choice among candidates, again with others, by missing surface, and from afar at last."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from infomap_ros.exploration.surface.surface_completion import SurfaceCompletion
+from infomap_ros.exploration.surface_completion import SurfaceCompletion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.reaching import WholeBodyReach
@@ -26,34 +26,32 @@ class ViewChoice:
     """Chooses a view that can be reached and is worth its cost.
 
     Where none of the views that were tried can be reached, they are remembered and others are
-    drawn. Where none is worth its cost although more is asked for, the way counts less; where none
-    is even so, views are sought that close the holes of the mapped surface, or those come first.
+    drawn. Where none is worth its cost although more is asked for, views are sought that close the
+    holes of the mapped surface; where there is none either, the way counts less.
 
     Args:
-        config: of choice and memory.
+        config: of the choice.
         information: what views are expected to tell.
-        localization_error: model of LE of eq. (11); odometry drift where not given.
-
-    Attributes:
         memory: of views that could not be reached.
+        localization_error: model of LE of eq. (11); odometry drift where not given.
     """
 
     def __init__(
         self,
         config: ViewPlannerConfig,
         information: ExpectedInformation,
+        memory: GoalMemory,
         localization_error: LocalizationError | None = None,
     ) -> None:
         self._rounds = config.rounds
-        self.memory = GoalMemory(config.memory)
-        self._information = information
-        self._completion = SurfaceCompletion(information.config, config.unproductive.look_limit)
+        self._information, self._memory = information, memory
+        self._completion = SurfaceCompletion(information.config, config.threads)
         self._near = NextBestView(config.choice, config.strategy, information, localization_error)
         far = _from_afar(config.choice, config.thorough)
         close, closing = _of_surface(far, config.thorough), self._completion
         self._far = NextBestView(far, config.strategy, information, localization_error)
         self._closing = NextBestView(close, closing, closing, localization_error)
-        self._gives_up_at_once = config.thorough >= 1.0
+        self._is_thorough = config.thorough < 1.0
 
     def select(
         self,
@@ -63,7 +61,6 @@ class ViewChoice:
         goal: FloatArray | None = None,
         *,
         thorough: bool = False,
-        surface_first: bool = False,
         lasting: bool = True,
     ) -> ViewDecision:
         """Choose the next view.
@@ -73,16 +70,17 @@ class ViewChoice:
             robot: asked for ways to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            thorough: where no view is worth its cost, look farther, and for missing surface.
-            surface_first: where thorough, look for missing surface before all else.
+            thorough: where no view is worth its cost, look for missing surface, and farther.
             lasting: remember for later choices which views could not be reached.
 
         Returns:
             The last decision of those that were made, with the only view that was chosen.
         """
         attempts = _Attempts(robot)
-        memory = self.memory if lasting else deepcopy(self.memory)
-        choices = self._in_order(thorough, surface_first)
+        memory = self._memory if lasting else deepcopy(self._memory)
+        choices = [self._near]
+        if thorough and self._is_thorough:
+            choices += [self._closing, self._far]
         decisions = self._decisions(choices, situation, attempts, rng, goal, memory)
         decision = next(decisions)
         while decision.chosen is None and (another := next(decisions, None)) is not None:
@@ -104,15 +102,6 @@ class ViewChoice:
             float(shares_left(source, situation, pose[None], claimed_gains(source, situation))[0])
             for source in sources
         )
-
-    def _in_order(self, thorough: bool, surface_first: bool) -> list[NextBestView]:
-        """The ways to choose, the first first."""
-        if not thorough or self._gives_up_at_once:
-            return [self._near]
-        by_information = [self._near, self._far]
-        if surface_first:
-            return [self._closing, *by_information]
-        return [*by_information, self._closing]
 
     def _decisions(
         self,
@@ -173,13 +162,6 @@ def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
 
 
 def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
-    """A choice by missing surface, for which the least information counts by a share.
-
-    Looks in vain are counted voxel by voxel there, so that views are not compared for them.
-    """
-    rating, selection = config.rating, config.selection
-    return replace(
-        config,
-        rating=replace(rating, repetition_weight=0.0),
-        selection=replace(selection, min_information=share * selection.min_information),
-    )
+    """A choice by missing surface, for which the least information counts by a share."""
+    least = share * config.selection.min_information
+    return replace(config, selection=replace(config.selection, min_information=least))

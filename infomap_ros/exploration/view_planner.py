@@ -13,7 +13,6 @@ from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.unproductive_views import StrategyAlternator
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -29,7 +28,7 @@ from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.gain_prior import GainPrior
+from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localization_error import LocalizationError
@@ -93,7 +92,7 @@ class ViewPlanner:
         settings = config or ViewPlannerConfig()
         self._motion = ViewMotion(robot, settings, task, rig.left)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
-        self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
+        self._unproductive, self._memory = UnproductiveLooks(settings.unproductive), GoalMemory()
         self._fine: tuple[Interest, ...] = ()
         self._configure(task, settings)
         self._goal: FloatArray | None = None
@@ -107,7 +106,7 @@ class ViewPlanner:
 
         What past views have told, and which could not be reached, stays known.
         """
-        self._choose_by(task, config, self._fine)
+        self._configure(task, config)
         self._motion.config, self._motion.task = config, task
 
     def forbid(self, rules: KeepOut) -> None:
@@ -125,14 +124,6 @@ class ViewPlanner:
         """
         return self._motion.stands_wrongly
 
-    def _choose_by(
-        self, task: TaskConfig, config: ViewPlannerConfig, fine: tuple[Interest, ...]
-    ) -> None:
-        """Choose by these from now on, with what is remembered."""
-        memory, self._fine = self._choice.memory, fine
-        self._configure(task, config)
-        self._choice.memory = memory
-
     def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         self.config, self._task = config, task
         sensor = replace(
@@ -143,8 +134,7 @@ class ViewPlanner:
             predict_unknown=config.predict_unknown,
         )
         self._information = ExpectedInformation(config.metric, sensor, threads=config.threads)
-        self._choice = ViewChoice(config, self._information, self._error)
-        self._turns = StrategyAlternator(task)
+        self._choice = ViewChoice(config, self._information, self._memory, self._error)
 
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
@@ -159,7 +149,6 @@ class ViewPlanner:
         around = self._with_places_of_task(around or Surrounding())
         self._take_note(voxel_map, state, around)
         progress = self._progress(voxel_map, state)
-        self._turns.note(len(self._past), progress)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
         self._motion.send(voxel_map, state, route)
@@ -172,7 +161,8 @@ class ViewPlanner:
         interests = (*self._task.places, *around.interests)
         fine = tuple(each for each in interests if each.weight > 1.0)
         if fine != self._fine:
-            self._choose_by(self._task, self.config, fine)
+            self._fine = fine
+            self._configure(self._task, self.config)
         return replace(around, interests=interests)
 
     def _select(
@@ -185,11 +175,10 @@ class ViewPlanner:
         """
         robot = self._motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
-        situation = self._without_unproductive_looks(situation, progress.entropy_bits)
+        situation = self._without_unproductive_looks(situation)
         ask: dict[str, Any] = {
             "goal": self._goal,
             "thorough": not self.is_done(progress),
-            "surface_first": self._turns.is_other,
         }
         if robot.is_wider:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
@@ -206,18 +195,16 @@ class ViewPlanner:
         onward = self._choice.select(situation, robot, self._rng, **ask)
         return onward if onward.chosen is not None else decision
 
-    def _without_unproductive_looks(self, situation: Situation, entropy: float) -> Situation:
+    def _without_unproductive_looks(self, situation: Situation) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
-        views, left = situation.past_views[self._noted :], []
+        views = situation.past_views[self._noted :]
         self._noted = len(situation.past_views)
         for view, gains in zip(views, self._information.gains(situation, views), strict=True):
-            left.append(float(gains.gains[~self._unproductive.are_given_up(gains.keys)].sum()))
             self._unproductive.note(
                 gains.keys, situation.voxel_map, view[:3, 3], situation.max_range
             )
-        self._kept.note(left, entropy)
         promising = self._unproductive.without_them(situation.voxel_map)
-        return replace(situation, promising=promising, kept_shares=self._kept.shares)
+        return replace(situation, promising=promising)
 
     def way_to(
         self,
@@ -296,7 +283,7 @@ class ViewPlanner:
             self._past.append(state.T_map_camera)
         self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:
-            self._choice.memory.remember(view.pose, view.reason, voxel_map)
+            self._memory.remember(view.pose, view.reason, voxel_map)
             if view.reached:
                 self._past.append(view.pose)
         self._failures.clear()
@@ -323,7 +310,6 @@ class ViewPlanner:
             RegionOfTask(low, high),
             around.interests,
             around.teammates,
-            views_so_far=len(self._past),
             past_views=np.array(self._past),
             free_body=self._body(state),
             clear_space=self._motion.clear_space,

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.views.goal_memory import GoalMemoryConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
@@ -62,17 +61,9 @@ class ViewPlannerConfig:
         low=0.0,
         high=1.0,
     )
-    look_time: float = setting(
-        3.0,
-        "Time of a look and of choosing the view after it, where the cost of views is in seconds.",
-        unit="s",
-        low=0.0,
-        high=600.0,
-    )
     threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
     seed: int = parameter(1, "Seed of the candidates.", low=0)
     choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
-    memory: GoalMemoryConfig = field(default_factory=GoalMemoryConfig)
     unproductive: UnproductiveLooksConfig = field(default_factory=UnproductiveLooksConfig)
     reaching: ReachingConfig = field(default_factory=ReachingConfig)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -19,8 +19,6 @@ from infomap_ros.views.information.voxel_gains import VoxelGains
 from infomap_ros.views.sampling.coarse_views import CoarseViews, coarse_view_at
 from infomap_ros.views.sampling.surroundings import IntArray, Surroundings
 from infomap_ros.views.situation import Situation
-
-_RECENT = 24  # views of the past that count
 
 
 class InformationSource(Protocol):
@@ -118,33 +116,14 @@ class Options:
             return self.coarse_views.left
         return shares_left(self.source, self.situation, self.poses, self.claimed)
 
-    @property
-    def recent_views(self) -> FloatArray:
-        """The last views that were taken, shape (V, 4, 4)."""
-        return self.situation.past_views[-_RECENT:]
-
-    @cached_property
-    def left_over(self) -> FloatArray:
-        """What each of them is still expected to tell, shape (V,)."""
-        return self.source.exact(self.situation, self.recent_views)
-
     def refined(self, chosen: IntArray, information: FloatArray) -> Options:
         """The few views `chosen`, (N,), with their exact information, (N,)."""
         previous = None
         if self.previous is not None and self.previous in chosen:
             previous = int(np.flatnonzero(chosen == self.previous)[0])
-        options = Options(
-            self.situation,
-            self.surroundings,
-            self.poses[chosen],
-            information,
-            self.full_view,
-            self.source,
-            self.rng,
-            previous,
-            fine=True,
+        options = replace(
+            self, poses=self.poses[chosen], information=information, previous=previous, fine=True
         )
         options.__dict__["information_weights"] = self.information_weights
         options.__dict__["claimed"] = self.claimed
-        options.__dict__["left_over"] = self.left_over
         return options

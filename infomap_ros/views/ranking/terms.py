@@ -76,73 +76,6 @@ class TeammatesTerm:
         return np.asarray(options.information * options.coarse_views.wanted * (options.left - 1.0))
 
 
-class Repetition:
-    """What views like it have promised before, and not told.
-
-    A view takes out of the map's unknown space what it sees. What the very same view is still
-    expected to tell, the sensor did not measure: sky, mirrors, walls without texture, or voxels
-    that no scan makes certain. A view like it will not tell that either, so it is taken off, the
-    less the more the two differ in position and direction (a Gaussian). Elevation counts most, as
-    the sky is in every azimuth.
-
-    Other space in the same kind of direction promises as much, and keeps it as badly: a camera that
-    looks up outdoors measures nothing, wherever it turns. So a view loses the share of its
-    information that views of its elevation have failed to tell so far, averaged over those at some
-    distance and in other azimuths as well, and over a few that count as if they had told all.
-    """
-
-    name, unit = "repetition", "bits"
-
-    def __init__(self, near: ArrayLike, wide: ArrayLike, credit: float) -> None:
-        """Set the widths over which views become unlike, and how much failure is forgiven.
-
-        Args:
-            near: distance [m], azimuth and elevation [rad] for what a past view still promises.
-            wide: the same for the share that views of an elevation have told.
-            credit: so many views count as if they had told all.
-        """
-        self._near, self._wide = np.array(near), np.array(wide)
-        self._credit = credit
-
-    def __call__(self, options: Options) -> FloatArray:
-        """Lost information of each view, shape (M,), at most 0."""
-        alike = _likeness(options.poses, options.recent_views, self._near)
-        lost = (options.left_over[:, None] * alike).max(axis=0, initial=0.0)
-        lost = np.maximum(lost, options.information * self._broken(options))
-        return np.asarray(-np.minimum(lost, options.information))
-
-    def _broken(self, options: Options) -> FloatArray:
-        """Share of its information that each view is not trusted to tell, shape (M,)."""
-        kept, views = options.situation.kept_shares, options.situation.past_views
-        told = np.flatnonzero(np.isfinite(kept))
-        alike = _likeness(options.poses, views[told], self._wide)
-        missed = ((1.0 - kept[told])[:, None] * alike).sum(axis=0)
-        return np.asarray(missed / (alike.sum(axis=0) + self._credit))
-
-
-def _likeness(poses: FloatArray, past: FloatArray, widths: FloatArray) -> FloatArray:
-    """How alike views are, (M, 4, 4) and (V, 4, 4) -> (V, M), in [0, 1].
-
-    Args:
-        poses: views.
-        past: others.
-        widths: over which they become unlike: distance [m], azimuth, elevation [rad].
-    """
-    azimuths, elevations = _directions(poses)
-    others, tilts = _directions(past)
-    gaps = np.linalg.norm(poses[None, :, :3, 3] - past[:, None, :3, 3], axis=2)
-    turns = np.remainder(azimuths - others[:, None] + np.pi, 2.0 * np.pi) - np.pi
-    turns *= np.cos(0.5 * (elevations + tilts[:, None]))
-    apart = np.stack([gaps, turns, elevations - tilts[:, None]], axis=-1) / widths
-    return np.asarray(np.exp(-0.5 * (apart**2).sum(axis=-1)))
-
-
-def _directions(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth and elevation of the optical axes of poses, (M, 4, 4) -> (M,) each [rad]."""
-    axes = poses[:, :3, 2]
-    return np.arctan2(axes[:, 1], axes[:, 0]), np.arcsin(np.clip(axes[:, 2], -1.0, 1.0))
-
-
 class Distance:
     """d of eq. (10): weighted distance over the degrees of freedom of the camera.
 
@@ -152,7 +85,11 @@ class Distance:
 
     name, unit = "distance", "weighted m and rad"
 
-    def __init__(self, position_weights: ArrayLike, rotation_weights: ArrayLike) -> None:
+    def __init__(
+        self,
+        position_weights: ArrayLike = (1.0, 1.0, 1.0),
+        rotation_weights: ArrayLike = (0.2, 0.2, 0.2),
+    ) -> None:
         """Weights of x, y, z [1/m] and of the rotation about x, y, z of the map [1/rad]."""
         self._position, self._rotation = np.array(position_weights), np.array(rotation_weights)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -70,21 +70,22 @@ class ViewChoice:
             robot: asked for ways to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            thorough: where no view is worth its cost, look for missing surface, and farther.
+            thorough: where no view is worth its cost, look for missing surface, then farther.
             lasting: remember for later choices which views could not be reached.
 
         Returns:
             The last decision of those that were made, with the only view that was chosen.
         """
-        attempts = _Attempts(robot)
         memory = self._memory if lasting else deepcopy(self._memory)
         choices = [self._near]
         if thorough and self._is_thorough:
             choices += [self._closing, self._far]
-        decisions = self._decisions(choices, situation, attempts, rng, goal, memory)
-        decision = next(decisions)
-        while decision.chosen is None and (another := next(decisions, None)) is not None:
-            decision = another
+        for choice in choices:
+            if choice is self._closing and not self._completion.prepare(situation):
+                continue
+            decision = self._drawn_again(choice, situation, robot, rng, goal, memory)
+            if decision.chosen is not None:
+                break
         return decision
 
     def share_left(self, situation: Situation, pose: FloatArray) -> float:
@@ -103,47 +104,36 @@ class ViewChoice:
             for source in sources
         )
 
-    def _decisions(
+    def _drawn_again(
         self,
-        choices: Sequence[NextBestView],
+        choice: NextBestView,
         situation: Situation,
-        attempts: _Attempts,
+        robot: WholeBodyReach,
         rng: np.random.Generator,
         goal: FloatArray | None,
         memory: GoalMemory,
-    ) -> Iterator[ViewDecision]:
-        """One decision after the other, each knowing what could not be reached before."""
-        voxel_map = situation.voxel_map
-        for choice in choices:
-            if choice is self._closing and not self._completion.prepare(situation):
-                continue
-            for _ in range(self._rounds):
-                yield choice.select(
-                    situation,
-                    attempts,
-                    rng,
-                    goal,
-                    lambda poses: memory.reasons_against(poses, voxel_map),
-                )
-                if not attempts.failures:
-                    break
-                for pose, reason in attempts.failures:
-                    memory.remember(pose, reason, voxel_map)
-                attempts.failures.clear()
+    ) -> ViewDecision:
+        """One choice, again as long as it finds but views that cannot be reached."""
+        reasons_against = partial(memory.reasons_against, voxel_map=situation.voxel_map)
+        for _ in range(self._rounds):
+            attempts = _Attempts(robot)
+            decision = choice.select(situation, attempts, rng, goal, reasons_against)
+            if decision.chosen is not None or not attempts.failures:
+                break
+            for pose, reason in attempts.failures:
+                memory.remember(pose, reason, situation.voxel_map)
+        return decision
 
 
 class _Attempts:
     """A robot that can be asked which views it reaches, and remembers which it does not."""
 
     def __init__(self, robot: WholeBodyReach) -> None:
-        self.robot = robot
+        self.may_reach, self._robot = robot.may_reach, robot
         self.failures: list[tuple[FloatArray, str]] = []
 
-    def may_reach(self, poses: FloatArray) -> Sequence[str]:
-        return self.robot.may_reach(poses)
-
     def reach(self, T_map_camera: FloatArray) -> ReachResult:
-        result = self.robot.reach(T_map_camera)
+        result = self._robot.reach(T_map_camera)
         if result.route is None:
             self.failures.append((T_map_camera, result.reason))
         return result

@@ -240,10 +240,10 @@ class ViewPlanner:
         return self._motion.route_problem(voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
-        """Note that a view brought nothing; it is not chosen until the map changes there.
+        """Note that a view failed; it is not chosen until the map changes there.
 
-        Where it was reached and the look failed, that was a look in vain, as one into the sky, in
-        which nothing tells where the camera is.
+        Where the robot looked from there or nearby, it counts as a look at what the view was to
+        show, as one into the sky, in which nothing tells where the camera is.
         """
         self._failures.append(view)
         self._goal = None
@@ -279,7 +279,7 @@ class ViewPlanner:
         if not self._past:
             gaps = np.linalg.norm(around.past_views[:, :3, 3] - state.T_map_camera[:3, 3], axis=1)
             self._past.extend(around.past_views[gaps > _SAME])
-        if not self._failures or not self._past:
+        if all(view.reached for view in self._failures) or not self._past:
             self._past.append(state.T_map_camera)
         self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:

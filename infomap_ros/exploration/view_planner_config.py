@@ -54,10 +54,10 @@ class ViewPlannerConfig:
     )
     thorough: float = setting(
         0.3,
-        "Where no view is worth its cost and the task is not met yet, the way and the localization "
-        "error on it count by this share only, and then views are sought that close holes of the "
-        "mapped surface, of which this share of the least information is asked for. 1 gives up at "
-        "once.",
+        "Where no view is worth its cost and the task is not met yet, views are sought that close "
+        "holes of the mapped surface, and then all others again: the way and the localization "
+        "error on it count by this share only, and so does the least information of the former. 1 "
+        "gives up at once.",
         low=0.0,
         high=1.0,
     )

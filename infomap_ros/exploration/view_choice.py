@@ -152,6 +152,11 @@ def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
 
 
 def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
-    """A choice by missing surface, for which the least information counts by a share."""
+    """A choice by missing surface, for which the least information counts by a share.
+
+    Looks in vain are counted voxel by voxel there, so that views are not compared for them.
+    """
     least = share * config.selection.min_information
-    return replace(config, selection=replace(config.selection, min_information=least))
+    selection = replace(config.selection, min_information=least)
+    rating = replace(config.rating, repetition_weight=0.0)
+    return replace(config, rating=rating, selection=selection)

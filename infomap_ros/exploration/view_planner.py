@@ -28,6 +28,7 @@ from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
+from infomap_ros.views.gain_prior import GainPrior
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
@@ -92,7 +93,8 @@ class ViewPlanner:
         settings = config or ViewPlannerConfig()
         self._motion = ViewMotion(robot, settings, task, rig.left)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
-        self._unproductive, self._memory = UnproductiveLooks(settings.unproductive), GoalMemory()
+        self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
+        self._memory = GoalMemory()
         self._fine: tuple[Interest, ...] = ()
         self._configure(task, settings)
         self._goal: FloatArray | None = None
@@ -175,7 +177,7 @@ class ViewPlanner:
         """
         robot = self._motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
-        situation = self._without_unproductive_looks(situation)
+        situation = self._without_unproductive_looks(situation, progress.entropy_bits)
         ask: dict[str, Any] = {
             "goal": self._goal,
             "thorough": not self.is_done(progress),
@@ -195,16 +197,18 @@ class ViewPlanner:
         onward = self._choice.select(situation, robot, self._rng, **ask)
         return onward if onward.chosen is not None else decision
 
-    def _without_unproductive_looks(self, situation: Situation) -> Situation:
+    def _without_unproductive_looks(self, situation: Situation, entropy: float) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
-        views = situation.past_views[self._noted :]
+        views, left = situation.past_views[self._noted :], []
         self._noted = len(situation.past_views)
         for view, gains in zip(views, self._information.gains(situation, views), strict=True):
+            left.append(float(gains.gains[~self._unproductive.are_given_up(gains.keys)].sum()))
             self._unproductive.note(
                 gains.keys, situation.voxel_map, view[:3, 3], situation.max_range
             )
+        self._kept.note(left, entropy)
         promising = self._unproductive.without_them(situation.voxel_map)
-        return replace(situation, promising=promising)
+        return replace(situation, promising=promising, kept_shares=np.array(self._kept.shares))
 
     def way_to(
         self,

@@ -122,7 +122,7 @@ def why_this(
     ]
     if kept:
         parts.append("the goal so far is kept, as no other is clearly better")
-    changes = {name: terms.get(name, 0.0) for name in ("interest", "teammates")}
+    changes = {name: terms.get(name, 0.0) for name in ("interest", "teammates", "repetition")}
     least = 0.005 * abs(information)
     parts += [
         f"{name} {change:+.{_digits(change)}f} {unit}"

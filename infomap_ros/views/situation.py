@@ -167,6 +167,8 @@ class Situation:
         interests: places whose information counts more or less.
         teammates: the other robots.
         past_views: ``T_map_camera`` of the views taken before, as far as known, shape (V, 4, 4).
+        kept_shares: share of what each of them could tell that it has told, shape (V,), NaN where
+            that is not known; see `views.gain_prior`. Empty where it is known of none.
         free_body: the robot's own body in the map frame: space that is free whatever the map says.
         clear_space: space that is declared free, map frame; what the map knows to be occupied is.
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
@@ -191,6 +193,7 @@ class Situation:
     interests: Sequence[Interest] = ()
     teammates: Sequence[Teammate] = ()
     past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    kept_shares: FloatArray = field(default_factory=lambda: np.empty(0))
     free_body: Sequence[PlacedSolid] = ()
     clear_space: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
@@ -209,6 +212,10 @@ class Situation:
             raise InvalidInputError("heights", f"{self.heights} is not a band")
         past = float_array(self.past_views, "past_views").reshape(-1, 4, 4)
         object.__setattr__(self, "past_views", past)
+        shares = float_array(self.kept_shares, "kept_shares")
+        if shares.shape not in ((0,), (len(past),)):
+            raise InvalidInputError("kept_shares", f"shape {shares.shape} for {len(past)} views")
+        object.__setattr__(self, "kept_shares", shares)
         views = check_transforms(self.arm_views, "arm_views")
         object.__setattr__(self, "arm_views", views)
 

@@ -32,7 +32,7 @@ class UnproductiveLooksConfig:
     """
 
     look_limit: float = setting(
-        0.75,
+        1.5,
         "A voxel that stays unknown is no longer expected to tell anything after so many looks in "
         "vain from next to it. A look from a distance d counts 1 - (d / max_range)^2.",
         low=0.01,
@@ -79,6 +79,10 @@ class UnproductiveLooks:
         self._keys, place = np.unique(keys, return_inverse=True)
         counts = np.concatenate([self._counts[still], weights])
         self._counts = np.bincount(place, counts, len(self._keys)).astype(np.float64)
+
+    def are_given_up(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether voxels are given up, by their packed indices, shape (K,)."""
+        return np.isin(keys, self._keys[self._counts >= self.config.look_limit])
 
     def without_them(self, voxel_map: VoxelMap) -> VoxelMap:
         """A copy of the map in which the voxels that are given up count as free.

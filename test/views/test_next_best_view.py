@@ -79,7 +79,7 @@ def test_same_seed_same_choice(half_seen: Situation) -> None:
 
 def test_every_candidate_has_terms_or_a_reason(half_seen: Situation) -> None:
     decision = choose(half_seen)
-    gains = {"information", "interest", "teammates"}
+    gains = {"information", "interest", "teammates", "repetition"}
     names = gains | {"distance", "localization_error", "risk"}
     for view in decision.candidates:
         assert set(view.terms) == names or view.rejection

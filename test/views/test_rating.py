@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localization_error import OdometryDrift, OdometryDriftConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
-from infomap_ros.views.ranking.terms import Distance
+from infomap_ros.views.ranking.terms import TRUST_AZIMUTH, Distance
 from infomap_ros.views.sampling.candidates import CandidateConfig, find_candidates
 from infomap_ros.views.sampling.survey import survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 
-from .choices import options_of
+from .choices import Prescribed, options_of
 from .rooms import CAMERA, facing, seen_room, turning
 
 ROOM = (6.0, 4.0, 2.5)
@@ -102,6 +103,50 @@ def test_what_a_teammate_is_about_to_see_counts_less(situation: Situation) -> No
     loss = terms.terms["teammates"]
     assert loss[0] < -25.0 and loss[1] == pytest.approx(0.0, abs=2.0)
     assert terms.shares[0] == pytest.approx((50.0 + loss[0]) / 100.0)
+
+
+def test_what_a_like_view_has_not_told_is_taken_off(situation: Situation) -> None:
+    """The past view from x = 2.5 still promises 40 bits."""
+    past, other = facing(0.0, (2.5, 2.0, 1.2)), facing(np.pi, (2.5, 2.0, 1.2))
+    raised, beside = facing(0.0, (2.5, 2.0, 1.2), 0.3), facing(0.6, (2.5, 3.5, 1.2))
+    source = Prescribed({2.5: {1: 40.0}})
+    now = with_fields(situation, past_views=past[None])
+    poses, information = [past, past, other, raised, beside], [40.0, 30.0, 50.0, 50.0, 50.0]
+    rated = Rating().rate(options_of(now, poses, information, source=source))
+    expected = [-40.0, -30.0, 0.0, -40.0 * np.exp(-2.0), -40.0 * np.exp(-1.0)]
+    np.testing.assert_allclose(rated.terms["repetition"], expected, atol=1e-3)
+    left = np.array(information) + rated.terms["repetition"]
+    np.testing.assert_allclose(rated.shares, left / 100.0)
+
+
+def test_a_view_is_trusted_as_far_as_views_of_its_elevation_have_kept_their_promises(
+    situation: Situation,
+) -> None:
+    """Of three views upwards one told a half and two nothing; a level one told all."""
+    up, level = facing(0.0, (1.5, 2.0, 1.2), 0.6), facing(0.0, (1.5, 2.0, 1.2))
+    past, kept = np.stack([up, up, up, level]), np.array((0.5, 0.0, 0.0, 1.0))
+    now = with_fields(situation, past_views=past, kept_shares=kept)
+    config = RatingConfig(trust_distance=1e3, trust_credit=0.5, repetition_elevation=0.05)
+    beside = facing(0.0, (2.5, 2.5, 1.2), 0.6)
+    turned = facing(2.0, (1.5, 2.0, 1.2), 0.6)
+    rated = Rating(config).rate(
+        options_of(now, [beside, turned, level], [40.0, 40.0, 40.0], source=Prescribed({}))
+    )
+    alike = 3.0 * np.exp(-0.5 * (2.0 * np.cos(0.6) / TRUST_AZIMUTH) ** 2)
+    shares = [2.5 / 3.5, (2.5 / 3.0) * alike / (alike + 0.5), 0.0]
+    np.testing.assert_allclose(rated.terms["repetition"], -40.0 * np.array(shares), atol=1e-6)
+
+
+def test_of_views_that_are_not_known_to_have_told_nothing_is_concluded(
+    situation: Situation,
+) -> None:
+    level = facing(0.0, (1.5, 2.0, 1.2))
+    for kept in (np.array((np.nan,)), np.empty(0)):
+        now = with_fields(situation, past_views=level[None], kept_shares=kept)
+        rated = Rating().rate(options_of(now, [level], [40.0], source=Prescribed({})))
+        np.testing.assert_array_equal(rated.terms["repetition"], 0.0)
+    with pytest.raises(InvalidInputError, match="kept_shares"):
+        with_fields(situation, past_views=level[None], kept_shares=np.ones(2))
 
 
 def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:

@@ -71,6 +71,13 @@ def test_voxel_that_becomes_known_is_forgotten() -> None:
     assert len(looks) == 1
 
 
+def test_given_up_voxels_can_be_asked_for() -> None:
+    looks, voxel_map = UnproductiveLooks(UnproductiveLooksConfig(look_limit=0.5)), seen()
+    assert not looks.are_given_up(keys_of(NEAR, FAR)).any()
+    looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
+    np.testing.assert_array_equal(looks.are_given_up(keys_of(FAR, NEAR)), [False, True])
+
+
 def test_known_voxels_are_never_counted() -> None:
     looks, voxel_map = UnproductiveLooks(), seen()
     looks.note(keys_of((10, 0, 0)), voxel_map, np.zeros(3), 4.0)

@@ -20,6 +20,8 @@ from infomap_ros.views.sampling.coarse_views import CoarseViews, coarse_view_at
 from infomap_ros.views.sampling.surroundings import IntArray, Surroundings
 from infomap_ros.views.situation import Situation
 
+_RECENT = 24  # views of the past that count
+
 
 class InformationSource(Protocol):
     """Tells how much views are expected to inform.
@@ -116,6 +118,16 @@ class Options:
             return self.coarse_views.left
         return shares_left(self.source, self.situation, self.poses, self.claimed)
 
+    @property
+    def recent_views(self) -> FloatArray:
+        """The last views that were taken, shape (V, 4, 4)."""
+        return self.situation.past_views[-_RECENT:]
+
+    @cached_property
+    def left_over(self) -> FloatArray:
+        """What each of them is still expected to tell, shape (V,)."""
+        return self.source.exact(self.situation, self.recent_views)
+
     def refined(self, chosen: IntArray, information: FloatArray) -> Options:
         """The few views `chosen`, (N,), with their exact information, (N,)."""
         previous = None
@@ -126,4 +138,5 @@ class Options:
         )
         options.__dict__["information_weights"] = self.information_weights
         options.__dict__["claimed"] = self.claimed
+        options.__dict__["left_over"] = self.left_over
         return options

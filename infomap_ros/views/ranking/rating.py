@@ -23,13 +23,14 @@ from infomap_ros.views.ranking.terms import (
     InterestTerm,
     LocalizationErrorTerm,
     RatingTerm,
+    Repetition,
     Risk,
     TeammatesTerm,
 )
 from infomap_ros.views.reach import ReachResult
 from infomap_ros.views.situation import MotionTimes, Situation
 
-_COUNTED = 3  # the first terms say what of the information counts
+_COUNTED = 4  # the first terms say what of the information counts
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,18 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
+    repetition_weight: float = setting(
+        1.0, "Weight of what like views promised and did not tell, against w_NI.", low=0.0, high=1e6
+    )
+    repetition_elevation: float = setting(
+        0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
+    )
+    trust_distance: float = setting(
+        4.0, "Distance over which what a view told says less.", unit="m", low=0.001, high=1e3
+    )
+    trust_credit: float = setting(
+        0.3, "So many views count as if they had told all.", low=0.001, high=1e6
+    )
     teammate_sigma: float = setting(
         0.5,
         "Width of the Gaussian by which the risk falls off around a teammate.",
@@ -92,7 +105,8 @@ class Ratings:
     Attributes:
         terms: value of each term by name, in its own unit, shape (M,) each.
         ratings: RF of eq. (11), shape (M,) [full views].
-        shares: what counts of the information, by interests and teammates, shape (M,) [full views].
+        shares: what counts of the information, by interests, teammates and repetition, shape (M,)
+            [full views].
         config: the weights.
         cost: what getting from view to view costs.
     """
@@ -192,11 +206,14 @@ class Rating:
                 a term in bits, a factor like `information_weight`; negative for costs.
         """
         self.config = config or RatingConfig()
-        weight = self.config.information_weight
+        settings, weight = self.config, self.config.information_weight
+        trust = settings.trust_distance, settings.trust_credit
+        repetition = Repetition(settings.repetition_elevation, *trust)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
+            (repetition, weight * settings.repetition_weight),
             *more_terms,
         ]
         self._localization_error = LocalizationErrorTerm(localization_error)

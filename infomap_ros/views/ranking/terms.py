@@ -19,6 +19,8 @@ from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import MotionTimes
 
+TRUST_AZIMUTH = 3.0  # [rad] over which the share that a view has told says less of others
+
 
 class RatingTerm(Protocol):
     """One term of the sum in eq. (11).
@@ -74,6 +76,63 @@ class TeammatesTerm:
         if not options.situation.teammates:
             return np.zeros(len(options))
         return np.asarray(options.information * options.coarse_views.wanted * (options.left - 1.0))
+
+
+class Repetition:
+    """What views like it have promised before, and not told: sky, mirrors, walls without texture.
+
+    What a view that was taken still promises is taken off views like it, the less the more they
+    differ in position and direction (a Gaussian). As other space in such a direction keeps its
+    promises as badly, a view loses at least the share that views of its elevation have failed to
+    tell, averaged over a wider surrounding.
+
+    Args:
+        elevation: over which views become unlike [rad].
+        trust_distance: over which the share that views of an elevation have told says less [m].
+        trust_credit: so many views count as if they had told all.
+    """
+
+    name, unit = "repetition", "bits"
+
+    def __init__(self, elevation: float, trust_distance: float, trust_credit: float) -> None:
+        self._near = np.array((1.5, 0.6, elevation))
+        self._wide = np.array((trust_distance, TRUST_AZIMUTH, elevation))
+        self._credit = trust_credit
+
+    def __call__(self, options: Options) -> FloatArray:
+        """Lost information of each view, shape (M,), at most 0."""
+        alike = _likeness(options.poses, options.recent_views, self._near)
+        lost = (options.left_over[:, None] * alike).max(axis=0, initial=0.0)
+        lost = np.maximum(lost, options.information * self._broken(options))
+        return np.asarray(-np.minimum(lost, options.information))
+
+    def _broken(self, options: Options) -> FloatArray:
+        """Share of its information that each view is not trusted to tell, shape (M,)."""
+        kept, views = options.situation.kept_shares, options.situation.past_views
+        told = np.flatnonzero(np.isfinite(kept))
+        alike = _likeness(options.poses, views[told], self._wide)
+        missed = ((1.0 - kept[told])[:, None] * alike).sum(axis=0)
+        return np.asarray(missed / (alike.sum(axis=0) + self._credit))
+
+
+def _likeness(poses: FloatArray, past: FloatArray, widths: FloatArray) -> FloatArray:
+    """How alike views are, (M, 4, 4) and (V, 4, 4) -> (V, M), in [0, 1].
+
+    `widths` are the distance [m], azimuth and elevation [rad] over which they become unlike.
+    """
+    azimuths, elevations = _directions(poses)
+    others, tilts = _directions(past)
+    gaps = np.linalg.norm(poses[None, :, :3, 3] - past[:, None, :3, 3], axis=2)
+    turns = np.remainder(azimuths - others[:, None] + np.pi, 2.0 * np.pi) - np.pi
+    turns *= np.cos(0.5 * (elevations + tilts[:, None]))
+    apart = np.stack([gaps, turns, elevations - tilts[:, None]], axis=-1) / widths
+    return np.asarray(np.exp(-0.5 * (apart**2).sum(axis=-1)))
+
+
+def _directions(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth and elevation of the optical axes of poses, (M, 4, 4) -> (M,) each [rad]."""
+    axes = poses[:, :3, 2]
+    return np.arctan2(axes[:, 1], axes[:, 0]), np.arcsin(np.clip(axes[:, 2], -1.0, 1.0))
 
 
 class Distance:

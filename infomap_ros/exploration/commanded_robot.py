@@ -132,12 +132,18 @@ class CommandedRobot:
         return self._link.fused_scans > 0
 
     def look(self, interrupted: Interrupted) -> str:
-        """Wait until scans taken from here have been fused."""
-        link = self._link
-        wanted = link.fused_scans + self._config.scans_per_view + 1  # one may be from before
-        if self._wait(lambda: link.fused_scans >= wanted, interrupted):
-            return ""
-        return f"no new scan was fused within {self._config.progress_timeout:g} s"
+        """Wait until scans taken from here have been fused, for as long as one after one is."""
+        fused = self._link.fused_scans
+        wanted = fused + self._config.scans_per_view + 1  # one may be from before
+
+        def more() -> bool:
+            return self._link.fused_scans > fused
+
+        while fused < wanted:
+            if not self._wait(more, interrupted):
+                return f"no new scan was fused within {self._config.progress_timeout:g} s"
+            fused = self._link.fused_scans
+        return ""
 
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
         """Send the path and wait for its result, or until the joints are where it ends."""

@@ -164,7 +164,7 @@ class MapFusionNode(MonitoredNode):
             self._worker.submit_always(tell)
 
     def _autosave(self) -> None:
-        self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save))
+        self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save_meanwhile))
 
     def _carry_out(self, order: Callable[[], str]) -> str:
         """Carry out an order of the user, and say so."""

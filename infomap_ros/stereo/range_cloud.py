@@ -75,11 +75,6 @@ class RangeCloud:
         return self.packed[self.valid, 4:][:, _FULL_FROM_TRIANGLE]
 
     @property
-    def point_colors(self) -> NDArray[np.uint8] | None:
-        """Colors of `points`, shape (N, 3), uint8 RGB, or None."""
-        return None if self.colors is None else self.colors[self.valid]
-
-    @property
     def organized_points(self) -> NDArray[np.float32]:
         """View of the points, shape (H, W, 3), float32 [m]; NaN where invalid."""
         return self.packed[..., :3]

@@ -76,3 +76,22 @@ def test_a_base_that_stops_before_its_goal_has_failed_and_is_told_to_stay() -> N
     motion = CommandedRobot(link).drive(np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), bool)
     assert "stopped 0.5" in motion.outcome
     assert sent[0] == 1.0 and abs(sent[1] - 0.5) < 0.03
+
+
+class SlowMap(RollingLink):
+    """A map that fuses a scan each ten seconds, up to so many."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.most = most
+
+    @property
+    def fused_scans(self) -> int:  # type: ignore[override]
+        return min(int(self.time / 10.0), self.most)
+
+
+def test_a_look_goes_on_while_scans_are_fused_however_slowly() -> None:
+    link = SlowMap(most=10)
+    assert CommandedRobot(link).look(bool) == ""
+    assert link.time > 29.0
+    assert "no new scan was fused within 15 s" in CommandedRobot(SlowMap(most=2)).look(bool)

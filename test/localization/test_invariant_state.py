@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform, perturb_transform
 from infomap_ros.localization.filter.invariant_state import InvariantState
-from infomap_ros.localization.filter.pose_errors import invariant_difference, moved_pose
+from infomap_ros.localization.filter.lie import exponential, left_jacobian
+from infomap_ros.localization.filter.pose_errors import invariant_difference
 from test.localization.fiducial_scene import wall
 
 
@@ -107,6 +108,15 @@ def test_a_turn_of_the_camera_alone_leaves_the_fiducials() -> None:
     noise = state.motion_noise(state.T_map_camera, np.eye(3))
     state.correct(noise @ [0.0, 0.0, 0.0, 0.4, -0.7, 0.2])
     np.testing.assert_allclose(state.positions, positions, atol=1e-12)
+
+
+def moved_pose(pose: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """The pose, shape (4, 4), with an error (xi, theta), shape (6,), taken out."""
+    turn = exponential(error[3:])
+    result = pose.copy()
+    result[:3, :3] = turn @ pose[:3, :3]
+    result[:3, 3] = turn @ pose[:3, 3] + left_jacobian(error[3:]) @ error[:3]
+    return result
 
 
 def test_a_rigid_error_moves_everything_rigidly() -> None:

@@ -142,6 +142,21 @@ def test_a_scan_that_comes_after_the_correction_stays(graph: Any) -> None:
     bench.wait_for_map(as_replica(map_of(ELSEWHERE, T_MAP_CAMERA)))
 
 
+def test_the_map_is_saved_meanwhile_as_it_is_however_long_a_correction_takes(
+    graph: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("infomap_ros.pipeline.map_builder.MapBuilder.correct_more", lambda _: None)
+    file = tmp_path / "map.infomap"
+    bench = CorrectedBench(graph, map_file=str(file), autosave_period=0.3)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    bench.tell(keyframes(START, T_MAP_CAMERA))
+    bench.tell(keyframes(START + SECOND, ELSEWHERE))
+    graph.spin_until(file.is_file, "the map")
+    bench.send(pose(START + 2 * SECOND), cloud(START + 2 * SECOND))
+    bench.wait_for_results(2)
+
+
 def test_poses_in_another_frame_are_refused(graph: Any) -> None:
     bench = CorrectedBench(graph)
     bench.tell(keyframes(START, T_MAP_CAMERA, frame="odom"))

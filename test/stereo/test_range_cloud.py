@@ -35,4 +35,3 @@ def test_colors_are_packed_as_point_cloud_viewers_read_them(cloud):
 
 def test_density_counts_measured_pixels(cloud):
     assert cloud.density == pytest.approx(len(cloud.points) / (24 * 32))
-    assert len(cloud.point_colors) == len(cloud.points)

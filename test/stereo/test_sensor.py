@@ -117,7 +117,7 @@ def test_a_color_pair_measures_as_its_gray_pair_and_keeps_its_colors(render):
     )
     np.testing.assert_array_equal(gray.range_image, colored.range_image)
     assert gray.colors is None
-    np.testing.assert_array_equal(colored.point_colors[:, 0], scene.left[colored.valid])
+    np.testing.assert_array_equal(colored.colors[..., 0], scene.left)
 
 
 def test_extended_search_measures_the_left_columns(render):

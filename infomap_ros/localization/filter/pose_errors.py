@@ -35,17 +35,8 @@ def pose_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (result + result.transpose(0, 2, 1)))
 
 
-def moved_pose(pose: FloatArray, error: FloatArray) -> FloatArray:
-    """The pose, shape (4, 4), with an error (xi, theta), shape (6,), taken out."""
-    turn = exponential(error[3:])
-    result = pose.copy()
-    result[:3, :3] = turn @ pose[:3, :3]
-    result[:3, 3] = turn @ pose[:3, 3] + left_jacobian(error[3:]) @ error[:3]
-    return result
-
-
 def invariant_difference(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(xi, theta) with ``moved_pose(second, error) == first``, shape (6,)."""
+    """(xi, theta) that moves the second pose to the first, shape (6,)."""
     theta = logarithm(first[:3, :3] @ second[:3, :3].T)
     shift = first[:3, 3] - exponential(theta) @ second[:3, 3]
     return np.concatenate([np.linalg.solve(left_jacobian(theta), shift), theta])

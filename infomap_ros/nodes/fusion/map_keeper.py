@@ -139,6 +139,7 @@ class MapKeeper:
             self._node.get_logger().info(
                 f"took {forgotten} voxels of teammate {body.robot} out of the map"
             )
+            self._is_saved = False
             self._outputs.changed()
             self._updates.publish(self._map, self._stamp)
 
@@ -161,6 +162,7 @@ class MapKeeper:
         report = self._builder.correct_more()
         if report is None:
             return
+        self._is_saved = False
         self._node.health.note("corrections of the map", str(self._builder.corrections))
         self._node.get_logger().info(
             f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
@@ -237,6 +239,15 @@ class MapKeeper:
         while self._builder.is_correcting and time.monotonic() < end:
             self.correct_more()
         self._node.get_logger().info(self._save())
+
+    def save_meanwhile(self) -> None:
+        """Write the map as it is where that is news; a correction that has begun goes on after.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        if not self._is_saved and self._map.known_voxels:
+            self._save()
 
     def _save(self) -> str:
         """Write the map file; what another run left there is kept beside it."""

@@ -37,7 +37,7 @@ from infomap_ros.views import (
     Situation,
     ViewDecision,
 )
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import look_rotations
 
 VOXEL, RANGE, HEIGHT = 0.05, 5.0, 3.0

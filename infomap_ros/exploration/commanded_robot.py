@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -29,15 +29,10 @@ class CommandedRobotConfig:
     position_tolerance: float = parameter(
         0.12, "The base has arrived when it rests so near the end of its path.", unit="m", low=0.001
     )
-    heading_tolerance: float = setting(
-        0.2,
-        "The base has arrived when its heading is so near the wanted one.",
-        unit="rad",
-        low=0.01,
-    )
-    joint_tolerance: float = setting(
-        0.03, "The arm has arrived when every joint is so near its goal.", unit="rad or m", low=1e-4
-    )
+    heading_tolerance: ClassVar[float] = 0.2
+    """The base has arrived when its heading is so near the wanted one [rad]."""
+    joint_tolerance: ClassVar[float] = 0.03
+    """The arm has arrived when every joint is so near its goal [rad or m]."""
     progress_timeout: float = parameter(
         15.0,
         "A motion has failed when nothing has moved for so long, and a look when no scan has been "

@@ -43,9 +43,9 @@ from infomap_ros.exploration.rules import (
     StopRule,
     TaskIsMet,
     TooManyFailures,
+    UnproductiveViews,
 )
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.unproductive_views import UnproductiveViews
 from infomap_ros.motion.base.pose_margin import base_sigma
 from infomap_ros.motion.route import Route
 
@@ -106,7 +106,6 @@ class Exploration:
             self._budget,
             PlanOnly() if plan_only else self._unproductive,
         ]
-        self._missed: FailedView | None = None  # the last view, where the camera came only near
         self._route_monitor = RouteMonitor(robot, planner)
         self._drift_monitor = DriftMonitor(robot, task.max_drift)
         self._monitors = [self._drift_monitor, self._route_monitor]
@@ -199,11 +198,7 @@ class Exploration:
         account = {"views": self.mission.views, "distance": self.mission.distance}
         self._log.write("progress", **account, **asdict(choice.progress), state=self.state)
         self._log.write("decision", view=self.mission.views, **choice.explanation)
-        missed, self._missed = self._missed, None
-        if missed is None or not self._unproductive.is_last_unproductive:
-            return choice
-        self._planner.failed(missed)  # else it promises the same again
-        return self._choose()
+        return choice
 
     def _move_and_look(self, choice: Choice) -> None:
         """Move the camera to the view that was chosen, and look from there."""
@@ -223,13 +218,12 @@ class Exploration:
             self._log.write("message", text=problem, level="info")
             self.look()
             return
-        views = self.mission.views
-        if not problem:
-            self.look()
-            if self._mover.miss and self.mission.views > views:
-                self._missed = FailedView(choice.pose, self._mover.miss)
-        if self._return.is_due:
-            self._planner.failed(FailedView(choice.pose, self.last_reason, reached=True))
+        if problem:
+            return
+        self.look()
+        miss = "" if self.control.interrupted() else self._mover.miss
+        if miss or self._return.is_due:  # else it promises the same again
+            self._planner.failed(FailedView(choice.pose, miss or self.last_reason, reached=True))
 
     def follow(self, route: Route, interrupted: Interrupted) -> str:
         """Move arm, base and arm; returns empty, or why it did not come to the end."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,11 @@ from scipy import ndimage
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap
+from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap, VoxelWindow
 from infomap_ros.mapping.files.export import surface_sigmas
 
-_GOES_ON = OccupancyThresholds().surface_margin + 1  # [voxels] that a surface is continued
+GOES_ON = OccupancyThresholds().surface_margin + 1
+"""A surface is continued so far [voxels]."""
 _WALL = 1.0  # [m] of surface in a column, at which it is a wall,
 _WALL_SHARE = 0.6  # or such a share of the region's height where that is less
 _GAP = 0.2  # [m] width of gaps in walls that count as closed
@@ -125,7 +126,7 @@ def _known_fraction(voxel_map: VoxelMap, box: FloatArray, inside: ArrayLike) -> 
     """K / (K + M) of `measure_progress`."""
     window = voxel_map.window(box[0], box[1])
     states = window.states()
-    start = np.clip(window.positions_of(np.reshape(inside, (1, 3)))[0], 0, _last(states))
+    start = start_in(window, states, inside)
     known, missing = count_surface(states, start, voxel_map.config.voxel_size)
     return known / (known + missing) if known else 0.0
 
@@ -141,21 +142,31 @@ def count_surface(
             voxel that is.
         voxel_size: edge of a voxel [m].
     """
-    occupied, unknown = states == OCCUPIED, states == UNKNOWN
-    free = (states == FREE) & _component(~occupied, start)
+    occupied = states == OCCUPIED
     known, detail = np.zeros_like(occupied), np.zeros_like(occupied)
-    for axis in range(3):
-        for step in (-1, 1):
-            faces_free = _neighbors(free, axis, step)
-            surface = occupied & faces_free
-            known |= surface
-            beside = [2 * _GOES_ON + 1] * 3
-            beside[axis] = 3
-            detail |= unknown & faces_free & (_count_near(surface, beside) >= _VOICES)
+    for _, surface, missing in faces(states, start):
+        known |= surface
+        detail |= missing
     has_surface = occupied.any(axis=2)
     expanse = ~has_surface & (states != OCCUPIED).any(axis=2)
     expanse &= _component(~_walls(occupied, voxel_size), start[:2])
     return int(known.sum()), int(expanse.sum()) + int((detail & has_surface[:, :, None]).sum())
+
+
+def faces(
+    states: NDArray[np.uint8], start: NDArray[np.int64]
+) -> Iterator[tuple[FloatArray, _Mask, _Mask]]:
+    """By the side on which free space lies: the way to it, surface, and where surface goes on."""
+    occupied, unknown = states == OCCUPIED, states == UNKNOWN
+    free = (states == FREE) & _component(~occupied, start)
+    for axis in range(3):
+        for step in (-1, 1):
+            faces_free = _neighbors(free, axis, step)
+            surface = occupied & faces_free
+            beside = [2 * GOES_ON + 1] * 3
+            beside[axis] = 3
+            missing = unknown & faces_free & (_count_near(surface, beside) >= _VOICES)
+            yield step * np.eye(3)[axis], surface, missing
 
 
 def _walls(occupied: _Mask, voxel_size: float) -> NDArray[np.bool_]:
@@ -200,5 +211,9 @@ def _neighbors(mask: _Mask, axis: int, step: int) -> _Mask:
     return shifted
 
 
-def _last(states: NDArray[np.uint8]) -> NDArray[np.int64]:
-    return np.array(states.shape) - 1
+def start_in(
+    window: VoxelWindow, states: NDArray[np.uint8], inside: ArrayLike
+) -> NDArray[np.int64]:
+    """Position of the voxel of a window that is nearest to a place, shape (3,) [m]."""
+    here = window.positions_of(np.reshape(inside, (1, 3)))[0]
+    return np.clip(here, 0, np.array(states.shape) - 1)

@@ -113,7 +113,7 @@ class FailedView:
     Attributes:
         pose: ``T_map_camera`` that was chosen, shape (4, 4).
         reason: why.
-        reached: whether the robot came there, and the look failed.
+        reached: whether the robot looked from there, or from as near as it came.
     """
 
     pose: FloatArray

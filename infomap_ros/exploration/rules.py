@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+import numpy as np
+
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.robot import Choice, Interrupted, KnownPlace
 from infomap_ros.exploration.task import TaskConfig
+from infomap_ros.geometry.transforms import FloatArray
 
 
 class EndReason(Enum):
@@ -199,6 +202,60 @@ class TooManyFailures(StopRule):
             return None
         detail = f"{self._count} failures one after the other, the last: {self._last}"
         return Ending(EndReason.FAILED, detail)
+
+
+class UnproductiveViews(StopRule):
+    """The last views have brought so little for their time that to go on is not worth it.
+
+    What counts is how fast the entropy of the region falls, and the share of its surface rises that
+    is known precisely enough, over a few views together, each against its best such rate: most of
+    what a place tells is told early, and views that fill in the rest, a tenth of a percent after
+    the other, could go on for hours. A map that becomes less certain, as by a correction, takes
+    nothing from what other views have brought.
+
+    Args:
+        task: what is asked for.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        self.task = task
+        self._views, self._seconds, self._state = 0, 0.0, np.zeros(2)
+        self._brought: list[FloatArray] = []  # bits, share of the surface and time of each view
+        self._best = np.zeros(2)
+
+    def note(self, views: int, seconds: float, progress: MapProgress) -> None:
+        """Take the state of the map after so many views, and so much time, in any unit."""
+        state = np.array([-progress.entropy_bits, progress.min_fraction])
+        if views > self._views > 0:
+            brought = np.maximum(state - self._state, 0.0)
+            self._brought.append(np.append(brought, max(seconds - self._seconds, 0.0)))
+            self._best = np.maximum(self._best, self._rates(self.task.unproductive_views))
+        self._views, self._seconds, self._state = views, seconds, state
+
+    def ending(self, choice: Choice | None) -> Ending | None:
+        """NOTHING_LEFT, with what the last views have brought."""
+        reason = "" if choice is None else self.reason()
+        return Ending(EndReason.NOTHING_LEFT, reason) if reason else None
+
+    def reason(self) -> str:
+        """How little the last views have brought; empty where it is enough."""
+        count = self.task.unproductive_views
+        if len(self._brought) < count or self._share(count) > self.task.min_rate:
+            return ""
+        bits, surface, _ = np.sum(self._brought[-count:], axis=0)
+        return (
+            f"the last {count} views told {bits:.0f} bits and made {100.0 * surface:.2f} % more of "
+            f"the surface known precisely, {100.0 * self._share(count):.1f} % of the best rate"
+        )
+
+    def _rates(self, count: int) -> FloatArray:
+        """Bits and share of the surface per time that the last views have brought together."""
+        *brought, time = np.sum(self._brought[-count:], axis=0)
+        return np.array(brought) / max(float(time), 1e-3)
+
+    def _share(self, count: int) -> float:
+        """Rate of the last views as a share of the best one, of bits or surface: the larger."""
+        return float((self._rates(count) / np.maximum(self._best, 1e-12)).max())
 
 
 def _in_words(progress: MapProgress) -> str:

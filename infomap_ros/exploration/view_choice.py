@@ -1,14 +1,14 @@
-"""The choice among candidates, again with others, from afar, and by missing surface at last."""
+"""The choice among candidates, again with others, by missing surface, and from afar at last."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from infomap_ros.exploration.surface.surface_completion import SurfaceCompletion
+from infomap_ros.exploration.surface_completion import SurfaceCompletion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.reaching import WholeBodyReach
@@ -26,34 +26,32 @@ class ViewChoice:
     """Chooses a view that can be reached and is worth its cost.
 
     Where none of the views that were tried can be reached, they are remembered and others are
-    drawn. Where none is worth its cost although more is asked for, the way counts less; where none
-    is even so, views are sought that close the holes of the mapped surface, or those come first.
+    drawn. Where none is worth its cost although more is asked for, views are sought that close the
+    holes of the mapped surface; where there is none either, the way counts less.
 
     Args:
-        config: of choice and memory.
+        config: of the choice.
         information: what views are expected to tell.
-        localization_error: model of LE of eq. (11); odometry drift where not given.
-
-    Attributes:
         memory: of views that could not be reached.
+        localization_error: model of LE of eq. (11); odometry drift where not given.
     """
 
     def __init__(
         self,
         config: ViewPlannerConfig,
         information: ExpectedInformation,
+        memory: GoalMemory,
         localization_error: LocalizationError | None = None,
     ) -> None:
         self._rounds = config.rounds
-        self.memory = GoalMemory(config.memory)
-        self._information = information
-        self._completion = SurfaceCompletion(information.config, config.unproductive.look_limit)
+        self._information, self._memory = information, memory
+        self._completion = SurfaceCompletion(information.config, config.threads)
         self._near = NextBestView(config.choice, config.strategy, information, localization_error)
         far = _from_afar(config.choice, config.thorough)
         close, closing = _of_surface(far, config.thorough), self._completion
         self._far = NextBestView(far, config.strategy, information, localization_error)
         self._closing = NextBestView(close, closing, closing, localization_error)
-        self._gives_up_at_once = config.thorough >= 1.0
+        self._is_thorough = config.thorough < 1.0
 
     def select(
         self,
@@ -63,7 +61,6 @@ class ViewChoice:
         goal: FloatArray | None = None,
         *,
         thorough: bool = False,
-        surface_first: bool = False,
         lasting: bool = True,
     ) -> ViewDecision:
         """Choose the next view.
@@ -73,20 +70,22 @@ class ViewChoice:
             robot: asked for ways to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
-            thorough: where no view is worth its cost, look farther, and for missing surface.
-            surface_first: where thorough, look for missing surface before all else.
+            thorough: where no view is worth its cost, look for missing surface, then farther.
             lasting: remember for later choices which views could not be reached.
 
         Returns:
             The last decision of those that were made, with the only view that was chosen.
         """
-        attempts = _Attempts(robot)
-        memory = self.memory if lasting else deepcopy(self.memory)
-        choices = self._in_order(thorough, surface_first)
-        decisions = self._decisions(choices, situation, attempts, rng, goal, memory)
-        decision = next(decisions)
-        while decision.chosen is None and (another := next(decisions, None)) is not None:
-            decision = another
+        memory = self._memory if lasting else deepcopy(self._memory)
+        choices = [self._near]
+        if thorough and self._is_thorough:
+            choices += [self._closing, self._far]
+        for choice in choices:
+            if choice is self._closing and not self._completion.prepare(situation):
+                continue
+            decision = self._drawn_again(choice, situation, robot, rng, goal, memory)
+            if decision.chosen is not None:
+                break
         return decision
 
     def share_left(self, situation: Situation, pose: FloatArray) -> float:
@@ -105,56 +104,36 @@ class ViewChoice:
             for source in sources
         )
 
-    def _in_order(self, thorough: bool, surface_first: bool) -> list[NextBestView]:
-        """The ways to choose, the first first."""
-        if not thorough or self._gives_up_at_once:
-            return [self._near]
-        by_information = [self._near, self._far]
-        if surface_first:
-            return [self._closing, *by_information]
-        return [*by_information, self._closing]
-
-    def _decisions(
+    def _drawn_again(
         self,
-        choices: Sequence[NextBestView],
+        choice: NextBestView,
         situation: Situation,
-        attempts: _Attempts,
+        robot: WholeBodyReach,
         rng: np.random.Generator,
         goal: FloatArray | None,
         memory: GoalMemory,
-    ) -> Iterator[ViewDecision]:
-        """One decision after the other, each knowing what could not be reached before."""
-        voxel_map = situation.voxel_map
-        for choice in choices:
-            if choice is self._closing and not self._completion.prepare(situation):
-                continue
-            for _ in range(self._rounds):
-                yield choice.select(
-                    situation,
-                    attempts,
-                    rng,
-                    goal,
-                    lambda poses: memory.reasons_against(poses, voxel_map),
-                )
-                if not attempts.failures:
-                    break
-                for pose, reason in attempts.failures:
-                    memory.remember(pose, reason, voxel_map)
-                attempts.failures.clear()
+    ) -> ViewDecision:
+        """One choice, again as long as it finds but views that cannot be reached."""
+        reasons_against = partial(memory.reasons_against, voxel_map=situation.voxel_map)
+        for _ in range(self._rounds):
+            attempts = _Attempts(robot)
+            decision = choice.select(situation, attempts, rng, goal, reasons_against)
+            if decision.chosen is not None or not attempts.failures:
+                break
+            for pose, reason in attempts.failures:
+                memory.remember(pose, reason, situation.voxel_map)
+        return decision
 
 
 class _Attempts:
     """A robot that can be asked which views it reaches, and remembers which it does not."""
 
     def __init__(self, robot: WholeBodyReach) -> None:
-        self.robot = robot
+        self.may_reach, self._robot = robot.may_reach, robot
         self.failures: list[tuple[FloatArray, str]] = []
 
-    def may_reach(self, poses: FloatArray) -> Sequence[str]:
-        return self.robot.may_reach(poses)
-
     def reach(self, T_map_camera: FloatArray) -> ReachResult:
-        result = self.robot.reach(T_map_camera)
+        result = self._robot.reach(T_map_camera)
         if result.route is None:
             self.failures.append((T_map_camera, result.reason))
         return result
@@ -177,9 +156,7 @@ def _of_surface(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
 
     Looks in vain are counted voxel by voxel there, so that views are not compared for them.
     """
-    rating, selection = config.rating, config.selection
-    return replace(
-        config,
-        rating=replace(rating, repetition_weight=0.0),
-        selection=replace(selection, min_information=share * selection.min_information),
-    )
+    least = share * config.selection.min_information
+    selection = replace(config.selection, min_information=least)
+    rating = replace(config.rating, repetition_weight=0.0)
+    return replace(config, rating=rating, selection=selection)

@@ -28,6 +28,7 @@ from infomap_ros.motion.whole_body import WholeBody
 from infomap_ros.views.situation import MotionTimes
 
 _POSTURES = 500  # of which the time of a usual motion of the arm is the mean
+_LOOK = 3.0  # [s] of a look and of choosing the view after it
 _CORRECTION = 1.0
 """Longest drive that corrects where the base has stopped [m]: one that goes back, turns and comes
 again brings a base there that is 0.12 m and 0.2 rad off, which counts as arrived."""
@@ -229,7 +230,7 @@ class ViewMotion:
             arm,
             turning,
             0.5 * whole.arm_reach,
-            self.config.look_time,
+            _LOOK,
         )
 
     def whole(self, state: RobotState) -> WholeBody:

@@ -13,7 +13,6 @@ from infomap_ros.exploration.progress import MapProgress, measure_progress
 from infomap_ros.exploration.records.explanation import explain
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.unproductive_views import StrategyAlternator
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
@@ -30,6 +29,7 @@ from infomap_ros.motion.robot.solid_extent import solid_extent
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.gain_prior import GainPrior
+from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localization_error import LocalizationError
@@ -94,6 +94,7 @@ class ViewPlanner:
         self._motion = ViewMotion(robot, settings, task, rig.left)
         self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
         self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
+        self._memory = GoalMemory()
         self._fine: tuple[Interest, ...] = ()
         self._configure(task, settings)
         self._goal: FloatArray | None = None
@@ -107,7 +108,7 @@ class ViewPlanner:
 
         What past views have told, and which could not be reached, stays known.
         """
-        self._choose_by(task, config, self._fine)
+        self._configure(task, config)
         self._motion.config, self._motion.task = config, task
 
     def forbid(self, rules: KeepOut) -> None:
@@ -125,14 +126,6 @@ class ViewPlanner:
         """
         return self._motion.stands_wrongly
 
-    def _choose_by(
-        self, task: TaskConfig, config: ViewPlannerConfig, fine: tuple[Interest, ...]
-    ) -> None:
-        """Choose by these from now on, with what is remembered."""
-        memory, self._fine = self._choice.memory, fine
-        self._configure(task, config)
-        self._choice.memory = memory
-
     def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         self.config, self._task = config, task
         sensor = replace(
@@ -143,8 +136,7 @@ class ViewPlanner:
             predict_unknown=config.predict_unknown,
         )
         self._information = ExpectedInformation(config.metric, sensor, threads=config.threads)
-        self._choice = ViewChoice(config, self._information, self._error)
-        self._turns = StrategyAlternator(task)
+        self._choice = ViewChoice(config, self._information, self._memory, self._error)
 
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
@@ -159,7 +151,6 @@ class ViewPlanner:
         around = self._with_places_of_task(around or Surrounding())
         self._take_note(voxel_map, state, around)
         progress = self._progress(voxel_map, state)
-        self._turns.note(len(self._past), progress)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
         self._motion.send(voxel_map, state, route)
@@ -172,7 +163,8 @@ class ViewPlanner:
         interests = (*self._task.places, *around.interests)
         fine = tuple(each for each in interests if each.weight > 1.0)
         if fine != self._fine:
-            self._choose_by(self._task, self.config, fine)
+            self._fine = fine
+            self._configure(self._task, self.config)
         return replace(around, interests=interests)
 
     def _select(
@@ -189,7 +181,6 @@ class ViewPlanner:
         ask: dict[str, Any] = {
             "goal": self._goal,
             "thorough": not self.is_done(progress),
-            "surface_first": self._turns.is_other,
         }
         if robot.is_wider:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
@@ -217,7 +208,7 @@ class ViewPlanner:
             )
         self._kept.note(left, entropy)
         promising = self._unproductive.without_them(situation.voxel_map)
-        return replace(situation, promising=promising, kept_shares=self._kept.shares)
+        return replace(situation, promising=promising, kept_shares=np.array(self._kept.shares))
 
     def way_to(
         self,
@@ -253,10 +244,10 @@ class ViewPlanner:
         return self._motion.route_problem(voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
-        """Note that a view brought nothing; it is not chosen until the map changes there.
+        """Note that a view failed; it is not chosen until the map changes there.
 
-        Where it was reached and the look failed, that was a look in vain, as one into the sky, in
-        which nothing tells where the camera is.
+        Where the robot looked from there or nearby, it counts as a look at what the view was to
+        show, as one into the sky, in which nothing tells where the camera is.
         """
         self._failures.append(view)
         self._goal = None
@@ -292,11 +283,11 @@ class ViewPlanner:
         if not self._past:
             gaps = np.linalg.norm(around.past_views[:, :3, 3] - state.T_map_camera[:3, 3], axis=1)
             self._past.extend(around.past_views[gaps > _SAME])
-        if not self._failures or not self._past:
+        if all(view.reached for view in self._failures) or not self._past:
             self._past.append(state.T_map_camera)
         self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:
-            self._choice.memory.remember(view.pose, view.reason, voxel_map)
+            self._memory.remember(view.pose, view.reason, voxel_map)
             if view.reached:
                 self._past.append(view.pose)
         self._failures.clear()
@@ -323,7 +314,6 @@ class ViewPlanner:
             RegionOfTask(low, high),
             around.interests,
             around.teammates,
-            views_so_far=len(self._past),
             past_views=np.array(self._past),
             free_body=self._body(state),
             clear_space=self._motion.clear_space,

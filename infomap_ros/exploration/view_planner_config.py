@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.views.goal_memory import GoalMemoryConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
@@ -55,24 +54,16 @@ class ViewPlannerConfig:
     )
     thorough: float = setting(
         0.3,
-        "Where no view is worth its cost and the task is not met yet, the way and the localization "
-        "error on it count by this share only, and then views are sought that close holes of the "
-        "mapped surface, of which this share of the least information is asked for. 1 gives up at "
-        "once.",
+        "Where no view is worth its cost and the task is not met yet, views are sought that close "
+        "holes of the mapped surface, and then all others again: the way and the localization "
+        "error on it count by this share only, and so does the least information of the former. 1 "
+        "gives up at once.",
         low=0.0,
         high=1.0,
-    )
-    look_time: float = setting(
-        3.0,
-        "Time of a look and of choosing the view after it, where the cost of views is in seconds.",
-        unit="s",
-        low=0.0,
-        high=600.0,
     )
     threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
     seed: int = parameter(1, "Seed of the candidates.", low=0)
     choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
-    memory: GoalMemoryConfig = field(default_factory=GoalMemoryConfig)
     unproductive: UnproductiveLooksConfig = field(default_factory=UnproductiveLooksConfig)
     reaching: ReachingConfig = field(default_factory=ReachingConfig)
 

@@ -1,10 +1,9 @@
 """Where to look next: what views are expected to tell, which are possible, which is best."""
 
 from infomap_ros.views.decision import RatedView, ViewDecision
-from infomap_ros.views.goal_memory import GoalMemory, GoalMemoryConfig
+from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.expected_information import METRICS, expected_information
 from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.shared_rays import information_of_views
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.information.voxel_gains import VoxelGains, view_gains
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
@@ -16,7 +15,6 @@ __all__ = [
     "ExpectedInformation",
     "FlyingCamera",
     "GoalMemory",
-    "GoalMemoryConfig",
     "InformationConfig",
     "Interest",
     "NextBestView",
@@ -30,6 +28,5 @@ __all__ = [
     "ViewDecision",
     "VoxelGains",
     "expected_information",
-    "information_of_views",
     "view_gains",
 ]

@@ -29,13 +29,8 @@ class ApproachConfig:
     """Where the way turns out longer than it looked, at most so many views are compared by the
     way that each really takes.
     """
-    elsewhere: float = setting(
-        0.4,
-        "Views nearer than this to one that could not be reached are tried after all others.",
-        unit="m",
-        low=0.0,
-        high=100.0,
-    )
+    elsewhere: ClassVar[float] = 0.4
+    """Views nearer than this to one that could not be reached are tried after all others [m]."""
 
     min_progress: ClassVar[float] = 0.2
     """A partial approach counts only if it leads at least so far; a shorter one would be chosen

@@ -67,20 +67,19 @@ class ViewDecision:
 
     def rejections(self) -> Counter[str]:
         """How many views were rejected for each reason; see `count_reasons`."""
-        return count_reasons(self.candidates)
+        return count_reasons((view.rejection, 1) for view in self.candidates if view.rejection)
 
 
-def count_reasons(views: Iterable[RatedView]) -> Counter[str]:
-    """How many views were rejected for each reason.
+def count_reasons(reasons: Iterable[tuple[str, int]]) -> Counter[str]:
+    """How often there was each of some reasons, told with how often each time.
 
     Reasons that differ in nothing but numbers count as one, by the text of the first.
     """
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
-    for view in views:
-        if view.rejection:
-            kind = re.sub(r"[-+]?\d[\d.]*", "#", view.rejection)
-            counts[first.setdefault(kind, view.rejection)] += 1
+    for reason, count in reasons:
+        kind = re.sub(r"[-+]?\d[\d.]*", "#", reason)
+        counts[first.setdefault(kind, reason)] += count
     return counts
 
 
@@ -158,6 +157,6 @@ def why_none(views: list[RatedView]) -> str:
 def _count_reasons(views: list[RatedView], what: str) -> str:
     if not views:
         return ""
-    counts = count_reasons(views).most_common(5)
+    counts = count_reasons((view.rejection, 1) for view in views).most_common(5)
     listed = ", ".join(f"{shorten(why, 90, placeholder=' ...')} ({n})" for why, n in counts)
     return f"{len(views)} {what}: {listed}."

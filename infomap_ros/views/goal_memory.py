@@ -3,41 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray, check_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
-
-@dataclass(frozen=True)
-class GoalMemoryConfig:
-    """Configuration of `GoalMemory`.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    same_distance: float = setting(
-        0.2, "Views nearer than this to a remembered one, and", unit="m", low=0.0, high=10.0
-    )
-    same_angle: float = setting(
-        0.35, "turned by less than this, count as the same.", unit="rad", low=0.0, high=3.15
-    )
-    around: ClassVar[float] = 0.8
-    """The map so far around a remembered view must change for the view to be tried again [m]."""
-    local_change: ClassVar[float] = 0.02
-    """Share of the voxels around it whose state must change for that."""
-    overall_change: ClassVar[float] = 0.15
-    """Share by which the number of known voxels must grow or shrink for all views to be tried
-    again: the way may lead elsewhere.
-    """
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_SAME_DISTANCE, _SAME_ANGLE = 0.2, 0.35
+# [m], [rad]: views nearer to a remembered one, and turned by less, are the same
+_AROUND = 0.8  # [m] about a remembered view, where the map must change for it to be tried again
+_LOCAL_CHANGE = 0.02  # share of the voxels there whose state must change for that
+_OVERALL_CHANGE = 0.15
+# share by which the number of known voxels must change for all to be tried again: the way may lead
+# elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +30,7 @@ class _Goal:
 class GoalMemory:
     """Remembers unreachable views, so that they are not tried again and again."""
 
-    def __init__(self, config: GoalMemoryConfig | None = None) -> None:
-        self.config = config or GoalMemoryConfig()
+    def __init__(self) -> None:
         self._goals: list[_Goal] = []
 
     def __len__(self) -> int:
@@ -71,10 +49,10 @@ class GoalMemory:
         """
         self._forget_changed(voxel_map)
         reasons = [""] * len(poses)
-        least_cosine = float(np.cos(self.config.same_angle))
+        least_cosine = float(np.cos(_SAME_ANGLE))
         for goal in self._goals:
             gaps = np.linalg.norm(poses[:, :3, 3] - goal.pose[:3, 3], axis=1)
-            near = gaps <= self.config.same_distance
+            near = gaps <= _SAME_DISTANCE
             # trace(R^T Q) = 1 + 2 cos(angle between the rotations)
             traces = np.einsum("mij,ij->m", poses[:, :3, :3], goal.pose[:3, :3])
             for index in np.flatnonzero(near & (0.5 * (traces - 1.0) >= least_cosine)):
@@ -88,9 +66,8 @@ class GoalMemory:
         self._goals = [
             goal
             for goal in self._goals
-            if abs(known - goal.known_voxels)
-            <= self.config.overall_change * max(goal.known_voxels, 1)
-            and self._share_changed(goal, voxel_map) <= self.config.local_change
+            if abs(known - goal.known_voxels) <= _OVERALL_CHANGE * max(goal.known_voxels, 1)
+            and self._share_changed(goal, voxel_map) <= _LOCAL_CHANGE
         ]
 
     def _share_changed(self, goal: _Goal, voxel_map: VoxelMap) -> float:
@@ -101,7 +78,7 @@ class GoalMemory:
     ) -> np.ndarray[tuple[int, int, int], np.dtype[np.int8]]:
         """Unknown 0, rather empty -1, rather occupied 1, of the voxels around a view."""
         middle = pose[:3, 3]
-        window = voxel_map.window(middle - self.config.around, middle + self.config.around)
+        window = voxel_map.window(middle - _AROUND, middle + _AROUND)
         signs = np.where(window.quanta > 0, 1, -1).astype(np.int8)
         signs[window.quanta == UNKNOWN_QUANTA] = 0
         return signs

@@ -19,8 +19,7 @@ from infomap_ros.views.ranking.strategy import ProposesViews, Strategy
 from infomap_ros.views.ranking.terms import RatingTerm
 from infomap_ros.views.ranking.view_tour import ViewTourConfig
 from infomap_ros.views.reach import Reachability
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
-from infomap_ros.views.sampling.candidates import Candidates, find_candidates
+from infomap_ros.views.sampling.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.sampling.orientations import OrientationConfig
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.sampling.survey import SurroundingsConfig, horizons, survey

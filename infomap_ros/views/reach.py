@@ -17,7 +17,6 @@ class ReachResult(Protocol):
     Attributes:
         reason: empty where it can be reached, else a short sentence.
         travel: length of the base's path [m].
-        joint_travel: the way of the joint that turns most [rad].
         route: the motion itself, for whoever executes it; not looked into here.
         partial: the route ends at the farthest safe approach, not at the view.
         seconds: time that the motion takes [s]; NaN where that is not known.
@@ -27,8 +26,6 @@ class ReachResult(Protocol):
     def reason(self) -> str: ...  # noqa: D102
     @property
     def travel(self) -> float: ...  # noqa: D102
-    @property
-    def joint_travel(self) -> float: ...  # noqa: D102
     @property
     def route(self) -> object | None: ...  # noqa: D102
     @property
@@ -53,7 +50,6 @@ class Flight:
 
     reason: str = ""
     travel: float = 0.0
-    joint_travel: float = 0.0
     route: object | None = None
     partial: bool = False
     seconds: float = float("nan")

@@ -49,13 +49,8 @@ class SelectionConfig:
     min_rating: float = setting(
         0.0, "A view rated lower than this is not worth its cost [full views].", low=-1e6, high=1e6
     )
-    max_shared: float = setting(
-        0.5,
-        "A view of whose information teammates are about to see more than this share is left to "
-        "them.",
-        low=0.0,
-        high=1.0,
-    )
+    max_shared: ClassVar[float] = 0.5
+    """A view of whose information teammates are about to see more is left to them."""
     approach: ApproachConfig = field(default_factory=ApproachConfig)
     keep_margin: ClassVar[float] = 0.2
     """The previous goal is kept unless another view is better by this share of the score."""

@@ -166,8 +166,7 @@ class Situation:
         region: what is to be mapped.
         interests: places whose information counts more or less.
         teammates: the other robots.
-        views_so_far: number of views taken before.
-        past_views: ``T_map_camera`` of them as far as known, shape (V, 4, 4).
+        past_views: ``T_map_camera`` of the views taken before, as far as known, shape (V, 4, 4).
         kept_shares: share of what each of them could tell that it has told, shape (V,), NaN where
             that is not known; see `views.gain_prior`. Empty where it is known of none.
         free_body: the robot's own body in the map frame: space that is free whatever the map says.
@@ -180,8 +179,6 @@ class Situation:
         arm_views: ``T_map_camera`` that the arm can take while the base stays, shape (A, 4, 4);
             candidates besides those that are drawn.
         times: of the robot's motions, for a cost in seconds.
-        positions_hint: camera positions to choose from instead of sampling the free space, shape
-            (K, 3) [m, map], for example those which an arm reaches from where a base can stand.
 
     Raises:
         InvalidInputError: a pose, covariance, range or shape is impossible.
@@ -195,7 +192,6 @@ class Situation:
     region: RegionOfTask = field(default_factory=RegionOfTask)
     interests: Sequence[Interest] = ()
     teammates: Sequence[Teammate] = ()
-    views_so_far: int = 0
     past_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     kept_shares: FloatArray = field(default_factory=lambda: np.empty(0))
     free_body: Sequence[PlacedSolid] = ()
@@ -205,7 +201,6 @@ class Situation:
     promising: VoxelMap | None = None
     arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     times: MotionTimes = field(default_factory=MotionTimes)
-    positions_hint: FloatArray | None = None
 
     def __post_init__(self) -> None:
         pose = check_transform(self.T_map_camera, "T_map_camera")
@@ -223,11 +218,6 @@ class Situation:
         object.__setattr__(self, "kept_shares", shares)
         views = check_transforms(self.arm_views, "arm_views")
         object.__setattr__(self, "arm_views", views)
-        if self.positions_hint is not None:
-            hint = float_array(self.positions_hint, "positions_hint")
-            if hint.ndim != 2 or hint.shape[1] != 3 or not np.isfinite(hint).all():
-                raise InvalidInputError("positions_hint", f"shape {hint.shape}, expected (K, 3)")
-            object.__setattr__(self, "positions_hint", hint)
 
     @property
     def promising_map(self) -> VoxelMap:

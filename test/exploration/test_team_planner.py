@@ -24,7 +24,7 @@ from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import Teammate
 

@@ -251,17 +251,6 @@ def test_a_long_way_is_worth_it_where_the_task_asks_for_it(
         assert found.reason.startswith("largest_information")
 
 
-@pytest.mark.parametrize(("thorough", "by_surface"), [(1.0, False), (0.05, True)])
-def test_missing_surface_comes_first_after_views_that_brought_nothing(
-    robot, half_known, thorough, by_surface
-):
-    """There is much to be told, but three views told nothing: the floor is to go on."""
-    planner, state = planner_of(robot, thorough=thorough), standing(robot)
-    reasons = [planner.choose(half_known, state).reason for _ in range(4)]
-    assert all(reason.startswith("largest_information") for reason in reasons[:3])
-    assert reasons[3].startswith("SurfaceCompletion") == by_surface
-
-
 def test_doubtful_pose_keeps_more_room_where_a_view_is_left_then(robot, half_known, monkeypatch):
     """Where none is, it goes on as with a sure pose, and nothing is held against the views."""
     state = dataclasses.replace(standing(robot), pose_covariance=0.03**2 * np.eye(6))

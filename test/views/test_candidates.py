@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PlacedSolid, Sphere, make_transform
 from infomap_ros.views.sampling import candidates as c
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
-from infomap_ros.views.sampling.candidates import Candidates, find_candidates
+from infomap_ros.views.sampling.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.sampling.orientations import OrientationConfig, look_rotations
 from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
@@ -89,18 +88,17 @@ def test_each_rejected_position_has_its_reason(divided: Situation) -> None:
         (1.0, 2.6, 1.2): c.NEAR_TEAMMATE,
     }
     mate = Teammate(np.array((1.0, 3.0, 1.2)))
-    asked = changed(
-        divided,
-        positions_hint=np.array(list(reasons)),
-        heights=(0.2, 1.7),
-        teammates=(mate,),
+    asked = changed(divided, heights=(0.2, 1.7), teammates=(mate,))
+    views = np.array([facing(0.0, place) for place in reasons])
+    found = find_candidates(
+        asked, survey(asked), np.random.default_rng(0), CandidateConfig(candidates=6), extra=views
     )
-    found = find(asked)
     given = {
         tuple(pose[:3, 3]): why for pose, why in zip(found.rejected, found.reasons, strict=True)
     }
-    assert given == {place: why for place, why in reasons.items() if why}
-    np.testing.assert_allclose(found.positions, [START, (1.0, 2.0, 1.2)])
+    rejected = {place: why for place, why in reasons.items() if why}
+    assert {place: given[place] for place in rejected} == rejected
+    np.testing.assert_allclose(found.extra[:, :3, 3], [(1.0, 2.0, 1.2)])
 
 
 def test_far_from_everything_there_is_nothing_to_see(divided: Situation) -> None:
@@ -201,7 +199,6 @@ def test_impossible_settings_are_refused() -> None:
     [
         ({"max_range": -1.0}, "max_range"),
         ({"heights": (1.0, 0.5)}, "heights"),
-        ({"positions_hint": np.zeros((3, 2))}, "positions_hint"),
         ({"T_map_camera": np.zeros((4, 4))}, "T_map_camera"),
         ({"pose_covariance": -np.eye(6)}, "pose_covariance"),
     ],

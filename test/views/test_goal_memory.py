@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.goal_memory import GoalMemory, GoalMemoryConfig
+from infomap_ros.views.goal_memory import GoalMemory
 
 from .rooms import CAMERA, box_points, facing, seen_room
 
@@ -68,13 +68,6 @@ def test_large_change_anywhere_does(memory: GoalMemory, voxel_map: VoxelMap) -> 
 def test_evidence_that_only_grows_is_no_change(memory: GoalMemory, voxel_map: VoxelMap) -> None:
     look(voxel_map, facing(0.0, (1.5, 2.0, 1.2)))
     assert memory.reasons_against(GOAL[None], voxel_map) != [""]
-
-
-def test_limits_of_sameness_are_those_of_the_configuration(voxel_map: VoxelMap) -> None:
-    memory = GoalMemory(GoalMemoryConfig(same_distance=0.5, same_angle=3.1))
-    memory.remember(GOAL, REASON, voxel_map)
-    turned = facing(2.0, (3.4, 2.0, 1.2))
-    assert REASON in memory.reasons_against(turned[None], voxel_map)[0]
 
 
 def test_what_is_no_pose_is_refused(voxel_map: VoxelMap) -> None:

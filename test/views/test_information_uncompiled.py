@@ -15,7 +15,6 @@ from infomap_ros.views import (
     METRICS,
     InformationConfig,
     expected_information,
-    information_of_views,
     view_gains,
 )
 
@@ -34,8 +33,6 @@ m, poses = VoxelMap.load(sys.argv[1]), np.load(sys.argv[2])
 camera = PinholeCamera(8, 6, 6.0, 6.0, 3.5, 2.5)
 settings = InformationConfig(0.3, 0.4, wanted_sigma=0.002, predict_unknown=True)
 figures = {name: expected_information(m, poses, camera, 2.0, name, settings) for name in METRICS}
-places, turns = poses[:, :3, 3], poses[:, :3, :3]
-figures["shared"] = information_of_views(m, places, turns, camera, 2.0, settings)
 gains = view_gains(m, poses[0], camera, 0.8, InformationConfig(0.2))
 np.savez(sys.argv[3], keys=gains.keys, gains=gains.gains, **figures)
 """
@@ -55,8 +52,6 @@ def test_kernels_do_the_same_uncompiled(tmp_path: Path) -> None:
     for name in METRICS:
         value = expected_information(m, poses, camera, 2.0, name, settings)
         np.testing.assert_allclose(out[name], value, rtol=1e-6, err_msg=name)
-    shared = information_of_views(m, poses[:, :3, 3], poses[:, :3, :3], camera, 2.0, settings)
-    np.testing.assert_allclose(out["shared"], shared, rtol=1e-6)
     gains = view_gains(m, poses[0], camera, 0.8, InformationConfig(0.2))
     np.testing.assert_array_equal(out["keys"], gains.keys)
     np.testing.assert_allclose(out["gains"], gains.gains, rtol=1e-6)

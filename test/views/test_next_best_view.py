@@ -12,11 +12,11 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views import METRICS, ExpectedInformation, expected_information
 from infomap_ros.views.approach import ApproachConfig
-from infomap_ros.views.decision import RatedView, count_reasons
+from infomap_ros.views.decision import count_reasons
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.reach import Flight, FlyingCamera
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.survey import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation
@@ -113,7 +113,7 @@ class BehindTheScreen(Robot):
 
 
 def test_what_fails_in_one_place_is_next_tried_elsewhere(half_seen: Situation) -> None:
-    few = SelectionConfig(refined=12, approach=ApproachConfig(attempts=6, elsewhere=0.5))
+    few = SelectionConfig(refined=12, approach=ApproachConfig(attempts=6))
     robot = BehindTheScreen()
     decision = choose(half_seen, robot, dataclasses.replace(FEW, selection=few))
     failed = [view.pose[:3, 3] for view in decision.candidates if view.rejection == "no path"]
@@ -332,8 +332,10 @@ def test_every_metric_can_choose(half_seen: Situation, metric: str) -> None:
 
 def test_reasons_that_differ_in_numbers_count_as_one() -> None:
     reasons = ("reach: 1.2 m", "reach: 0.7 m", "no path", "", "reach: 13 m")
-    views = [RatedView(np.eye(4), rejection=reason) for reason in reasons]
-    assert count_reasons(views) == {"reach: 1.2 m": 3, "no path": 1}
+    assert count_reasons((reason, 1) for reason in reasons if reason) == {
+        "reach: 1.2 m": 3,
+        "no path": 1,
+    }
 
 
 def test_unknown_metric_is_refused() -> None:

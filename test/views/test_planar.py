@@ -20,8 +20,7 @@ from infomap_ros.views.information.rays import camera_rays
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import RatingConfig, Ratings
 from infomap_ros.views.ranking.strategy import Scores
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
-from infomap_ros.views.sampling.candidates import find_candidates
+from infomap_ros.views.sampling.candidates import CandidateConfig, find_candidates
 from infomap_ros.views.sampling.coarse_views import full_volume
 from infomap_ros.views.sampling.flight import FreeFlight
 from infomap_ros.views.sampling.orientations import OrientationConfig

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.localization_error import OdometryDrift, OdometryDriftConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
-from infomap_ros.views.sampling.candidates import find_candidates
+from infomap_ros.views.ranking.terms import TRUST_AZIMUTH, Distance
+from infomap_ros.views.sampling.candidates import CandidateConfig, find_candidates
 from infomap_ros.views.sampling.survey import survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 
@@ -38,12 +36,11 @@ def with_fields(situation: Situation, **fields: object) -> Situation:
 
 
 def test_distance_is_eq_10(situation: Situation) -> None:
-    config = RatingConfig(position_weights=(1.0, 2.0, 3.0), rotation_weights=(0.1, 0.2, 0.5))
     pose = facing(0.8, (2.5, 1.6, 1.4))
-    terms = Rating(config).rate(options_of(situation, [pose], [0.0])).terms
+    distance = Distance((1.0, 2.0, 3.0), (0.1, 0.2, 0.5))(options_of(situation, [pose], [0.0]))
     moved = np.array((1.0, -0.4, 0.2))
     squares = ((np.array((1.0, 2.0, 3.0)) * moved) ** 2).sum() + (0.5 * 0.8) ** 2
-    assert terms["distance"][0] == pytest.approx(np.sqrt(squares), rel=0.05)
+    assert distance[0] == pytest.approx(np.sqrt(squares), rel=0.05)
 
 
 def test_rating_is_eq_11(situation: Situation) -> None:
@@ -135,7 +132,7 @@ def test_a_view_is_trusted_as_far_as_views_of_its_elevation_have_kept_their_prom
     rated = Rating(config).rate(
         options_of(now, [beside, turned, level], [40.0, 40.0, 40.0], source=Prescribed({}))
     )
-    alike = 3.0 * np.exp(-0.5 * (2.0 * np.cos(0.6) / config.trust_azimuth) ** 2)
+    alike = 3.0 * np.exp(-0.5 * (2.0 * np.cos(0.6) / TRUST_AZIMUTH) ** 2)
     shares = [2.5 / 3.5, (2.5 / 3.0) * alike / (alike + 0.5), 0.0]
     np.testing.assert_allclose(rated.terms["repetition"], -40.0 * np.array(shares), atol=1e-6)
 
@@ -256,9 +253,3 @@ def test_glances_measure_volumes() -> None:
     cosines = 1.0 / np.sqrt(((u - 39.5) / 50.0) ** 2 + ((v - 29.5) / 50.0) ** 2 + 1.0)
     volume = (cosines**3).mean() * (80.0 * 60.0 / 50.0**2) * 4.0**3 / 3.0
     assert unknown == pytest.approx(volume, rel=0.05)
-
-
-def test_three_weights_per_group_are_asked_for() -> None:
-    with pytest.raises(ConfigError, match="position_weights"):
-        RatingConfig(position_weights=(1.0, 1.0))
-    assert dataclasses.replace(RatingConfig(), distance_weight=0.1).distance_weight == 0.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import label
 from scipy.sparse import lil_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -19,6 +18,7 @@ from .rooms import CAMERA, facing, seen_room, turning
 ROOM = (6.0, 4.0, 2.5)
 WALL = ((3.0, 0.0, 0.0, 3.2, 4.0, 2.5),)
 START = (1.5, 2.0, 1.2)
+SIX = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
 
 def ball_is_free(free: np.ndarray, middle: tuple[int, ...], square: float) -> bool:
@@ -47,18 +47,6 @@ def test_balls_are_free_exactly_where_all_their_voxels_are(
     expected = [ball_is_free(free, place, square) for place in np.ndindex(free.shape)]
     assert 0 < sum(expected) < free.size
     np.testing.assert_array_equal(found, np.reshape(expected, free.shape))
-
-
-def test_flood_fills_the_connected_part(rng: np.random.Generator) -> None:
-    passable = rng.random((12, 10, 9)) < 0.4
-    passable[6, 5, 4] = True
-    reached = np.zeros(passable.shape, bool)
-    count = space_kernels.flood(
-        passable, np.array((6, 5, 4)), reached, np.empty(passable.size, np.int64)
-    )
-    parts, _ = label(passable)
-    np.testing.assert_array_equal(reached, parts == parts[6, 5, 4])
-    assert count == reached.sum() and not reached[passable].all()
 
 
 def test_path_lengths_are_those_of_dijkstra(rng: np.random.Generator) -> None:
@@ -97,7 +85,7 @@ def test_targets_are_the_periphery_and_the_uncertain(rng: np.random.Generator) -
             continue
         cell = tuple(np.array(place) // 3)
         inside = all(0 < p < n - 1 for p, n in zip(place, states.shape, strict=True))
-        around = [tuple(np.array(place) + step) for step in space_kernels.SIX] if inside else []
+        around = [tuple(np.array(place) + step) for step in SIX] if inside else []
         around = [n for n in around if ((np.array(n) >= low) & (np.array(n) < high)).all()]
         periphery = states[place] == FREE and any(states[n] == UNKNOWN for n in around)
         if states[place] == UNCERTAIN or periphery:

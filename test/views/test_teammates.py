@@ -15,8 +15,7 @@ from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.ranking.rating import Rating
 from infomap_ros.views.reach import FlyingCamera
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
-from infomap_ros.views.sampling.candidates import NEAR_TEAMMATE, find_candidates
+from infomap_ros.views.sampling.candidates import NEAR_TEAMMATE, CandidateConfig, find_candidates
 from infomap_ros.views.sampling.survey import survey
 from infomap_ros.views.selection import LEFT_TO_TEAMMATE, SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation, Teammate

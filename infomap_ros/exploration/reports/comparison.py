@@ -187,27 +187,20 @@ def _curves(runs: Mapping[str, RecordedRun]) -> str:
         ("distance driven [m]", lambda record: record.distance),
         ("time [s]", lambda record: record.time),
     ]
-    values: list[tuple[Curve, Callable[[Progress], float]]] = [
-        (Curve("known", "%", (), (), "", high=100.0), lambda r: 100.0 * r.known_fraction),
-        (
-            Curve("known precisely", "%", (), (), "", high=100.0),
-            lambda r: 100.0 * r.precise_fraction,
-        ),
-        (Curve("entropy left", "bit", (), (), "", scaled=True), lambda r: r.entropy_bits),
-        (Curve("mean sigma", "m", (), (), "", scaled=True), lambda r: r.mean_sigma),
+    values: list[tuple[str, str, bool, Callable[[Progress], float]]] = [
+        ("known", "%", False, lambda record: 100.0 * record.known_fraction),
+        ("known precisely", "%", False, lambda record: 100.0 * record.precise_fraction),
+        ("entropy left", "bit", True, lambda record: record.entropy_bits),
+        ("mean sigma", "m", True, lambda record: record.mean_sigma),
     ]
     charts = []
     for label, x_of in axes:
-        for pattern, y_of in values:
-            curves = []
+        for title, unit, scaled, y_of in values:
+            curves, high = [], None if scaled else 100.0
             for name, run in runs.items():
                 progress = run.of(Progress)
                 xs, ys = [x_of(r) for r in progress], [y_of(r) for r in progress]
-                curve = Curve(
-                    pattern.title, pattern.unit, xs, ys, label, pattern.scaled, None, 0.0,
-                    pattern.high, name,
-                )  # fmt: skip
-                curves.append(curve)
+                curves.append(Curve(title, unit, xs, ys, label, scaled, None, 0.0, high, name))
             charts.append(line_chart(*curves))
     return f'<div class="charts">{"".join(charts)}</div>'
 

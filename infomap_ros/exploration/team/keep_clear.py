@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState
 from infomap_ros.exploration.team.watched_motion import Awareness, WatchedDrive, WatchedReach
@@ -40,13 +41,8 @@ class KeepClearConfig:
         low=0.0,
         high=10.0,
     )
-    ahead: float = setting(
-        1.0,
-        "Length of the way of the base ahead that must be clear.",
-        unit="m",
-        low=0.0,
-        high=100.0,
-    )
+    ahead: ClassVar[float] = 1.0
+    """Length of the way of the base ahead that must be clear [m]."""
     wait_timeout: float = setting(
         15.0,
         "After so long a wait the motion is given up, and another one planned.",

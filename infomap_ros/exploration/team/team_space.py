@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from infomap_ros.exploration.planar import spaced
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.collision.obstacles import Obstacle
 from infomap_ros.team.agents import Agent
@@ -40,8 +41,10 @@ def bodies_in_the_way(
     """
     here = agent.T_map_base[:2, 3]
     places = [here]
-    if goes_on and agent.goal is not None:
-        places += list(_rest_of_way(agent.way[:, :2], here, 0.5 * max(agent.radius, 0.1)))
+    if goes_on and agent.goal is not None and len(agent.way):
+        way = agent.way[:, :2]
+        rest = way[int(np.linalg.norm(way - here, axis=1).argmin()) :]
+        places += list(spaced(rest, 0.5 * max(agent.radius, 0.1)))
     bottom, top = agent.T_map_base[2, 3] + agent.bottom, agent.T_map_base[2, 3] + agent.top
     obstacles = []
     for number, place in enumerate(places):
@@ -53,15 +56,3 @@ def bodies_in_the_way(
             name = f"robot {agent.robot}" if number == 0 else f"the way of robot {agent.robot}"
             obstacles.append(Obstacle(x, y, radius, bottom, max(top, bottom + 0.1), name))
     return obstacles
-
-
-def _rest_of_way(way: FloatArray, here: FloatArray, spacing: float) -> FloatArray:
-    """Points of a way, (K, 2), from the one nearest to a place on, `spacing` [m] apart."""
-    if not len(way):
-        return way
-    rest = way[int(np.linalg.norm(way - here, axis=1).argmin()) :]
-    steps = np.linalg.norm(np.diff(rest, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    count = max(int(np.ceil(along[-1] / spacing)), 1) + 1
-    at = np.linspace(0.0, along[-1], count)
-    return np.column_stack([np.interp(at, along, rest[:, axis]) for axis in range(2)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.exploration.planar import spaced
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
@@ -99,7 +99,7 @@ class WatchedDrive:
 
     def _distances(self, way: FloatArray) -> dict[int, float]:
         """How far each teammate is from a way now [m]."""
-        places = _spaced(way[:, :2], np.inf)
+        places = spaced(way[:, :2], _SPACING)
         return {
             mate.robot: float(np.linalg.norm(places - mate.T_map_base[:2, 3], axis=1).min())
             for mate in self._around.teammates()
@@ -109,22 +109,14 @@ class WatchedDrive:
         """Places on the next part of the way, the own one first, shape (n, 2) [m]."""
         way = self._way
         nearest = int(np.linalg.norm(way[:, :2] - here, axis=1).argmin())
-        return _spaced(np.concatenate([here[None], way[nearest + 1 :, :2]]), self._ahead)
+        rest = np.concatenate([here[None], way[nearest + 1 :, :2]])
+        return spaced(rest, _SPACING, self._ahead)
 
     def _rest(self) -> FloatArray:
         """The way from where the robot is, shape (K, 3)."""
         here, way = np.array(self._around.place()), self._way
         nearest = int(np.linalg.norm(way[:, :2] - here[:2], axis=1).argmin())
         return np.concatenate([here[None], way[min(nearest + 1, len(way) - 1) :]])
-
-
-def _spaced(places: FloatArray, length: float) -> FloatArray:
-    """The first part of a way through places, (K, 2), by points at most `_SPACING` apart."""
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    end = min(float(along[-1]), length)
-    at = np.linspace(0.0, end, math.ceil(end / _SPACING) + 1)
-    return np.column_stack([np.interp(at, along, places[:, axis]) for axis in range(2)])
 
 
 class _Sweep(NamedTuple):

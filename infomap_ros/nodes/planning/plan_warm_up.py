@@ -15,7 +15,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion import RobotModel
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import CandidateConfig
 
 _CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 31.5, 23.5)
 _ROOM = np.array([[-2.0, -2.0, -0.08], [3.0, 2.0, 1.5]])  # corners, base frame [m]

@@ -19,7 +19,7 @@ from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.records.hindrances import Reasons, hindrance_figures
+from infomap_ros.exploration.records.hindrances import commonest, hindrance_figures
 from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
@@ -267,12 +267,11 @@ class ExplorationRun:
 
     def _touched(self) -> dict[str, object]:
         """What touched what it should not, and when, where and how deep; nothing where none did."""
-        touched, events = Reasons(), self.simulator.contact_events
-        for event in events:
-            touched.add(f"{event.link} with {event.other}")
+        events = self.simulator.contact_events
         if not events:
             return {}
-        return {"touched": touched.text, "touches": [dataclasses.asdict(each) for each in events]}
+        touched = commonest((f"{event.link} with {event.other}", 1) for event in events)
+        return {"touched": touched, "touches": [dataclasses.asdict(each) for each in events]}
 
     @functools.cached_property
     def truth(self) -> RunTruth:

@@ -161,7 +161,6 @@ class PlanarExplorer:
             self.config.sensor.max_range,
             self.pose,
             region=RegionOfTask(np.zeros(3), np.array([size[0], size[1], cell])),
-            views_so_far=len(self.past),
             past_views=np.array(self.past),
             heights=(0.25 * cell, 0.75 * cell),
             teammates=teammates,

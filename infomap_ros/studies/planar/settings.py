@@ -6,7 +6,7 @@ from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.look_ahead import LookAheadConfig
 from infomap_ros.views.ranking.rating import RatingConfig
 from infomap_ros.views.ranking.view_tour import ViewTourConfig
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
+from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import OrientationConfig
 from infomap_ros.views.sampling.survey import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.information.field import workers_of
+from infomap_ros.views.information.field import VisibleField, workers_of
 from infomap_ros.views.information.gains import field_around, ray_arrays
 from infomap_ros.views.information.ray_kernels import view_bits
 from infomap_ros.views.information.view_query import ViewQuery
@@ -27,9 +27,14 @@ def expected_entropy_reduction(query: ViewQuery) -> FloatArray:
     """
     if len(query.poses) == 0:
         return np.zeros(0)
-    m, config, threads = query.voxel_map, query.config, query.threads
-    field = field_around(m, query.places, query.max_range, config, threads)
-    arrays = ray_arrays(field, m, query.max_range, config)
+    m, config = query.voxel_map, query.config
+    return bits_in(field_around(m, query.places, query.max_range, config, query.threads), query)
+
+
+def bits_in(field: VisibleField, query: ViewQuery) -> FloatArray:
+    """The same by a field that was prepared about the views."""
+    threads = query.threads
+    arrays = ray_arrays(field, query.voxel_map, query.max_range, query.config)
     poses, rays, angles, box = query.placed_in(field)
     parts = np.zeros((threads, len(poses)))
 

@@ -9,7 +9,7 @@ one step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -96,6 +96,30 @@ def visible_field(
 
     workers_of(threads).run(fill, len(directory))
     return VisibleField(directory, first, codes, size)
+
+
+def with_rows(field: VisibleField, blocks: NDArray[np.int64]) -> VisibleField:
+    """The field with a row of its own for each of some blocks, (K, 3), that had one code."""
+    directory, at = field.directory.copy(), tuple(blocks.T)
+    alike = np.unique(np.ravel_multi_index(at, directory.shape)[directory[at] < 0])
+    own = (-1 - directory.flat[alike]).astype(np.uint8)
+    codes = np.concatenate([field.codes, np.repeat(own[:, None], BLOCK_VOXELS, axis=1)])
+    directory.flat[alike] = len(field.codes) + np.arange(len(alike))
+    return replace(field, directory=directory, codes=codes)
+
+
+def with_nothing_unknown_but(field: VisibleField, voxels: NDArray[np.int64]) -> VisibleField:
+    """The field in which all that is unknown is empty, but for voxels, (K, 3), of the map."""
+    directory = np.where(field.directory == -1 - UNKNOWN, -1 - EMPTY, field.directory)
+    codes = np.where(field.codes == UNKNOWN, np.uint8(EMPTY), field.codes)
+    places = voxels - field.first * BLOCK_SIDE
+    blocks = places >> BLOCK_BITS
+    inside = ((blocks >= 0) & (blocks < directory.shape)).all(axis=1)
+    places, blocks = places[inside], blocks[inside]
+    field = with_rows(replace(field, directory=directory, codes=codes), blocks)
+    locals_ = np.ravel_multi_index(tuple((places % BLOCK_SIDE).T[::-1]), (BLOCK_SIDE,) * 3)
+    field.codes[field.directory[tuple(blocks.T)], locals_] = UNKNOWN
+    return field
 
 
 def _evidence_codes(book: CodeBook) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -15,9 +15,9 @@ from infomap_ros.geometry import points_inside
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import surface_sigmas
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, local_index
 from infomap_ros.views.information.codes import SOLID, UNCERTAIN, CodeBook
-from infomap_ros.views.information.field import VisibleField, visible_field
+from infomap_ros.views.information.field import VisibleField, visible_field, with_rows
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.observation_value import surface_bits, voxel_bits
 from infomap_ros.views.information.predicted_field import with_predictions
@@ -58,19 +58,9 @@ class GainTable:
     step: float
 
 
-def gain_table(m: VoxelMap, max_range: float, config: InformationConfig) -> GainTable:
-    """Gains for a map's voxel size and evidence.
-
-    Args:
-        m: the map.
-        max_range: [m].
-        config: of the sensor.
-    """
-    return _gain_table(m.config, max_range, config)
-
-
 @lru_cache(maxsize=16)
-def _gain_table(grid: VoxelMapConfig, max_range: float, config: InformationConfig) -> GainTable:
+def gain_table(grid: VoxelMapConfig, max_range: float, config: InformationConfig) -> GainTable:
+    """Gains for a map's voxel size and evidence, up to a range [m]."""
     reach = max_range / grid.voxel_size
     steps = max(math.ceil(reach * (_STEPS_IN_PLANE if config.planar else 1)), _LEAST_STEPS)
     edges = np.linspace(0.0, reach, steps + 1)
@@ -117,7 +107,7 @@ def ray_arrays(
         max_range: [m].
         config: of the sensor.
     """
-    table = gain_table(m, max_range, config)
+    table = gain_table(m.config, max_range, config)
     steps = table.gains, table.before, table.clear, table.step
     return RayArrays(field.directory, field.codes, *steps, config.min_visibility)
 
@@ -143,15 +133,10 @@ def with_surfaces(
     places = indices - field.first * BLOCK_SIDE
     blocks = places >> BLOCK_BITS
     inside = ((blocks >= 0) & (blocks < field.directory.shape)).all(axis=1) & (level > 0)
-    places, at = places[inside], tuple(blocks[inside].T)
-    directory = field.directory.copy()
-    alike = np.unique(np.ravel_multi_index(at, directory.shape)[directory[at] < 0])
-    own = (-1 - directory.flat[alike]).astype(np.uint8)
-    codes = np.concatenate([field.codes, np.repeat(own[:, None], BLOCK_VOXELS, axis=1)])
-    directory.flat[alike] = len(field.codes) + np.arange(len(alike))
-    level = np.minimum(level[inside], count)
-    _enter(directory, places, level, book.limit, book.surface, count, codes)
-    return replace(field, directory=directory, codes=codes)
+    field, level = with_rows(field, blocks[inside]), np.minimum(level[inside], count)
+    kinds = book.limit, book.surface, count
+    _enter(field.directory, places[inside], level, *kinds, field.codes)
+    return field
 
 
 def _are_precise(

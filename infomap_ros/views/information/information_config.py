@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.config import check_config, parameter
@@ -28,13 +29,6 @@ class InformationConfig:
         low=1e-4,
         high=0.5,
     )
-    shared_spacing: float = parameter(
-        0.05,
-        "The same for rays that many orientations at one position share.",
-        unit="rad",
-        low=1e-3,
-        high=0.5,
-    )
     min_range: float = parameter(
         0.3, "Nearest distance at which the sensor measures.", unit="m", low=0.0, high=100.0
     )
@@ -46,9 +40,8 @@ class InformationConfig:
         low=0.0,
         high=10.0,
     )
-    range_exponent: float = parameter(
-        2.0, "Growth of that deviation with distance, n of eq. (1).", low=0.0, high=4.0
-    )
+    range_exponent: ClassVar[float] = 2.0
+    """Growth of that deviation with distance, n of eq. (1)."""
     pixel_angle: float = parameter(
         0.002, "Angle between the sensor's own pixels.", unit="rad", low=1e-5, high=0.5
     )
@@ -67,12 +60,8 @@ class InformationConfig:
         low=0.0,
         high=1.0,
     )
-    min_visibility: float = parameter(
-        0.05,
-        "Where a place can be seen with a lower probability than this, it counts as hidden.",
-        low=0.0,
-        high=0.5,
-    )
+    min_visibility: ClassVar[float] = 0.05
+    """Where a place can be seen with a lower probability, it counts as hidden."""
     unknown_occlusion: float = parameter(
         0.0,
         "Probability that unknown space hides what is one max_range behind it. With 0 only known "

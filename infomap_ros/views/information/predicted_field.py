@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
 from infomap_ros.mapping.prediction import PredictionConfig, predict_unknown
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, local_index
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, local_index
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.views.information.codes import UNKNOWN, CodeBook
-from infomap_ros.views.information.field import VisibleField
+from infomap_ros.views.information.field import VisibleField, with_rows
 
 _LEAST_PROBABILITY = 1e-7
 
@@ -47,12 +46,9 @@ def with_predictions(
     told = np.logical_or.reduceat(levels != 0, np.arange(0, levels.shape[0], BLOCK_SIDE), axis=0)
     for axis in (1, 2):
         told = np.logical_or.reduceat(told, np.arange(0, levels.shape[axis], BLOCK_SIDE), axis=axis)
-    added = np.flatnonzero(blank & told)
-    directory = field.directory.copy()
-    directory.flat[added] = len(field.codes) + np.arange(len(added))
-    codes = np.concatenate([field.codes, np.full((len(added), BLOCK_VOXELS), UNKNOWN, np.uint8)])
-    _enter(directory, window.quanta, levels, book.predicted + limit, codes)
-    return replace(field, directory=directory, codes=codes)
+    field = with_rows(field, np.argwhere(blank & told))
+    _enter(field.directory, window.quanta, levels, book.predicted + limit, field.codes)
+    return field
 
 
 @njit(cache=True, nogil=True)

@@ -122,7 +122,7 @@ def _rated(query: ViewQuery, rate: Callable[[SeenVolumes], float]) -> FloatArray
         return values
     m = query.voxel_map
     field = with_predictions(query.finest_field(), m, FINEST)
-    table = gain_table(m, query.max_range, query.config)
+    table = gain_table(m.config, query.max_range, query.config)
     edges = np.arange(len(table.gains) + 1) * table.step
     volumes = shell_volumes(edges.astype(np.float64), query.config.planar)
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -11,14 +11,13 @@ from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.views.information.expected_information import METRICS, expected_information
-from infomap_ros.views.information.field import workers_of
+from infomap_ros.views.information.field import VisibleField, workers_of
 from infomap_ros.views.information.gains import field_around
 from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.shared_rays import information_of_views
 from infomap_ros.views.information.voxel_gains import VoxelGains, view_gains
 from infomap_ros.views.situation import Situation
 
-_SHARED = "expected_entropy_reduction"  # the metric for which views of one position share rays
+_BITS = "expected_entropy_reduction"  # the metric that counts bits of the map
 
 
 class ExpectedInformation:
@@ -28,7 +27,7 @@ class ExpectedInformation:
         self,
         metric: str = "expected_entropy_reduction",
         config: InformationConfig | None = None,
-        quick_ray_spacing: float = 0.06,
+        quick_ray_spacing: float = 0.05,
         threads: int = 2,
     ) -> None:
         """Choose what counts as information.
@@ -36,8 +35,7 @@ class ExpectedInformation:
         Args:
             metric: one of `METRICS`.
             config: rays and sensor.
-            quick_ray_spacing: angle between the rays of the first ranking of all candidates by a
-                metric whose rays views of one position cannot share [rad].
+            quick_ray_spacing: angle between the rays of the first ranking of all candidates [rad].
             threads: that share the rays.
 
         Raises:
@@ -46,7 +44,7 @@ class ExpectedInformation:
         if metric not in METRICS:
             raise ConfigError("metric", metric, "one of " + ", ".join(METRICS))
         self._metric, self._threads = metric, threads
-        self.unit = "bits" if metric == _SHARED else f"of {metric}"
+        self.unit = "bits" if metric == _BITS else f"of {metric}"
         self._config = config or InformationConfig()
         spacing = max(quick_ray_spacing, self._config.ray_spacing)
         self._quick_config = replace(self._config, ray_spacing=spacing)
@@ -61,17 +59,6 @@ class ExpectedInformation:
         self, situation: Situation, positions: FloatArray, rotations: FloatArray
     ) -> FloatArray:
         """Of all orientations (P, O, 3, 3) at positions (P, 3), with few rays: (P, O)."""
-        if self._metric == _SHARED:
-            return information_of_views(
-                situation.promising_map,
-                positions,
-                rotations,
-                situation.camera,
-                situation.max_range,
-                _fitting(self._config, situation),
-                _region(situation),
-                threads=self._threads,
-            )
         poses = np.tile(np.eye(4), (*rotations.shape[:2], 1, 1))
         poses[..., :3, :3] = rotations
         poses[..., :3, 3] = positions[:, None]
@@ -108,8 +95,7 @@ class ExpectedInformation:
         found: dict[int, VoxelGains] = {}
         if len(poses) == 0:
             return []
-        config = _fitting(self._config, situation)
-        field = field_around(situation.promising_map, poses[:, :3, 3], situation.max_range, config)
+        config, field = _fitting(self._config, situation), self._field_about(situation, poses)
 
         def gather(_: int, first: int, last: int) -> None:
             for index in range(first, last):
@@ -119,7 +105,7 @@ class ExpectedInformation:
                     situation.camera,
                     situation.max_range,
                     config,
-                    _region(situation),
+                    self._region(situation),
                     field,
                 )
 
@@ -136,15 +122,21 @@ class ExpectedInformation:
             situation.max_range,
             self._metric,
             _fitting(config, situation),
-            _region(situation),
+            self._region(situation),
             self._threads,
         )
+
+    def _field_about(self, situation: Situation, poses: FloatArray) -> VisibleField:
+        """What of the map can be seen from views, (M, 4, 4)."""
+        config = _fitting(self._config, situation)
+        return field_around(situation.promising_map, poses[:, :3, 3], situation.max_range, config)
+
+    @staticmethod
+    def _region(situation: Situation) -> FloatArray:
+        """Box of the voxels that count, shape (2, 3) [m, map]."""
+        return np.stack([situation.region.low, situation.region.high])
 
 
 def _fitting(config: InformationConfig, situation: Situation) -> InformationConfig:
     """The configuration for a task in a plane or in space."""
     return replace(config, planar=True) if situation.is_planar else config
-
-
-def _region(situation: Situation) -> FloatArray:
-    return np.stack([situation.region.low, situation.region.high])

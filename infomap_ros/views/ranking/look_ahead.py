@@ -169,12 +169,3 @@ def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing
     )
     starts = np.cumsum([0, *(len(gain.keys) for gain in gains)])
     return look_ahead_kernels.Sharing(starts, places, values, len(keys))
-
-
-def shared_voxels(
-    options: Options, chosen: IntArray
-) -> tuple[list[IntArray], list[FloatArray], int]:
-    """The same as lists: places (K,) and gains (K,) per view, and the size of the array."""
-    sharing = sharing_of(options, chosen)
-    ends = sharing.starts[1:-1]
-    return np.split(sharing.places, ends), np.split(sharing.gains, ends), sharing.size

@@ -106,7 +106,7 @@ def _longer(
     for row in range(len(utilities)):
         told[:] = 0.0
         for turn in range(length):
-            _tell(sharing, views[row, turn], told)
+            tell(sharing, views[row, turn], told)
         for view in range(count):
             if _holds(views[row], length, view):
                 continue
@@ -128,7 +128,8 @@ def _holds(views: Any, length: int, view: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _tell(sharing: Sharing, view: int, told: Any) -> None:
+def tell(sharing: Sharing, view: int, told: Any) -> None:
+    """Note in `told`, shape (size,), what a view informs."""
     for entry in range(sharing.starts[view], sharing.starts[view + 1]):
         place = sharing.places[entry]
         told[place] = max(told[place], sharing.gains[entry])

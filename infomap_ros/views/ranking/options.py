@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -133,16 +133,8 @@ class Options:
         previous = None
         if self.previous is not None and self.previous in chosen:
             previous = int(np.flatnonzero(chosen == self.previous)[0])
-        options = Options(
-            self.situation,
-            self.surroundings,
-            self.poses[chosen],
-            information,
-            self.full_view,
-            self.source,
-            self.rng,
-            previous,
-            fine=True,
+        options = replace(
+            self, poses=self.poses[chosen], information=information, previous=previous, fine=True
         )
         options.__dict__["information_weights"] = self.information_weights
         options.__dict__["claimed"] = self.claimed

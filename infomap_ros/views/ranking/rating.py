@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.information.information_config import InformationConfig
@@ -76,48 +74,17 @@ class RatingConfig:
         low=0.0,
         high=1e6,
     )
-    position_weights: tuple[float, ...] = setting(
-        (1.0, 1.0, 1.0),
-        "Weight of the way along x, y and z of the map in the distance of eq. (10).",
-        unit="1/m",
-        low=0.0,
-        high=1e6,
-    )
-    rotation_weights: tuple[float, ...] = setting(
-        (0.2, 0.2, 0.2),
-        "Weight of the turn about x, y and z of the map in the distance of eq. (10).",
-        unit="1/rad",
-        low=0.0,
-        high=1e6,
-    )
     repetition_weight: float = setting(
-        1.0,
-        "Weight of what views like it have promised before and not told, against w_NI.",
-        low=0.0,
-        high=1e6,
+        1.0, "Weight of what like views promised and did not tell, against w_NI.", low=0.0, high=1e6
     )
-    repetition_distance: ClassVar[float] = 1.5
-    """Distance over which views become unlike [m]."""
-    repetition_azimuth: ClassVar[float] = 0.6
-    """Turn over which views become unlike [rad]."""
     repetition_elevation: float = setting(
         0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
     )
     trust_distance: float = setting(
-        4.0,
-        "Distance over which the share that views of an elevation have told of what they could "
-        "tell says less of other views.",
-        unit="m",
-        low=0.001,
-        high=1000.0,
+        4.0, "Distance over which what a view told says less.", unit="m", low=0.001, high=1e3
     )
-    trust_azimuth: ClassVar[float] = 3.0
-    """Turn over which it says less [rad]."""
     trust_credit: float = setting(
-        0.3,
-        "So many views count as if they had told all, before others have shown what comes of such.",
-        low=0.001,
-        high=1e6,
+        0.3, "So many views count as if they had told all.", low=0.001, high=1e6
     )
     teammate_sigma: float = setting(
         0.5,
@@ -129,9 +96,6 @@ class RatingConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
-        for name in ("position_weights", "rotation_weights"):
-            if len(getattr(self, name)) != 3:
-                raise ConfigError(name, getattr(self, name), "three numbers, for x, y and z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +147,7 @@ class Cost:
         """The cost by a configuration, for a robot with these speeds."""
         if config.cost == "seconds":
             return cls(Duration(times), config.time_weight, times.speed, True)
-        distance = Distance(config.position_weights, config.rotation_weights)
+        distance = Distance()
         return cls(distance, config.distance_weight, 1.0, False)
 
     @property
@@ -242,13 +206,14 @@ class Rating:
                 a term in bits, a factor like `information_weight`; negative for costs.
         """
         self.config = config or RatingConfig()
-        weight = self.config.information_weight
-        repetition = _repetition(self.config)
+        settings, weight = self.config, self.config.information_weight
+        trust = settings.trust_distance, settings.trust_credit
+        repetition = Repetition(settings.repetition_elevation, *trust)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
-            (repetition, weight * self.config.repetition_weight),
+            (repetition, weight * settings.repetition_weight),
             *more_terms,
         ]
         self._localization_error = LocalizationErrorTerm(localization_error)
@@ -275,13 +240,6 @@ class Rating:
             share = weight / max(self.config.information_weight, 1e-12)
             shares += share * values[term.name] / options.full_view
         return Ratings(values, total - risk * np.abs(total), shares, self.config, cost)
-
-
-def _repetition(config: RatingConfig) -> Repetition:
-    elevation = config.repetition_elevation
-    near = config.repetition_distance, config.repetition_azimuth, elevation
-    wide = config.trust_distance, config.trust_azimuth, elevation
-    return Repetition(near, wide, config.trust_credit)
 
 
 # A scan is merged with the pose error that all its points share, once. A surface voxel gets from

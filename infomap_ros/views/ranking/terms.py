@@ -19,6 +19,8 @@ from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import MotionTimes
 
+TRUST_AZIMUTH = 3.0  # [rad] over which the share that a view has told says less of others
+
 
 class RatingTerm(Protocol):
     """One term of the sum in eq. (11).
@@ -77,32 +79,25 @@ class TeammatesTerm:
 
 
 class Repetition:
-    """What views like it have promised before, and not told.
+    """What views like it have promised before, and not told: sky, mirrors, walls without texture.
 
-    A view takes out of the map's unknown space what it sees. What the very same view is still
-    expected to tell, the sensor did not measure: sky, mirrors, walls without texture, or voxels
-    that no scan makes certain. A view like it will not tell that either, so it is taken off, the
-    less the more the two differ in position and direction (a Gaussian). Elevation counts most, as
-    the sky is in every azimuth.
+    What a view that was taken still promises is taken off views like it, the less the more they
+    differ in position and direction (a Gaussian). As other space in such a direction keeps its
+    promises as badly, a view loses at least the share that views of its elevation have failed to
+    tell, averaged over a wider surrounding.
 
-    Other space in the same kind of direction promises as much, and keeps it as badly: a camera that
-    looks up outdoors measures nothing, wherever it turns. So a view loses the share of its
-    information that views of its elevation have failed to tell so far, averaged over those at some
-    distance and in other azimuths as well, and over a few that count as if they had told all.
+    Args:
+        elevation: over which views become unlike [rad].
+        trust_distance: over which the share that views of an elevation have told says less [m].
+        trust_credit: so many views count as if they had told all.
     """
 
     name, unit = "repetition", "bits"
 
-    def __init__(self, near: ArrayLike, wide: ArrayLike, credit: float) -> None:
-        """Set the widths over which views become unlike, and how much failure is forgiven.
-
-        Args:
-            near: distance [m], azimuth and elevation [rad] for what a past view still promises.
-            wide: the same for the share that views of an elevation have told.
-            credit: so many views count as if they had told all.
-        """
-        self._near, self._wide = np.array(near), np.array(wide)
-        self._credit = credit
+    def __init__(self, elevation: float, trust_distance: float, trust_credit: float) -> None:
+        self._near = np.array((1.5, 0.6, elevation))
+        self._wide = np.array((trust_distance, TRUST_AZIMUTH, elevation))
+        self._credit = trust_credit
 
     def __call__(self, options: Options) -> FloatArray:
         """Lost information of each view, shape (M,), at most 0."""
@@ -123,10 +118,7 @@ class Repetition:
 def _likeness(poses: FloatArray, past: FloatArray, widths: FloatArray) -> FloatArray:
     """How alike views are, (M, 4, 4) and (V, 4, 4) -> (V, M), in [0, 1].
 
-    Args:
-        poses: views.
-        past: others.
-        widths: over which they become unlike: distance [m], azimuth, elevation [rad].
+    `widths` are the distance [m], azimuth and elevation [rad] over which they become unlike.
     """
     azimuths, elevations = _directions(poses)
     others, tilts = _directions(past)
@@ -152,7 +144,11 @@ class Distance:
 
     name, unit = "distance", "weighted m and rad"
 
-    def __init__(self, position_weights: ArrayLike, rotation_weights: ArrayLike) -> None:
+    def __init__(
+        self,
+        position_weights: ArrayLike = (1.0, 1.0, 1.0),
+        rotation_weights: ArrayLike = (0.2, 0.2, 0.2),
+    ) -> None:
         """Weights of x, y, z [1/m] and of the rotation about x, y, z of the map [1/rad]."""
         self._position, self._rotation = np.array(position_weights), np.array(rotation_weights)
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.ranking import tour_kernels
-from infomap_ros.views.ranking.look_ahead import LookAhead, distances_between, shared_voxels
+from infomap_ros.views.ranking import look_ahead_kernels, tour_kernels
+from infomap_ros.views.ranking.look_ahead import LookAhead, distances_between, sharing_of
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
@@ -108,28 +108,22 @@ class ViewTour:
     def _cover(self, options: Options, ratings: Ratings) -> tuple[IntArray, FloatArray]:
         """Views that together tell most, shape (K,), and what each adds to those before it."""
         every = np.arange(len(options))
-        places, gains, size = shared_voxels(options, every)
-        told, chosen, prizes = np.zeros(size), list[int](), list[float]()
+        every = np.arange(len(options))
+        sharing = sharing_of(options, every)
+        told, chosen, prizes = np.zeros(sharing.size), list[int](), list[float]()
         safe = 1.0 - ratings.terms["risk"]
-        totals = np.array([max(float(gain.sum()), 1e-12) for gain in gains])
-        utility = ratings.config.information_weight * ratings.shares * safe / totals
+        utility = ratings.config.information_weight * ratings.shares * safe
         near = np.exp(-ratings.ways / self.config.discount_distance)
-        while len(chosen) < self.config.views:
-            added = np.array(
-                [
-                    np.maximum(gain - told[place], 0.0).sum()
-                    for gain, place in zip(gains, places, strict=True)
-                ]
-            )
-            added *= utility
+        while len(chosen) < min(self.config.views, len(options)):
+            added = utility * [look_ahead_kernels.unshared(sharing, view, told) for view in every]
             added[chosen] = 0.0
             added[added < self.config.min_share] = 0.0
-            best = int((added * near).argmax()) if len(added) else 0
-            if not len(added) or added[best] <= 0.0:
+            best = int((added * near).argmax())
+            if added[best] <= 0.0:
                 break
             chosen.append(best)
             prizes.append(float(added[best]))
-            told[places[best]] = np.maximum(told[places[best]], gains[best])
+            look_ahead_kernels.tell(sharing, best, told)
         return np.array(chosen, np.int64), np.array(prizes)
 
     def _tours(

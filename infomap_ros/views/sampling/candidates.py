@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray, check_transforms
 from infomap_ros.mapping import FREE
-from infomap_ros.views.sampling.candidate_config import CandidateConfig
 from infomap_ros.views.sampling.orientations import (
     OrientationConfig,
     choose_orientations,
@@ -29,6 +29,55 @@ NOTHING_NEAR = "neither near the periphery of the known nor near an obstacle"
 NEAR_TEAMMATE = "too near a teammate or its goal"
 
 _OVERSAMPLED = 8  # positions drawn per position wanted, as some fail the tests
+
+
+@dataclass(frozen=True)
+class CandidateConfig:
+    """Configuration of the candidates.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    candidates: int = setting(
+        1000, "Number of candidate views that pass the cheap tests.", low=1, high=1_000_000
+    )
+    local_share: float = setting(
+        0.3,
+        "Share of the positions that is drawn near the present one; the rest is drawn uniformly "
+        "from the known free space.",
+        low=0.0,
+        high=1.0,
+    )
+    local_radius: float = setting(
+        1.0, "What counts as near the present position.", unit="m", low=0.01, high=100.0
+    )
+    periphery_share: float = setting(
+        0.0,
+        "Share of the positions that is drawn within the camera's range of the periphery of the "
+        "known and of uncertain voxels, all of these alike: where little is left to see, few of "
+        "the positions that are drawn uniformly see it.",
+        low=0.0,
+        high=1.0,
+    )
+    periphery_distance: float = setting(
+        0.75,
+        "Farthest distance to the periphery of the known or an obstacle, as a share of the "
+        "camera's range.",
+        low=0.01,
+        high=1.0,
+    )
+    teammate_clearance: float = setting(
+        0.6,
+        "Smallest distance of the camera to the body of a teammate and to the view that it is "
+        "heading for.",
+        unit="m",
+        low=0.0,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +173,7 @@ def _draw(
     for share, source in _sources(situation, surroundings, rng, settings, wanted):
         missing = round(wanted * share) - len(accepted)
         drawn = rng.permutation(source[_sample(len(source), _OVERSAMPLED * missing, rng)])
-        if source.ndim == 1:
-            drawn = surroundings.centers(drawn)
+        drawn = surroundings.centers(drawn)
         against = _tests(situation, surroundings, drawn, settings)
         passed = np.array([not reason for reason in against], np.bool_)
         enough = np.searchsorted(np.cumsum(passed), missing) + 1
@@ -154,9 +202,6 @@ def _sources(
     Yields:
         That share, and flat indices of voxels in the box, shape (N,), or points, shape (N, 3).
     """
-    if situation.positions_hint is not None:
-        yield 1.0, situation.positions_hint
-        return
     yield settings.local_share, surroundings.reached_near(settings.local_radius)
     share = min(settings.local_share + settings.periphery_share, 1.0)
     if share > settings.local_share:

@@ -11,9 +11,6 @@ from infomap_ros.mapping import FREE, OCCUPIED, UNCERTAIN, UNKNOWN
 
 _FAR = np.int32(1 << 14)
 
-SIX = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
-"""Steps to the neighbors that share a face."""
-
 
 @njit(cache=True, nogil=True)
 def _near_along_z(free: Any, reach: int, out: Any) -> None:
@@ -71,41 +68,6 @@ def free_balls(free: Any, reach: int, limit: float, near: Any, out: Any) -> None
 
 
 @njit(cache=True, nogil=True)
-def flood(passable: Any, start: Any, reached: Any, stack: Any) -> int:
-    """Voxels connected to `start` over faces; returns their number.
-
-    Args:
-        passable: shape (nx, ny, nz), bool.
-        start: position, shape (3,).
-        reached: zeros of that shape, bool; receives the answer.
-        stack: scratch, int64, of the size of `passable`.
-    """
-    nx, ny, nz = passable.shape
-    x, y, z = start[0], start[1], start[2]
-    if not passable[x, y, z]:
-        return 0
-    reached[x, y, z] = True
-    stack[0] = (x * ny + y) * nz + z
-    waiting, found = 1, 1
-    while waiting > 0:
-        waiting -= 1
-        place = stack[waiting]
-        z = place % nz
-        y = (place // nz) % ny
-        x = place // (nz * ny)
-        for side in range(6):
-            a, b, c = x + SIX[side, 0], y + SIX[side, 1], z + SIX[side, 2]
-            if a < 0 or b < 0 or c < 0 or a >= nx or b >= ny or c >= nz:
-                continue
-            if passable[a, b, c] and not reached[a, b, c]:
-                reached[a, b, c] = True
-                stack[waiting] = (a * ny + b) * nz + c
-                waiting += 1
-                found += 1
-    return found
-
-
-@njit(cache=True, nogil=True)
 def path_lengths(open_cells: Any, start: Any, lengths: Any, queue: Any, queued: Any) -> None:
     """Length of the shortest way over the 26 neighbors from `start` to every cell, in cells.
 
@@ -138,17 +100,6 @@ def path_lengths(open_cells: Any, start: Any, lengths: Any, queue: Any, queued: 
                             queued[a, b, c] = True
                             queue[tail] = (a * ny + b) * nz + c
                             tail, count = (tail + 1) % len(queue), count + 1
-
-
-@njit(cache=True, nogil=True)
-def any_in_cells(voxels: Any, edge: int, out: Any) -> None:
-    """Whether any voxel of each cell of ``edge^3`` voxels is set; `out` comes as False."""
-    nx, ny, nz = voxels.shape
-    for x in range(nx):
-        for y in range(ny):
-            for z in range(nz):
-                if voxels[x, y, z]:
-                    out[x // edge, y // edge, z // edge] = True
 
 
 @njit(cache=True, nogil=True)

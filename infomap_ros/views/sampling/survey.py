@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 
 from infomap_ros.geometry import PlacedSolid, points_inside
 from infomap_ros.geometry.config import check_config, setting
@@ -36,12 +37,8 @@ class SurroundingsConfig:
         ConfigError: a value is out of its range.
     """
 
-    free_probability: float = setting(
-        0.05,
-        "A voxel less likely occupied than this is free (2 sigma; Sujan and Dubowsky 2005).",
-        low=1e-6,
-        high=0.5,
-    )
+    free_probability: ClassVar[float] = 0.05
+    """A voxel less likely occupied is free (2 sigma; Sujan and Dubowsky 2005)."""
     surface_margin: int = setting(
         2,
         "Unknown voxels with both an occupied and a free one within this many count as free: a "
@@ -167,10 +164,6 @@ def _boxes(
     is_whole = bool((inner == whole).all())
     if situation.ground_height is None:
         inner[:, 2] = np.clip(inner[:, 2], *situation.heights)
-    if situation.positions_hint is not None and len(situation.positions_hint):
-        hints = situation.positions_hint
-        around = np.stack([hints.min(axis=0) - 1.0, hints.max(axis=0) + 1.0])
-        inner = _common(inner, around)
     inner[0] = np.minimum(inner[0], here - margin)
     inner[1] = np.maximum(inner[1], here + margin)
     sight = np.full(3, situation.max_range)
@@ -253,14 +246,15 @@ def _reached(free: BoolArray, has_room: BoolArray, start: IntArray, radius: floa
     offsets = [(np.arange(a, b) - s) ** 2 for a, b, s in zip(low, high, start, strict=True)]
     square = offsets[0][:, None, None] + offsets[1][:, None] + offsets[2]
     passable[near] |= free[near] & (square <= radius * radius)
-    reached = np.zeros(free.shape, np.bool_)
-    space_kernels.flood(passable, start, reached, np.empty(free.size, np.int64))
-    return reached
+    connected, _ = label(passable)
+    here = connected[tuple(start)]
+    return np.asarray((connected == here) & (here > 0))
 
 
 def _ways(reached: BoolArray, start: IntArray, edge: int) -> NDArray[np.float32]:
-    cells = np.zeros(-(-np.array(reached.shape) // edge), np.bool_)
-    space_kernels.any_in_cells(reached, edge, cells)
+    cells = reached
+    for axis in range(3):
+        cells = np.logical_or.reduceat(cells, np.arange(0, cells.shape[axis], edge), axis=axis)
     return cell_lengths(cells, start // edge)
 
 

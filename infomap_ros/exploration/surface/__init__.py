@@ -1,1 +1,0 @@
-"""Holes in the mapped surface, and views that close them."""

@@ -102,6 +102,7 @@ class ViewPlanner:
         self._failures: list[FailedView] = []
         self._past: list[FloatArray] = []
         self._noted = 0  # so many of which are known for what they promised in vain
+        self._wanted = 0  # so many of the last of which were only wanted, and looked at from beside
 
     def reconfigure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         """Choose by another task and configuration from now on.
@@ -199,10 +200,13 @@ class ViewPlanner:
 
     def _without_unproductive_looks(self, situation: Situation, entropy: float) -> Situation:
         """Note what the views taken since the last choice promised in vain; expect it no more."""
-        views, left = situation.past_views[self._noted :], []
+        views = situation.past_views[self._noted :]
+        left: list[float] = []
         self._noted = len(situation.past_views)
         for view, gains in zip(views, self._information.gains(situation, views), strict=True):
-            left.append(float(gains.gains[~self._unproductive.are_given_up(gains.keys)].sum()))
+            is_taken = len(left) < len(views) - self._wanted
+            promised = gains.gains[~self._unproductive.are_given_up(gains.keys)]
+            left.append(float(promised.sum()) if is_taken else float("nan"))
             self._unproductive.note(
                 gains.keys, situation.voxel_map, view[:3, 3], situation.max_range
             )
@@ -288,8 +292,9 @@ class ViewPlanner:
         self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:
             self._memory.remember(view.pose, view.reason, voxel_map)
-            if view.reached:
-                self._past.append(view.pose)
+        wanted = [view.pose for view in self._failures if view.reached]
+        self._past += wanted
+        self._wanted = len(wanted)
         self._failures.clear()
 
     def _progress(self, voxel_map: VoxelMap, state: RobotState) -> MapProgress:

@@ -7,6 +7,7 @@ promises, says how far views of its kind are to be trusted; see `views.ranking.t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 
@@ -19,16 +20,18 @@ class GainPrior:
 
     def __init__(self) -> None:
         self.shares: list[float] = []
-        self._entropy = float("nan")
+        self._entropy = math.nan
 
     def note(self, left: Sequence[float], entropy: float) -> None:
-        """Count views taken since the last call; of several it is not known which has told what.
+        """Count views since the last call; of several it is not known which has told what.
 
         Args:
-            left: what each of them is still expected to tell, oldest first [bits].
+            left: what each of them is still expected to tell, oldest first [bits]; NaN for one
+                that was wanted, and the robot looked from beside it.
             entropy: of the region of the task with them [bits].
         """
         told = max(self._entropy - entropy, 0.0)
         self._entropy = entropy
-        known = len(left) == 1 and told + left[0] > 0.0
-        self.shares += [told / (told + each) if known else float("nan") for each in left]
+        taken = [each for each in left if not math.isnan(each)]
+        known = len(taken) == 1 and told + taken[0] > 0.0
+        self.shares += [told / (told + each) if known else math.nan for each in left]

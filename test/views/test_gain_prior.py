@@ -38,3 +38,10 @@ def test_view_into_known_space_is_not_judged() -> None:
     kept.note([0.0], 1000.0)
     kept.note([0.0], 1000.0)
     assert np.isnan(kept.shares).all()
+
+
+def test_a_view_that_was_only_wanted_leaves_the_one_taken_beside_it_known() -> None:
+    kept = GainPrior()
+    kept.note([10.0], 1000.0)
+    kept.note([30.0, np.nan], 990.0)
+    np.testing.assert_array_equal(kept.shares, [np.nan, 0.25, np.nan])

@@ -45,7 +45,13 @@ NODES = {
     "explorer": ExplorerNode,
 }
 RESUMES = ("simulator", "fiducial_localization", "map_fusion", "explorer")
-CAMERA = {"camera.width": 320, "camera.height": 240, "camera.supersampling": 1}
+CAMERA = {
+    "camera.width": 320,
+    "camera.height": 240,
+    "camera.supersampling": 1,
+    "camera.multisampling": 0,
+    "camera.shadow_map": 1024,
+}
 PLANNER = {"arm_views": 50, "choice.candidates.candidates": 200, "threads": 1}
 VIEWS, RANGE = 2, 3.0
 

@@ -23,6 +23,7 @@ from infomap_ros.messages.keyframes import (
     encode_keyframe_poses,
 )
 from infomap_ros.messages.rows import encode_rows
+from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.team.moving import moved_map
 from test.nodes.test_map_fusion import (
     CAMERA,
@@ -155,6 +156,29 @@ def test_the_map_is_saved_meanwhile_as_it_is_however_long_a_correction_takes(
     graph.spin_until(file.is_file, "the map")
     bench.send(pose(START + 2 * SECOND), cloud(START + 2 * SECOND))
     bench.wait_for_results(2)
+
+
+def test_what_was_saved_on_the_way_is_saved_again_with_the_correction_at_the_end(
+    graph: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, may_correct, correct_more = tmp_path / "map.infomap", [], MapBuilder.correct_more
+    monkeypatch.setattr(
+        MapBuilder, "correct_more", lambda self: correct_more(self) if may_correct else None
+    )
+    bench = CorrectedBench(graph, map_file=str(file), autosave_period=0.3)
+    bench.send(pose(), cloud())
+    bench.wait_for_results(1)
+    bench.tell(keyframes(START, T_MAP_CAMERA))
+    bench.tell(keyframes(START + SECOND, ELSEWHERE))
+    graph.spin_until(file.is_file, "the map")
+    stop = bench.node._worker.stop
+    monkeypatch.setattr(bench.node._worker, "stop", lambda: may_correct.append(stop()))
+
+    graph.executor.remove_node(bench.node)
+    graph.nodes.remove(bench.node)
+    bench.node.destroy_node()
+
+    assert as_replica(VoxelMap.load(file)) == as_replica(map_of(ELSEWHERE))
 
 
 def test_poses_in_another_frame_are_refused(graph: Any) -> None:

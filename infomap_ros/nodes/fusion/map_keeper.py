@@ -129,9 +129,8 @@ class MapKeeper:
             )
         self._keep_scans_if_wanted()
         self._builder.fuse(scan.with_cloud(cloud))
-        self._stamp, self._is_saved = cloud.stamp, False
-        self._updates.publish(self._map, self._stamp)
-        self._outputs.changed()
+        self._stamp = cloud.stamp
+        self._tell_change()
 
     def forget_body(self, body: BodyInScan) -> None:
         """Take a teammate's body, placed in the map, out of what was fused before it was known."""
@@ -139,9 +138,7 @@ class MapKeeper:
             self._node.get_logger().info(
                 f"took {forgotten} voxels of teammate {body.robot} out of the map"
             )
-            self._is_saved = False
-            self._outputs.changed()
-            self._updates.publish(self._map, self._stamp)
+            self._tell_change()
 
     @property
     def is_correcting(self) -> bool:
@@ -162,14 +159,12 @@ class MapKeeper:
         report = self._builder.correct_more()
         if report is None:
             return
-        self._is_saved = False
         self._node.health.note("corrections of the map", str(self._builder.corrections))
         self._node.get_logger().info(
             f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
             f"{report.blocks_rebuilt} blocks made again"
         )
-        self._outputs.changed()
-        self._updates.publish(self._map, self._stamp)
+        self._tell_change()
 
     @property
     def behind(self) -> bool:
@@ -233,12 +228,13 @@ class MapKeeper:
             CapacityError: a correction does not fit into memory.
             MapFileError: it cannot be written.
         """
-        if self._is_saved or not self._config.map_file or not self._map.known_voxels:
+        if not self._config.map_file or not self._map.known_voxels:
             return
         end = time.monotonic() + _LAST_CORRECTIONS
         while self._builder.is_correcting and time.monotonic() < end:
             self.correct_more()
-        self._node.get_logger().info(self._save())
+        if not self._is_saved:
+            self._node.get_logger().info(self._save())
 
     def save_meanwhile(self) -> None:
         """Write the map as it is where that is news; a correction that has begun goes on after.
@@ -305,9 +301,7 @@ class MapKeeper:
         """
         count = self._builder.clear_region(low, high)
         if count:
-            self._is_saved = False
-            self._outputs.changed()
-            self._updates.publish(self._map, self._stamp)
+            self._tell_change()
         return f"cleared {count} occupied voxels"
 
     def move(self, told: PoseRecord) -> str:
@@ -322,6 +316,12 @@ class MapKeeper:
         answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
         self._node.get_logger().info(answer)
         return answer
+
+    def _tell_change(self) -> None:
+        """The map has changed: it is not saved, its pictures are old, and listeners are told."""
+        self._is_saved = False
+        self._outputs.changed()
+        self._updates.publish(self._map, self._stamp)
 
     def _replace_by(self, other: VoxelMap) -> None:
         self._is_saved = False

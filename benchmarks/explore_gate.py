@@ -36,6 +36,7 @@ from rows import markdown_table, percent, software
 from infomap_ros.exploration.records.log_parsing import RunLogError
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 
 Row = dict[str, Any]
 
@@ -56,9 +57,7 @@ _ROBOT_VIEWS = 40
 _COMMON = (
     "task.known_fraction=0.96",
     "planner.threads=1",
-    "simulator.camera.supersampling=1",
-    "simulator.camera.multisampling=0",
-    "simulator.camera.shadow_map=1024",
+    *(f"simulator.camera.{name}={value}" for name, value in DRAWN_FAST.items()),
 )
 _TOLD = 200  # letters of what a broken run said last
 

@@ -101,12 +101,12 @@ def plan_arm_path(
     if problem:
         return ArmPath.failed(chain.joint_names, problem)
     space, scratch = checker.departure(start, T_map_base), checker.body.scratch()
-    if first_on_way(space, start, goal, scratch) < 0.0:
-        return time_path(chain, np.stack([start, goal]), trajectory)
 
     def is_free(first: FloatArray, second: FloatArray) -> bool:
         return first_on_way(space, first, second, scratch) < 0.0
 
+    if is_free(start, goal):
+        return time_path(chain, np.stack([start, goal]), trajectory)
     util.RNG.setSeed(seed + 1)  # 0 would be any
     found = _Search(checker, is_free, settings, (start, goal)).way()
     if found is None:

@@ -23,6 +23,7 @@ from infomap_ros.nodes.simulated.simulated_localization import (
     simulated_motion_noise,
 )
 from infomap_ros.replay.mapping.map_files import MAP_FILE
+from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
@@ -32,7 +33,6 @@ _IMAGES = tuple(
 )
 _PLANNING = ("next_best_view", "explorer")
 _AUTOSAVE = 30.0  # [s]
-_DRAWN_FAST = {"camera.supersampling": 1, "camera.multisampling": 0, "camera.shadow_map": 1024}
 _MAX_WAIT = 5.0  # [s] of simulated time, which may run fast
 
 Parameters = Mapping[str, object]
@@ -60,7 +60,7 @@ def robot_parameters(
         "simulator": {
             "pace": 0.0,
             "image_rate": IMAGE_RATE,
-            **_DRAWN_FAST,
+            **{f"camera.{name}": value for name, value in DRAWN_FAST.items()},
             "state_file": out / ROBOT_FILE,
             "resume": True,
             "publish_camera_pose": not localized,

@@ -64,6 +64,10 @@ class StereoCameraConfig:
         check_config(self)
 
 
+DRAWN_FAST = {"supersampling": 1, "multisampling": 0, "shadow_map": 1024}
+"""Fields of `StereoCameraConfig` for a machine that draws without graphics hardware."""
+
+
 class StereoCamera:
     """Takes pairs of raw images in a world, noise excluded.
 

@@ -21,7 +21,7 @@ class ViewPlannerConfig:
     strategy: str = parameter(
         "largest_information",
         "How views are ranked: random, raster, largest_unknown, smallest_known, "
-        "largest_information, look_ahead, view_tour, or the dotted path of a class of one's own.",
+        "largest_information, look_ahead, or the dotted path of a class of one's own.",
     )
     metric: str = parameter(
         "expected_entropy_reduction", "What counts as information, by the name of a metric."

@@ -17,7 +17,6 @@ from infomap_ros.views.ranking.rating import Rating, RatingConfig
 from infomap_ros.views.ranking.strategies import make_strategy
 from infomap_ros.views.ranking.strategy import ProposesViews, Strategy
 from infomap_ros.views.ranking.terms import RatingTerm
-from infomap_ros.views.ranking.view_tour import ViewTourConfig
 from infomap_ros.views.reach import Reachability
 from infomap_ros.views.sampling.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.sampling.orientations import OrientationConfig
@@ -37,7 +36,6 @@ class NextBestViewConfig:
     rating: RatingConfig = field(default_factory=RatingConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
     look_ahead: LookAheadConfig = field(default_factory=LookAheadConfig)
-    view_tour: ViewTourConfig = field(default_factory=ViewTourConfig)
 
 
 class NextBestView:
@@ -67,7 +65,7 @@ class NextBestView:
         self.config = config or NextBestViewConfig()
         if isinstance(strategy, str):
             self.strategy_name = strategy
-            self._strategy = make_strategy(strategy, self.config.look_ahead, self.config.view_tour)
+            self._strategy = make_strategy(strategy, self.config.look_ahead)
         else:
             self.strategy_name, self._strategy = type(strategy).__name__, strategy
         self._information = information or ExpectedInformation()

@@ -60,7 +60,7 @@ def mapped_by(world: PlanarWorld, views: np.ndarray) -> float:
     return world.fraction_mapped(voxel_map)
 
 
-@pytest.mark.parametrize("strategy", ["view_tour", *BASELINES])
+@pytest.mark.parametrize("strategy", ["look_ahead", *BASELINES])
 def test_every_strategy_explores(world: PlanarWorld, strategy: str) -> None:
     found = explore(world, strategy, SHORT)
     assert len(found.fraction) == 5

@@ -14,7 +14,6 @@ from infomap_ros.views.decision import RatedView, why_this
 from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.ranking.rating import Cost, Rating, RatingConfig
 from infomap_ros.views.ranking.terms import Duration
-from infomap_ros.views.ranking.view_tour import ViewTour
 from infomap_ros.views.reach import Flight
 from infomap_ros.views.situation import MotionTimes, Situation
 
@@ -123,15 +122,6 @@ def _worth(
         total += rating * (discount if rating > 0.0 else 1.0)
         here = view
     return total
-
-
-def test_a_tour_is_found_in_seconds_too(situation: Situation) -> None:
-    poses = [facing(0.0, (x, 2.0, 1.2)) for x in (2.0, 3.0)]
-    source = Prescribed({2.0: {1: 60.0}, 3.0: {2: 60.0}})
-    options = options_of(situation, poses, [60.0, 60.0], source=source)
-    scores = ViewTour().score(options, Rating(SECONDS).rate(options))
-    assert scores.values.argmax() == 0
-    assert scores.plans[0] == (1,)
 
 
 def test_a_planned_motion_that_takes_longer_costs_more() -> None:

@@ -39,7 +39,7 @@ def score(strategy: Strategy, options: Options) -> Scores:
 
 def test_all_strategies_of_the_paper_are_there() -> None:
     names = {"random", "raster", "largest_unknown", "smallest_known", "largest_information"}
-    assert set(strategies()) == names | {"look_ahead", "view_tour"}
+    assert set(strategies()) == names | {"look_ahead"}
     for name in strategies():
         assert callable(make_strategy(name).score)
 

@@ -37,7 +37,7 @@ BASELINES = (
 
 _ONE_LOOK = 0.3  # a voxel that a look from up to 0.84 of the range left unknown is given up
 
-OWN = ("largest_information", "look_ahead", "view_tour")
+OWN = ("largest_information", "look_ahead")
 """The package's own strategies, which all others are compared with."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.look_ahead import LookAheadConfig
 from infomap_ros.views.ranking.rating import RatingConfig
-from infomap_ros.views.ranking.view_tour import ViewTourConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import OrientationConfig
 from infomap_ros.views.sampling.survey import SurroundingsConfig
@@ -58,5 +57,4 @@ def planar_choice(
             cost_of_view=max_range / 30.0,
             unlike_distance=0.15 * max_range,
         ),
-        view_tour=ViewTourConfig(discount_distance=6.0 * max_range, cost_of_view=0.05 * max_range),
     )

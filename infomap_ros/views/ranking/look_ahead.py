@@ -123,7 +123,7 @@ class LookAhead:
             1.0 - ratings.terms["risk"][chosen],
             ratings.ratings[chosen],
             ratings.ways[chosen],
-            distances_between(options, ratings, chosen),
+            _distances_between(options, ratings, chosen),
             float(ratings.cost.weight_of_distance),
             self._cost_of_view(ratings),
             float(config.discount_distance),
@@ -131,7 +131,7 @@ class LookAhead:
         found = np.empty(len(chosen))
         followers = np.empty((len(chosen), config.depth - 1), np.int64)
         look_ahead_kernels.best_sequences(
-            sharing_of(options, chosen), costs, config.depth, config.beam, found, followers
+            _sharing_of(options, chosen), costs, config.depth, config.beam, found, followers
         )
         values[chosen] = found
         plans = {
@@ -141,7 +141,7 @@ class LookAhead:
         return Scores(values, {first: others for first, others in plans.items() if others})
 
 
-def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
+def _distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> FloatArray:
     """Cost of eq. (10) from each of the chosen views to each, as distances, shape (K, K)."""
     cost, poses = ratings.cost, options.poses[chosen]
     spots, at = np.unique(poses[:, :3, 3], axis=0, return_inverse=True)
@@ -151,7 +151,7 @@ def distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> F
     return np.array(rows).reshape(len(poses), len(poses))
 
 
-def sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing:
+def _sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing:
     """What voxels each of the chosen views, (K,), informs, weighted by what is wanted."""
     gains = options.source.gains(options.situation, options.poses[chosen])
     keys, places = np.unique(

@@ -106,12 +106,12 @@ def _longer(
     for row in range(len(utilities)):
         told[:] = 0.0
         for turn in range(length):
-            tell(sharing, views[row, turn], told)
+            _tell(sharing, views[row, turn], told)
         for view in range(count):
             if _holds(views[row], length, view):
                 continue
             step = costs.between[views[row, length - 1], view]
-            news = costs.utility[view] * unshared(sharing, view, told)
+            news = costs.utility[view] * _unshared(sharing, view, told)
             rating = (news - costs.weight * step) * costs.safe[view]
             farther[row, view] = ways[row] + step + costs.look
             gain = _discounted(rating, farther[row, view], costs.discount_distance)
@@ -128,7 +128,7 @@ def _holds(views: Any, length: int, view: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def tell(sharing: Sharing, view: int, told: Any) -> None:
+def _tell(sharing: Sharing, view: int, told: Any) -> None:
     """Note in `told`, shape (size,), what a view informs."""
     for entry in range(sharing.starts[view], sharing.starts[view + 1]):
         place = sharing.places[entry]
@@ -136,7 +136,7 @@ def tell(sharing: Sharing, view: int, told: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def unshared(sharing: Sharing, view: int, told: Any) -> float:
+def _unshared(sharing: Sharing, view: int, told: Any) -> float:
     """Share of what a view informs that is not `told`, shape (size,), yet."""
     news, total = 0.0, 0.0
     for entry in range(sharing.starts[view], sharing.starts[view + 1]):

@@ -1,8 +1,7 @@
 """Ways to choose the next view, by name; all are asked in the same loop.
 
 The five of Sujan and Dubowsky (2005, section on results): random, raster, largest_unknown,
-smallest_known, largest_information; and two that see more than one view ahead: look_ahead, which
-searches sequences of a few views, and view_tour, which plans a tour of all that is left to see.
+smallest_known, largest_information; and look_ahead, which searches sequences of a few views.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores, Strategy
-from infomap_ros.views.ranking.view_tour import ViewTour, ViewTourConfig
 from infomap_ros.views.sampling.coarse_views import full_volume
 
 
@@ -119,9 +117,7 @@ class Raster:
         return first, float(np.floor((high[0] + margin) / cell) - first[0] + 1.0)
 
 
-def strategies(
-    look_ahead: LookAheadConfig | None = None, view_tour: ViewTourConfig | None = None
-) -> dict[str, Callable[[], Strategy]]:
+def strategies(look_ahead: LookAheadConfig | None = None) -> dict[str, Callable[[], Strategy]]:
     """The strategies that come with the package, by name."""
     return {
         "random": RandomChoice,
@@ -130,28 +126,22 @@ def strategies(
         "smallest_known": SmallestKnown,
         "largest_information": LargestInformation,
         "look_ahead": lambda: LookAhead(look_ahead),
-        "view_tour": lambda: ViewTour(view_tour, LookAhead(look_ahead)),
     }
 
 
-def make_strategy(
-    name: str,
-    look_ahead: LookAheadConfig | None = None,
-    view_tour: ViewTourConfig | None = None,
-) -> Strategy:
+def make_strategy(name: str, look_ahead: LookAheadConfig | None = None) -> Strategy:
     """Create a strategy.
 
     Args:
         name: of one that comes with the package, or the dotted path of a class, as in
             ``my_package.my_module.MyStrategy``, which is created without arguments.
         look_ahead: configuration of the strategy of that name.
-        view_tour: likewise.
 
     Raises:
         ConfigError: there is no such strategy, the class cannot be imported or created, or it
             lacks what `Strategy` asks for.
     """
-    known = strategies(look_ahead, view_tour)
+    known = strategies(look_ahead)
     if name in known:
         return known[name]()
     module_name, _, class_name = name.rpartition(".")

@@ -13,6 +13,7 @@ from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
 from infomap_ros.motion.base.drive_arcs import arc_points
 from infomap_ros.motion.base.drive_space import TURN_STEP
 from infomap_ros.motion.base.stance import STANDS, tilt_to
+from infomap_ros.motion.base.standing_ground import with_standing_ground
 
 from .drive_oracle import DriveOracle
 from .grounds import CELL, ground, plane, rover
@@ -283,6 +284,32 @@ def test_robot_leaves_ground_of_which_only_occupied_voxels_are_known(vehicle, ga
     path = BasePlanner(doubtful, vehicle, standing=standing).plan((0, 0, 0), (-1, 0, 0))
 
     assert path.complete is leaves
+
+
+@pytest.mark.parametrize("place", [(0.16, 0.16), (0.18, 0.0), (-0.2, -0.2)])
+def test_false_ground_under_the_robot_makes_no_step_beside_it(vehicle, place):
+    terrain = ground(lambda x, y: 0.25 * (np.hypot(x - place[0], y - place[1]) < 0.04))
+    standing = np.eye(4)
+    standing[2, 3] = 0.0762
+    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
+    known = with_standing_ground(terrain, vehicle, standing)
+    np.testing.assert_allclose(known.step, 0.0, atol=1e-6)
+    moved = [(x, y, yaw) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.1) for yaw in (0.0, 0.5)]
+    assert vehicle.stances(known, np.array(moved)).ok.all()
+
+
+def test_edge_beside_where_the_robot_stands_stays_a_step(vehicle):
+    """Its own ground was never seen; beside it, the ground lies half a meter lower."""
+
+    def height(x, y):
+        return np.where(
+            x < 0.35, np.where((np.abs(x) < 0.3) & (np.abs(y) < 0.3), np.nan, 0.0), -0.5
+        )
+
+    standing = np.eye(4)
+    standing[2, 3] = 0.0762
+    known = with_standing_ground(ground(height), vehicle, standing)
+    assert known.step[tuple(known.cells_of((0.375, 0.0)))] > 0.3
 
 
 def test_reachable_area_needs_a_start_once(vehicle):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, float_array
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.terrain.measures import largest_steps
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base.vehicle import Vehicle
 
@@ -76,9 +77,22 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     unknown = np.isnan(terrain.heights[i, j])
     u, v = i[unknown], j[unknown]
     terrain.heights[u, v] = terrain.floor[u, v] = plane[unknown]
-    terrain.sigma[u, v], terrain.step[u, v], terrain.roughness[u, v] = terrain.resolution, 0.0, 0.0
+    terrain.sigma[u, v], terrain.roughness[u, v] = terrain.resolution, 0.0
+    _measure_steps(terrain, cells[near])
     seen = np.minimum(np.maximum(terrain.seen[i, j], ceiling), terrain.overhead[i, j])
     terrain.seen[i, j] = seen
+
+
+def _measure_steps(terrain: Terrain, changed: NDArray[np.int64]) -> None:
+    """Measure steps anew in and beside cells whose heights have changed, shape (N, 2)."""
+    if not len(changed):
+        return
+    low, high = np.maximum(changed.min(axis=0) - 2, 0), changed.max(axis=0) + 3
+    patch = np.s_[low[0] : high[0], low[1] : high[1]]
+    steps = np.empty_like(terrain.step[patch])
+    largest_steps(terrain.heights[patch], terrain.sigma[patch], steps)
+    # The outermost have neighbors that are not in the patch.
+    terrain.step[patch][1:-1, 1:-1] = steps[1:-1, 1:-1]
 
 
 def _stand_on(

@@ -65,7 +65,7 @@ class MapFusionConfig:
     """
 
     queue_size: int = setting(
-        10, "Scans that wait for the worker at most; the oldest gives way.", low=1, high=1000
+        10, "Scans that wait for the worker at most; for one more, all give way.", low=1, high=1000
     )
     autosave_period: float = parameter(
         0.0,

@@ -57,7 +57,7 @@ class StereoRangeNodeConfig:
         high=1.0,
     )
     queue_size: int = setting(
-        4, "Pairs that wait to be measured at most; the oldest gives way.", low=1, high=100
+        4, "Pairs that wait to be measured at most; for one more, all give way.", low=1, high=100
     )
 
     def __post_init__(self) -> None:

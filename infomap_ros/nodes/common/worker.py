@@ -79,14 +79,16 @@ class Worker:
             return len(self._waiting) + int(self._busy)
 
     def submit(self, job: Job) -> None:
-        """Queue a job; when the queue is full the oldest such job gives way."""
+        """Queue a job; when the queue is full, all such jobs that wait give way.
+
+        A queue absorbs a burst. Who lags behind for long would else do every job a whole queue too
+        late, when nobody waits for the result any more.
+        """
         with self._condition:
-            replaceable = [entry for entry in self._waiting if entry.may_give_way]
-            overflow = len(replaceable) >= self._capacity
-            if overflow:
-                self._waiting.remove(replaceable[0])
+            replaceable = sum(entry.may_give_way for entry in self._waiting)
+            gave_way = self._forget_replaceable() if replaceable >= self._capacity else 0
             self._append(_Entry(job, may_give_way=True))
-        if overflow:
+        for _ in range(gave_way):
             self._on_overflow()
 
     def submit_always(self, job: Job) -> None:
@@ -130,9 +132,12 @@ class Worker:
     def clear(self) -> int:
         """Forget the waiting jobs that may give way; returns how many."""
         with self._condition:
-            kept = [entry for entry in self._waiting if not entry.may_give_way]
-            forgotten = len(self._waiting) - len(kept)
-            self._waiting = deque(kept)
+            return self._forget_replaceable()
+
+    def _forget_replaceable(self) -> int:
+        kept = [entry for entry in self._waiting if not entry.may_give_way]
+        forgotten = len(self._waiting) - len(kept)
+        self._waiting = deque(kept)
         return forgotten
 
     def stop(self) -> None:

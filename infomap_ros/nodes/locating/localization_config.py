@@ -45,7 +45,7 @@ class FiducialLocalizationConfig:
         high=1.0,
     )
     queue_size: int = setting(
-        10, "Pairs that wait for the worker at most; the oldest gives way.", low=1, high=1000
+        3, "Pairs that wait for the worker at most; for one more, all give way.", low=1, high=1000
     )
     min_correction: float = setting(
         0.002,

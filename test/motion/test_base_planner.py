@@ -312,6 +312,15 @@ def test_edge_beside_where_the_robot_stands_stays_a_step(vehicle):
     assert known.step[tuple(known.cells_of((0.375, 0.0)))] > 0.3
 
 
+def test_ground_declared_at_the_edge_of_the_map_has_no_step(vehicle):
+    nothing = ground(lambda x, y: np.full_like(x, np.nan))
+    standing = np.eye(4)
+    standing[:3, 3] = -1.9, 1.9, 0.0762
+    known = with_standing_ground(nothing, vehicle, standing)
+    at_edge = known.step[0][np.isfinite(known.heights[0])]
+    assert len(at_edge) and (at_edge == 0.0).all()
+
+
 def test_reachable_area_needs_a_start_once(vehicle):
     planner = BasePlanner(walled(None), vehicle)
     with pytest.raises(InvalidInputError, match="start"):

@@ -31,6 +31,7 @@ from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 from infomap_ros.pipeline.map_hash import map_hash
+from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
     ExplorationRun,
@@ -46,11 +47,7 @@ NODES = {
 }
 RESUMES = ("simulator", "fiducial_localization", "map_fusion", "explorer")
 CAMERA = {
-    "camera.width": 320,
-    "camera.height": 240,
-    "camera.supersampling": 1,
-    "camera.multisampling": 0,
-    "camera.shadow_map": 1024,
+    f"camera.{name}": value for name, value in {"width": 320, "height": 240, **DRAWN_FAST}.items()
 }
 PLANNER = {"arm_views": 50, "choice.candidates.candidates": 200, "threads": 1}
 VIEWS, RANGE = 2, 3.0

@@ -143,17 +143,23 @@ def test_a_scan_that_comes_after_the_correction_stays(graph: Any) -> None:
     bench.wait_for_map(as_replica(map_of(ELSEWHERE, T_MAP_CAMERA)))
 
 
-def test_the_map_is_saved_meanwhile_as_it_is_however_long_a_correction_takes(
-    graph: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("infomap_ros.pipeline.map_builder.MapBuilder.correct_more", lambda _: None)
-    file = tmp_path / "map.infomap"
+def saved_while_correcting(graph: Any, file: Any) -> CorrectedBench:
+    """A node that has saved its map on the way, with a correction not yet made."""
     bench = CorrectedBench(graph, map_file=str(file), autosave_period=0.3)
     bench.send(pose(), cloud())
     bench.wait_for_results(1)
     bench.tell(keyframes(START, T_MAP_CAMERA))
     bench.tell(keyframes(START + SECOND, ELSEWHERE))
     graph.spin_until(file.is_file, "the map")
+    return bench
+
+
+def test_the_map_is_saved_meanwhile_as_it_is_however_long_a_correction_takes(
+    graph: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("infomap_ros.pipeline.map_builder.MapBuilder.correct_more", lambda _: None)
+    file = tmp_path / "map.infomap"
+    bench = saved_while_correcting(graph, file)
     bench.send(pose(START + 2 * SECOND), cloud(START + 2 * SECOND))
     bench.wait_for_results(2)
 
@@ -165,12 +171,7 @@ def test_what_was_saved_on_the_way_is_saved_again_with_the_correction_at_the_end
     monkeypatch.setattr(
         MapBuilder, "correct_more", lambda self: correct_more(self) if may_correct else None
     )
-    bench = CorrectedBench(graph, map_file=str(file), autosave_period=0.3)
-    bench.send(pose(), cloud())
-    bench.wait_for_results(1)
-    bench.tell(keyframes(START, T_MAP_CAMERA))
-    bench.tell(keyframes(START + SECOND, ELSEWHERE))
-    graph.spin_until(file.is_file, "the map")
+    bench = saved_while_correcting(graph, file)
     stop = bench.node._worker.stop
     monkeypatch.setattr(bench.node._worker, "stop", lambda: may_correct.append(stop()))
 

@@ -12,7 +12,11 @@ from infomap_ros.geometry import make_transform
 from infomap_ros.pipeline import stereo_health as health
 from infomap_ros.pipeline.stereo_health import StereoHealth
 from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
-from infomap_ros.simulation.cameras.stereo_camera import StereoCamera, StereoCameraConfig
+from infomap_ros.simulation.cameras.stereo_camera import (
+    DRAWN_FAST,
+    StereoCamera,
+    StereoCameraConfig,
+)
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.stereo import StereoRectifier
@@ -20,7 +24,7 @@ from infomap_ros.stereo import StereoRectifier
 Pair = tuple[np.ndarray, np.ndarray]
 BASELINE, VIEWS = 0.1, 12
 CAMERA = StereoCamera(
-    StereoCameraConfig(width=320, height=240, supersampling=1, multisampling=0, shadow_map=1024),
+    StereoCameraConfig(width=320, height=240, **DRAWN_FAST),
     BASELINE,
 )
 FAULTS: dict[str, Callable[[Pair], Pair]] = {

@@ -50,6 +50,8 @@ def with_standing_ground(
     changed = dataclasses.replace(terrain, **{n: getattr(terrain, n).copy() for n in names})
     for pose in poses.reshape(-1, 4, 4):
         _declare(changed, vehicle, check_transform(pose, "T_map_bases"), reach)
+    # Ground that has gone made steps of what is beside it, too.
+    largest_steps(changed.heights, changed.sigma, changed.step)
     return changed
 
 
@@ -78,21 +80,8 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     u, v = i[unknown], j[unknown]
     terrain.heights[u, v] = terrain.floor[u, v] = plane[unknown]
     terrain.sigma[u, v], terrain.roughness[u, v] = terrain.resolution, 0.0
-    _measure_steps(terrain, cells[near])
     seen = np.minimum(np.maximum(terrain.seen[i, j], ceiling), terrain.overhead[i, j])
     terrain.seen[i, j] = seen
-
-
-def _measure_steps(terrain: Terrain, changed: NDArray[np.int64]) -> None:
-    """Measure steps anew in and beside cells whose heights have changed, shape (N, 2)."""
-    if not len(changed):
-        return
-    low, high = np.maximum(changed.min(axis=0) - 2, 0), changed.max(axis=0) + 3
-    patch = np.s_[low[0] : high[0], low[1] : high[1]]
-    steps = np.empty_like(terrain.step[patch])
-    largest_steps(terrain.heights[patch], terrain.sigma[patch], steps)
-    # The outermost have neighbors that are not in the patch.
-    terrain.step[patch][1:-1, 1:-1] = steps[1:-1, 1:-1]
 
 
 def _stand_on(
